@@ -1,0 +1,28 @@
+"""Errors a user can cause and mend."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class CraftsimError(Exception):
+    """Base of all errors that craftsim raises on purpose; the command line turns them into exit code 2."""
+
+
+class InputError(CraftsimError):
+    """A file or argument is wrong; the message says where, what is allowed and what to try."""
+
+
+class BlueprintError(InputError):
+    """A blueprint or goal file is wrong."""
+
+
+class PlanError(InputError):
+    """A plan file is wrong."""
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` for the known word closest to a misspelt one, or an empty string."""
+    close = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""

@@ -1,0 +1,47 @@
+# `make help` explains every target.
+
+VENV := .venv
+BIN := $(VENV)/bin
+ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint format meshes libraries clean
+
+help:  ## Explain the targets
+	@echo "Usage: make TARGET [ARGS='...']"
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: $(VENV)/installed libraries  ## Build the simple two-story building in physics; report and film in out/demo (ARGS are passed on)
+	$(BIN)/craftsim demo --out out/demo $(ARGS)
+
+test: lint libraries  ## Lint, type-check and run every test, from nothing (ARGS are passed to pytest)
+	$(BIN)/pytest -n 2 $(ARGS)
+
+lint: $(VENV)/installed-dev  ## Check style, formatting and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/installed-dev  ## Format the code and apply safe lint fixes
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+meshes: $(VENV)/installed  ## Make the visual meshes in craftsim/mjcf/meshes again
+	$(BIN)/python -m craftsim.mjcf.make_meshes
+
+libraries: $(VENV)/installed  ## See that off-screen rendering has its system libraries (installs them when root)
+	@scripts/system-libraries $(BIN)/python
+
+clean:  ## Remove the virtual environment, outputs and caches
+	rm -rf $(VENV) out build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The stamp files make a second call quick; both are made again when the packaging changes.
+$(VENV)/installed: pyproject.toml scripts/make-venv
+	scripts/make-venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/installed-dev: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@

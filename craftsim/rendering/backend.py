@@ -1,0 +1,109 @@
+"""Choose how MuJoCo renders off-screen: the one place where that is decided.
+
+MuJoCo fixes its OpenGL backend when it is imported, from the environment variable ``MUJOCO_GL``. So a program that
+wants pictures calls `choose_backend` before anything imports ``mujoco``; a program that wants only physics calls nothing.
+
+``python -m craftsim.rendering.backend`` prints the backend that works, or says what is missing and exits with 1.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import subprocess
+import sys
+from typing import Final
+
+from craftsim.discrete.errors import CraftsimError
+
+BACKENDS: Final = ("egl", "osmesa")
+"""Off-screen backends of MuJoCo on Linux, the preferred one first."""
+
+DEBIAN_PACKAGES: Final = ("libegl1", "libgl1-mesa-dri")
+"""What Debian and Ubuntu lack for the first backend: the EGL loader and Mesa's drivers (software rendering included)."""
+
+INSTALL_COMMAND: Final = f"sudo apt-get install {' '.join(DEBIAN_PACKAGES)}"
+"""The one command that makes rendering work on Debian and Ubuntu."""
+
+_ONE_FRAME: Final = """
+import mujoco
+model = mujoco.MjModel.from_xml_string(
+    '<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="5 5 1"/></worldbody></mujoco>'
+)
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+renderer = mujoco.Renderer(model, 16, 16)
+renderer.update_scene(data)
+if not renderer.render().any():
+    raise SystemExit("the rendered frame is black")
+renderer.close()
+"""
+
+
+class RenderingUnavailable(CraftsimError):
+    """No backend renders a frame on this machine; the message says why and which command mends it."""
+
+
+@functools.cache
+def failure(backend: str) -> str | None:
+    """Render one frame in a process of its own and return why that failed, or None when it worked.
+
+    A process of its own, because a broken OpenGL driver may crash the process that tries it.
+    """
+    try:
+        child = subprocess.run(
+            [sys.executable, "-c", _ONE_FRAME],
+            env={**os.environ, "MUJOCO_GL": backend},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return "no frame within 60 s"
+    if child.returncode == 0:
+        return None
+    if child.returncode < 0:
+        return f"crashed with signal {-child.returncode}"
+    lines = child.stderr.strip().splitlines()
+    return lines[-1] if lines else f"exit status {child.returncode}"
+
+
+def choose_backend() -> str:
+    """Return the backend that renders, and set ``MUJOCO_GL`` to it for this process.
+
+    A ``MUJOCO_GL`` that is already set is used, or refused if it does not render, but never replaced.
+
+    Raises:
+        RenderingUnavailable: nothing renders, or MuJoCo was imported before the choice and holds to another backend.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted:
+        reason = failure(wanted)
+        if reason:
+            raise RenderingUnavailable(
+                f"MUJOCO_GL={wanted} does not render ({reason}). Unset MUJOCO_GL to let craftsim choose a backend."
+            )
+        return wanted
+    if "mujoco" in sys.modules:
+        raise RenderingUnavailable(
+            "MuJoCo was imported before a rendering backend was chosen. Call choose_backend() first, "
+            "or set MUJOCO_GL=egl in the environment."
+        )
+    reasons = []
+    for backend in BACKENDS:
+        reason = failure(backend)
+        if reason is None:
+            os.environ["MUJOCO_GL"] = backend
+            return backend
+        reasons.append(f"{backend}: {reason}")
+    raise RenderingUnavailable(
+        f"Off-screen rendering does not work ({'; '.join(reasons)}). On Debian or Ubuntu run: {INSTALL_COMMAND}"
+    )
+
+
+if __name__ == "__main__":
+    try:
+        print(choose_backend())
+    except RenderingUnavailable as error:
+        sys.exit(str(error))

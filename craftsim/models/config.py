@@ -1,0 +1,55 @@
+"""How the physics is computed: step, control period, solver and sleep, with the reason for each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from craftsim.discrete.errors import InputError
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """Settings of the simulation; hashable, and written into every report.
+
+    Raises InputError, naming the field, for a value that cannot work.
+    """
+
+    timestep_s: float = 0.004
+    """Physics step. Final poses differ by less than 2 mm from those at 1 ms (tests/skills/test_demo_plan.py)."""
+
+    control_period_s: float = 0.02
+    """How often skills are asked for a command: 50 Hz, as a small robot's controller. A multiple of the step."""
+
+    friction_impedance_ratio: float = 10.0
+    """How much stiffer friction is than normal contact (MuJoCo's impratio): parked cars and loads do not creep."""
+
+    sleep: bool = True
+    """Let resting islands, idle cars included, drop out of the computation until something touches or commands them."""
+
+    sleep_tolerance_m_s: float = 1e-4
+    """Speed below which an island counts as resting: a tenth of MuJoCo's default, so that slow creep is not hidden."""
+
+    settle_s: float = 0.3
+    """Simulated time after a reset in which the parts come to rest on each other under zero commands."""
+
+    def __post_init__(self) -> None:
+        for name in ("timestep_s", "control_period_s", "friction_impedance_ratio", "sleep_tolerance_m_s"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"SimulationConfig.{name} must be above 0, not {getattr(self, name)}")
+        if not 0 <= self.settle_s < float("inf"):
+            raise InputError(f"SimulationConfig.settle_s must be 0 or more and finite, not {self.settle_s}")
+        if self.timestep_s > 0.005:
+            raise InputError(
+                f"SimulationConfig.timestep_s is {self.timestep_s}; above 0.005 s rollers lose the ground, try 0.004"
+            )
+        ratio = self.control_period_s / self.timestep_s
+        if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:
+            raise InputError(
+                f"SimulationConfig.control_period_s ({self.control_period_s}) must be an integer multiple of "
+                f"timestep_s ({self.timestep_s})"
+            )
+
+    @property
+    def steps_per_period(self) -> int:
+        """Number of physics steps between two commands."""
+        return round(self.control_period_s / self.timestep_s)

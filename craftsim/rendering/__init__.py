@@ -1,1 +1,1 @@
-"""Films of simulated scenes. Nothing else in the package needs it; choose a backend before MuJoCo is imported."""
+"""Films of simulated scenes. Nothing else needs it; choose a backend before MuJoCo is imported."""

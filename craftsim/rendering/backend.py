@@ -1,9 +1,11 @@
 """Choose how MuJoCo renders off-screen: the one place where that is decided.
 
-MuJoCo fixes its OpenGL backend when it is imported, from the environment variable ``MUJOCO_GL``. So a program that
-wants pictures calls `choose_backend` before anything imports ``mujoco``; a program that wants only physics calls nothing.
+MuJoCo fixes its OpenGL backend when it is imported, from the environment variable ``MUJOCO_GL``. So a
+program that wants pictures calls `choose_backend` before anything imports ``mujoco``; a program that wants
+only physics calls nothing.
 
-``python -m craftsim.rendering.backend`` prints the backend that works, or says what is missing and exits with 1.
+``python -m craftsim.rendering.backend`` prints the backend that works, or says what is missing and exits
+with 1.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ BACKENDS: Final = ("egl", "osmesa")
 """Off-screen backends of MuJoCo on Linux, the preferred one first."""
 
 DEBIAN_PACKAGES: Final = ("libegl1", "libgl1-mesa-dri")
-"""What Debian and Ubuntu lack for the first backend: the EGL loader and Mesa's drivers (software rendering included)."""
+"""What Debian and Ubuntu lack for the first backend: the EGL loader and Mesa's (software) drivers."""
 
 INSTALL_COMMAND: Final = f"sudo apt-get install {' '.join(DEBIAN_PACKAGES)}"
 """The one command that makes rendering work on Debian and Ubuntu."""
@@ -75,14 +77,14 @@ def choose_backend() -> str:
     A ``MUJOCO_GL`` that is already set is used, or refused if it does not render, but never replaced.
 
     Raises:
-        RenderingUnavailable: nothing renders, or MuJoCo was imported before the choice and holds to another backend.
+        RenderingUnavailable: nothing renders, or MuJoCo was imported before the choice.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted:
         reason = failure(wanted)
         if reason:
             raise RenderingUnavailable(
-                f"MUJOCO_GL={wanted} does not render ({reason}). Unset MUJOCO_GL to let craftsim choose a backend."
+                f"MUJOCO_GL={wanted} does not render ({reason}). Unset MUJOCO_GL to let craftsim choose."
             )
         return wanted
     if "mujoco" in sys.modules:
@@ -98,7 +100,8 @@ def choose_backend() -> str:
             return backend
         reasons.append(f"{backend}: {reason}")
     raise RenderingUnavailable(
-        f"Off-screen rendering does not work ({'; '.join(reasons)}). On Debian or Ubuntu run: {INSTALL_COMMAND}"
+        f"Off-screen rendering does not work ({'; '.join(reasons)}). "
+        f"On Debian or Ubuntu run: {INSTALL_COMMAND}"
     )
 
 

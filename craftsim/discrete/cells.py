@@ -1,0 +1,182 @@
+"""What the compiled rules see of one world: its cells, its cars and the two marks that legality depends on.
+
+Cells are (x, y, z); z = 0 is the ground layer. Everything beside the map is wall, everything above it is air.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.grid import CarField, Kind
+
+AIR = int(Kind.AIR)
+GROUND = int(Kind.GROUND)
+WALL = int(Kind.WALL)
+BLOCK = int(Kind.BLOCK)
+FLAG = int(Kind.FLAG)
+FSLOPE = int(Kind.FSLOPE)
+GEAR = int(Kind.GEAR)
+BODY = int(Kind.BODY)
+FOOT = int(Kind.FOOT)
+
+NOTHING = -1
+OBJECT = -2
+NOBODY = -1
+
+F_X = int(CarField.X)
+F_Y = int(CarField.Y)
+F_Z = int(CarField.Z)
+F_YAW = int(CarField.YAW)
+F_LOAD = int(CarField.LOAD)
+F_LOAD_YAW = int(CarField.LOAD_YAW)
+F_SLOPE = int(CarField.SLOPE)
+
+
+class Law(NamedTuple):
+    """The differences between the rule sets, each a switch that one place in the rules reads."""
+
+    derived_marks: bool
+    """Marks follow from what is there (physical) instead of from past events (published)."""
+
+
+class World(NamedTuple):
+    """The arrays of one world, shaped as in :class:`craftsim.discrete.grid.Grid`, and the law it obeys."""
+
+    kind: NDArray[np.int8]
+    yaw: NDArray[np.int8]
+    top: NDArray[np.int16]
+    back: NDArray[np.bool_]
+    cars: NDArray[np.int64]
+    law: Law
+
+
+class Pose(NamedTuple):
+    """The state of one car, real or imagined by the planner; fields as in CarField."""
+
+    x: int
+    y: int
+    z: int
+    yaw: int
+    load: int
+    load_yaw: int
+    slope: int
+
+
+@compiled
+def dir_x(d: int) -> int:
+    """Return the x component of the unit step in direction d (any integer, taken modulo 4)."""
+    d = d & 3
+    return 1 if d == 0 else (-1 if d == 2 else 0)
+
+
+@compiled
+def dir_y(d: int) -> int:
+    """Return the y component of the unit step in direction d (any integer, taken modulo 4)."""
+    d = d & 3
+    return 1 if d == 1 else (-1 if d == 3 else 0)
+
+
+@compiled
+def inside(w: World, x: int, y: int, z: int) -> bool:
+    """Return whether (x, y, z) is a stored cell, the ground layer included."""
+    return 0 <= x < w.kind.shape[0] and 0 <= y < w.kind.shape[1] and 0 <= z < w.kind.shape[2]
+
+
+@compiled
+def kind_at(w: World, x: int, y: int, z: int) -> int:
+    """Return the kind in a cell: wall beside the map, air above it."""
+    if x < 0 or y < 0 or x >= w.kind.shape[0] or y >= w.kind.shape[1]:
+        return WALL
+    if z >= w.kind.shape[2]:
+        return AIR
+    return int(w.kind[x, y, z])
+
+
+@compiled
+def yaw_at(w: World, x: int, y: int, z: int) -> int:
+    """Return the yaw of the object in a stored cell."""
+    return int(w.yaw[x, y, z])
+
+
+@compiled
+def pose_of(w: World, car: int) -> Pose:
+    """Return the state of a car."""
+    row = w.cars[car]
+    return Pose(row[F_X], row[F_Y], row[F_Z], row[F_YAW], row[F_LOAD], row[F_LOAD_YAW], row[F_SLOPE])
+
+
+@compiled
+def standable(kind: int) -> bool:
+    """Return whether a car or an object can stand on a kind."""
+    return kind in (GROUND, BLOCK)
+
+
+@compiled
+def is_air_or_gear(kind: int) -> bool:
+    """Return whether a kind leaves room: nothing there, or a gear."""
+    return kind in (AIR, GEAR)
+
+
+@compiled
+def derived_top(w: World, x: int, y: int, z: int, ignored: int) -> int:
+    """Return what is really on a cell: a car's id (``ignored`` is not seen), OBJECT or NOTHING.
+
+    Gears and walls in the cell above count as nothing. Of two cars in one cell the higher id is returned.
+    """
+    for car in range(w.cars.shape[0] - 1, -1, -1):
+        row = w.cars[car]
+        if car != ignored and row[F_X] == x and row[F_Y] == y and row[F_Z] == z + 1:
+            return car
+    above = kind_at(w, x, y, z + 1)
+    if above in (AIR, GEAR, WALL):
+        return NOTHING
+    return OBJECT
+
+
+@compiled
+def derived_back(w: World, x: int, y: int, z: int) -> bool:
+    """Return whether a cell is the landing of a ramp: a neighbour in direction d holds a body with yaw d."""
+    for d in range(4):
+        nx, ny = x + dir_x(d), y + dir_y(d)
+        if kind_at(w, nx, ny, z) == BODY and yaw_at(w, nx, ny, z) == d:
+            return True
+    return False
+
+
+@compiled
+def top_at(w: World, x: int, y: int, z: int, me: int) -> int:
+    """Return the mark "what is on me" of a cell as car ``me`` reads it (never itself, when derived)."""
+    if not inside(w, x, y, z):
+        return NOTHING
+    if w.law.derived_marks:
+        return derived_top(w, x, y, z, me)
+    return int(w.top[x, y, z])
+
+
+@compiled
+def back_at(w: World, x: int, y: int, z: int) -> bool:
+    """Return the mark "I am the landing of a ramp" of a cell."""
+    if not inside(w, x, y, z):
+        return False
+    if w.law.derived_marks:
+        return kind_at(w, x, y, z) == BLOCK and derived_back(w, x, y, z)
+    return bool(w.back[x, y, z])
+
+
+@compiled
+def derive_marks(w: World) -> None:
+    """Overwrite both marks of every cell with what follows from the visible state."""
+    for x in range(w.kind.shape[0]):
+        for y in range(w.kind.shape[1]):
+            for z in range(w.kind.shape[2]):
+                above = kind_at(w, x, y, z + 1)
+                w.top[x, y, z] = NOTHING if above in (AIR, GEAR, WALL) else OBJECT
+                w.back[x, y, z] = w.kind[x, y, z] == BLOCK and derived_back(w, x, y, z)
+    for car in range(w.cars.shape[0]):
+        row = w.cars[car]
+        if inside(w, row[F_X], row[F_Y], row[F_Z] - 1):
+            w.top[row[F_X], row[F_Y], row[F_Z] - 1] = car

@@ -1,0 +1,189 @@
+"""What a legal action changes, the event-driven marks included (docs/rules.md#marks)."""
+
+from __future__ import annotations
+
+from craftsim.discrete.cells import (
+    AIR,
+    BLOCK,
+    BODY,
+    F_LOAD,
+    F_LOAD_YAW,
+    F_SLOPE,
+    F_X,
+    F_Y,
+    F_YAW,
+    F_Z,
+    FOOT,
+    FSLOPE,
+    GEAR,
+    NOTHING,
+    OBJECT,
+    Pose,
+    World,
+    derived_back,
+    dir_x,
+    dir_y,
+    inside,
+    kind_at,
+    pose_of,
+    yaw_at,
+)
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.legality import (
+    DROP,
+    FIRST_MOVE,
+    FOLD,
+    LAST_MOVE,
+    LIFT,
+    ROTATE_LEFT,
+    ROTATE_RIGHT,
+    UNFOLD,
+    move_direction,
+)
+
+
+@compiled
+def put(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
+    """Replace whatever is in a cell (docs/rules.md#drop-overwrites); the newcomer's marks start blank.
+
+    Cells beside the map stay wall.
+    """
+    if inside(w, x, y, z):
+        w.kind[x, y, z] = kind
+        w.yaw[x, y, z] = yaw
+        w.top[x, y, z] = NOTHING
+        w.back[x, y, z] = False
+
+
+@compiled
+def put_slope(w: World, car: Pose, yaw: int, high: int, low: int) -> None:
+    """Put the two parts of a slope into the car's cell and the next one in direction yaw."""
+    put(w, car.x, car.y, car.z, high, yaw)
+    put(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, low, yaw)
+
+
+@compiled
+def mark_top(w: World, x: int, y: int, z: int, mark: int) -> None:
+    """Set the mark "what is on me" of a cell."""
+    if inside(w, x, y, z):
+        w.top[x, y, z] = mark
+
+
+@compiled
+def mark_back(w: World, x: int, y: int, z: int, mark: bool) -> None:
+    """Set the mark "I am the landing of a ramp" of a cell; only blocks carry it."""
+    if kind_at(w, x, y, z) == BLOCK:
+        w.back[x, y, z] = mark
+
+
+@compiled
+def lift(w: World, me: int, car: Pose) -> None:
+    """Take up the object in the own cell.
+
+    With a slope its gear cell is emptied, whatever is there by now (docs/rules.md#lift-erases-gear-cell).
+    """
+    kind = kind_at(w, car.x, car.y, car.z)
+    yaw = yaw_at(w, car.x, car.y, car.z)
+    put(w, car.x, car.y, car.z, AIR, 0)
+    if kind == FSLOPE:
+        put(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, AIR, 0)
+    w.cars[me, F_LOAD] = kind
+    w.cars[me, F_LOAD_YAW] = yaw if kind == FSLOPE else 0
+    mark_top(w, car.x, car.y, car.z - 1, me)
+
+
+@compiled
+def drop(w: World, me: int, car: Pose) -> None:
+    """Put the load into the own cell."""
+    if car.load == FSLOPE:
+        put_slope(w, car, car.load_yaw, FSLOPE, GEAR)
+    else:
+        put(w, car.x, car.y, car.z, car.load, 0)
+    if car.load == BLOCK:
+        mark_back(w, car.x, car.y, car.z, derived_back(w, car.x, car.y, car.z))
+    w.cars[me, F_LOAD] = AIR
+    w.cars[me, F_LOAD_YAW] = 0
+    mark_top(w, car.x, car.y, car.z - 1, me)
+
+
+@compiled
+def unfold(w: World, car: Pose) -> None:
+    """Turn the folded slope in the own cell into a ramp behind the car."""
+    yaw = (car.yaw + 2) & 3
+    put_slope(w, car, yaw, BODY, FOOT)
+    mark_top(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z - 1, OBJECT)
+    mark_back(w, car.x + dir_x(car.yaw), car.y + dir_y(car.yaw), car.z, True)
+
+
+@compiled
+def fold(w: World, car: Pose) -> None:
+    """Turn the ramp in the own cell into a folded slope.
+
+    Its landing is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).
+    """
+    yaw = (car.yaw + 2) & 3
+    put_slope(w, car, yaw, FSLOPE, GEAR)
+    mark_top(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z - 1, NOTHING)
+    mark_back(w, car.x + dir_x(car.yaw), car.y + dir_y(car.yaw), car.z, False)
+
+
+@compiled
+def turned(car: Pose, turn: int) -> Pose:
+    """Return a car's state after a turn by +1 or -1; a carried slope turns with it."""
+    load_yaw = (car.load_yaw + turn) & 3 if car.load == FSLOPE else 0
+    return Pose(car.x, car.y, car.z, (car.yaw + turn) & 3, car.load, load_yaw, car.slope)
+
+
+@compiled
+def moved(w: World, car: Pose, m: int) -> Pose:
+    """Return a car's state after a move in direction m: onto, along or off a slope, or on the flat."""
+    x, y = car.x + dir_x(m), car.y + dir_y(m)
+    here = kind_at(w, x, y, car.z)
+    below = kind_at(w, x, y, car.z - 1)
+    z, slope = car.z, 0
+    if car.slope == 0 and here == FOOT:
+        slope = 1
+    elif car.slope == 1 and here == BODY:
+        z, slope = car.z + 1, 2
+    elif car.slope == 0 and below == BODY:
+        slope = 2
+    elif car.slope == 2 and below == FOOT:
+        z, slope = car.z - 1, 1
+    return Pose(x, y, z, car.yaw, car.load, car.load_yaw, slope)
+
+
+@compiled
+def write_pose(w: World, me: int, car: Pose) -> None:
+    """Store a car's position, yaw, carried yaw and slope state."""
+    row = w.cars[me]
+    row[F_X] = car.x
+    row[F_Y] = car.y
+    row[F_Z] = car.z
+    row[F_YAW] = car.yaw
+    row[F_LOAD_YAW] = car.load_yaw
+    row[F_SLOPE] = car.slope
+
+
+@compiled
+def apply(w: World, me: int, action: int) -> None:
+    """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
+    car = pose_of(w, me)
+    if FIRST_MOVE <= action <= LAST_MOVE:
+        new = moved(w, car, move_direction(action))
+        # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
+        left_air = kind_at(w, car.x, car.y, car.z) == AIR
+        mark_top(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
+        mark_top(w, new.x, new.y, new.z - 1, me)
+        write_pose(w, me, new)
+    elif action == ROTATE_LEFT:
+        write_pose(w, me, turned(car, 1))
+    elif action == ROTATE_RIGHT:
+        write_pose(w, me, turned(car, -1))
+    elif action == LIFT:
+        lift(w, me, car)
+    elif action == DROP:
+        drop(w, me, car)
+    elif action == FOLD:
+        fold(w, car)
+    elif action == UNFOLD:
+        unfold(w, car)

@@ -1,0 +1,106 @@
+"""The state of one grid world as integer arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Kind(IntEnum):
+    """What a cell holds, or what a car carries."""
+
+    AIR = 0
+    GROUND = 1
+    WALL = 2
+    BLOCK = 3
+    FLAG = 4
+    FSLOPE = 5
+    GEAR = 6
+    BODY = 7
+    FOOT = 8
+
+
+class CarField(IntEnum):
+    """Columns of :attr:`Grid.cars`."""
+
+    X = 0
+    Y = 1
+    Z = 2
+    YAW = 3
+    LOAD = 4
+    """A Kind; AIR is no load."""
+    LOAD_YAW = 5
+    """Yaw of a carried folded slope, else 0."""
+    SLOPE = 6
+    """0 off slopes, 1 in a foot's cell, 2 in the cell above a body."""
+
+
+KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
+
+
+@dataclass(eq=False)
+class Grid:
+    """One world: what is in each cell, where the cars are, and the marks kept with each cell.
+
+    Cells are (x, y, z) with 0 <= x < L, 0 <= y < W and 0 <= z <= H; z = 0 is the ground layer, 1 the floor.
+    """
+
+    kind: NDArray[np.int8]
+    """(L, W, H + 1): a Kind per cell."""
+    yaw: NDArray[np.int8]
+    """(L, W, H + 1): 0..3 for kinds that have a yaw, else 0."""
+    cars: NDArray[np.int64]
+    """(n, 7): one row a car, columns as CarField."""
+    top: NDArray[np.int16]
+    """(L, W, H + 1): the mark "what is on me": -1 nothing, -2 an object, k >= 0 car k."""
+    back: NDArray[np.bool_]
+    """(L, W, H + 1): the mark "I am the landing of a ramp"; only ever true for blocks."""
+
+    @classmethod
+    def empty(cls, size: tuple[int, int, int], n_cars: int = 0) -> Grid:
+        """Return a world of size (L, W, H) with bare ground; its cars wait to be placed, all at (0, 0, 1)."""
+        length, width, height = size
+        shape = (length, width, height + 1)
+        kind = np.zeros(shape, np.int8)
+        kind[:, :, 0] = Kind.GROUND
+        cars = np.zeros((n_cars, len(CarField)), np.int64)
+        cars[:, CarField.Z] = 1
+        top = np.full(shape, -1, np.int16)
+        return cls(kind, np.zeros(shape, np.int8), cars, top, np.zeros(shape, np.bool_))
+
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """(L, W, H) in cells; H does not count the ground layer."""
+        length, width, layers = self.kind.shape
+        return length, width, layers - 1
+
+    @property
+    def n_cars(self) -> int:
+        """Number of cars."""
+        return len(self.cars)
+
+    def copy(self) -> Grid:
+        """Return a world that shares nothing with this one."""
+        return Grid(self.kind.copy(), self.yaw.copy(), self.cars.copy(), self.top.copy(), self.back.copy())
+
+    def derive_marks(self) -> None:
+        """Overwrite both marks with what follows from the visible state."""
+        from craftsim.discrete import cells
+
+        cells.derive_marks(cells.World(self.kind, self.yaw, self.top, self.back, self.cars, cells.Law(True)))
+
+    def same_visible(self, other: Grid) -> bool:
+        """Return whether objects and cars are equal; marks are not compared."""
+        return (
+            np.array_equal(self.kind, other.kind)
+            and np.array_equal(self.yaw, other.yaw)
+            and np.array_equal(self.cars, other.cars)
+        )
+
+    def same_marks(self, other: Grid) -> bool:
+        """Return whether both marks are equal in every cell."""
+        return np.array_equal(self.top, other.top) and np.array_equal(self.back, other.back)

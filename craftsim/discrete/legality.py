@@ -1,0 +1,151 @@
+"""When LIFT, DROP, FOLD, UNFOLD, a turn or STOP is legal; docs/rules.md explains the oddities."""
+
+from __future__ import annotations
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.cells import (
+    AIR,
+    BLOCK,
+    BODY,
+    F_LOAD,
+    F_LOAD_YAW,
+    F_X,
+    F_Y,
+    F_Z,
+    FLAG,
+    FSLOPE,
+    GEAR,
+    NOTHING,
+    Pose,
+    World,
+    back_at,
+    dir_x,
+    dir_y,
+    is_air_or_gear,
+    kind_at,
+    standable,
+    top_at,
+    yaw_at,
+)
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.moves import move_legal
+
+LIFT = int(Action.LIFT)
+DROP = int(Action.DROP)
+FOLD = int(Action.FOLD)
+UNFOLD = int(Action.UNFOLD)
+ROTATE_LEFT = int(Action.ROTATE_LEFT)
+ROTATE_RIGHT = int(Action.ROTATE_RIGHT)
+FIRST_MOVE = int(Action.MOVE_FORWARD)
+LAST_MOVE = int(Action.MOVE_RIGHT)
+STOP = int(Action.STOP)
+N_ACTIONS = len(Action)
+
+
+@compiled
+def move_direction(action: int) -> int:
+    """Return the direction 0..3 of one of the four move actions 6..9 (+y, -y, -x, +x)."""
+    step = action - FIRST_MOVE
+    return 1 if step == 0 else (3 if step == 1 else (2 if step == 2 else 0))
+
+
+@compiled
+def lift_legal(w: World, me: int, car: Pose) -> bool:
+    """LIFT: no load, something to lift in the own cell, and nothing on it."""
+    if car.load != AIR:
+        return False
+    own = kind_at(w, car.x, car.y, car.z)
+    if own not in (BLOCK, FLAG, FSLOPE):
+        return False
+    return top_at(w, car.x, car.y, car.z, me) == NOTHING
+
+
+@compiled
+def drop_legal(w: World, car: Pose) -> bool:
+    """DROP: a load and a cell for it, whatever that cell holds (docs/rules.md#drop-overwrites)."""
+    return car.load != AIR and car.z < w.kind.shape[2]
+
+
+@compiled
+def fold_legal(w: World, me: int, car: Pose) -> bool:
+    """FOLD: an unfolded slope in the own cell with nothing on its body and no car on its foot."""
+    if kind_at(w, car.x, car.y, car.z) != BODY or top_at(w, car.x, car.y, car.z, me) != NOTHING:
+        return False
+    slope_yaw = yaw_at(w, car.x, car.y, car.z)
+    return top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) < 0
+
+
+@compiled
+def unfold_legal(w: World, car: Pose) -> bool:
+    """UNFOLD: a folded slope in the own cell, room and support for the foot, and no landing of a ramp below.
+
+    Cars, loads and carried gears in the way are not looked at (docs/rules.md#unfold-ignores-cars).
+    """
+    if car.load != AIR or kind_at(w, car.x, car.y, car.z) != FSLOPE:
+        return False
+    slope_yaw = yaw_at(w, car.x, car.y, car.z)
+    nx, ny = car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw)
+    if not is_air_or_gear(kind_at(w, nx, ny, car.z)) or not standable(kind_at(w, nx, ny, car.z - 1)):
+        return False
+    return not back_at(w, nx, ny, car.z - 1) and not back_at(w, car.x, car.y, car.z - 1)
+
+
+@compiled
+def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
+    """Turn by +1 or -1: unloaded not under a slope; loaded only with room all round for the load."""
+    if car.load == AIR:
+        own = kind_at(w, car.x, car.y, car.z)
+        return own not in (FSLOPE, BODY)
+    for d in range(4):
+        nx, ny = car.x + dir_x(d), car.y + dir_y(d)
+        neighbour = kind_at(w, nx, ny, car.z)
+        if neighbour == GEAR:
+            if yaw_at(w, nx, ny, car.z) != (d + 2) & 3:
+                return False
+        elif neighbour != AIR:
+            return False
+    carries_slope = car.load == FSLOPE
+    corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)
+    corner_y = car.y + dir_y(car.load_yaw) + dir_y(car.load_yaw + turn)
+    if carries_slope and not is_air_or_gear(kind_at(w, corner_x, corner_y, car.z)):
+        return False
+    for other in range(w.cars.shape[0]):
+        row = w.cars[other]
+        if other == me or row[F_LOAD] == AIR or row[F_Z] != car.z:
+            continue
+        if abs(row[F_X] - car.x) + abs(row[F_Y] - car.y) == 1:
+            return False
+        if carries_slope and row[F_X] == corner_x and row[F_Y] == corner_y:
+            return False
+        if row[F_LOAD] == FSLOPE:
+            gear_yaw = row[F_LOAD_YAW]
+            gx, gy = row[F_X] + dir_x(gear_yaw), row[F_Y] + dir_y(gear_yaw)
+            beside = abs(gx - car.x) + abs(gy - car.y) == 1
+            points_at_me = gx + dir_x(gear_yaw) == car.x and gy + dir_y(gear_yaw) == car.y
+            if beside and not points_at_me:
+                return False
+    return True
+
+
+@compiled
+def legal(w: World, me: int, car: Pose, action: int) -> bool:
+    """Return whether car ``me``, were it in the state ``car``, could do a primitive action now."""
+    if FIRST_MOVE <= action <= LAST_MOVE:
+        return move_legal(w, me, car, move_direction(action))
+    if car.slope != 0:
+        return False
+    if action == STOP:
+        return True
+    if action == LIFT:
+        return lift_legal(w, me, car)
+    if action == DROP:
+        return drop_legal(w, car)
+    if action == FOLD:
+        return fold_legal(w, me, car)
+    if action == UNFOLD:
+        return unfold_legal(w, car)
+    if action == ROTATE_LEFT:
+        return rotate_legal(w, me, car, 1)
+    if action == ROTATE_RIGHT:
+        return rotate_legal(w, me, car, -1)
+    return False

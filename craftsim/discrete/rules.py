@@ -1,0 +1,96 @@
+"""The two rule sets: which actions are legal, and what follows from a tick of all cars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.cells import Law, World, derive_marks, pose_of
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.effects import apply
+from craftsim.discrete.errors import InputError, suggestion
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.legality import N_ACTIONS, legal
+
+RuleSet = Literal["published", "physical"]
+
+LAWS: Final[dict[RuleSet, Law]] = {
+    "published": Law(derived_marks=False),
+    "physical": Law(derived_marks=True),
+}
+"""What each rule set switches on. A correction found by physics is one more switch, read in its rule."""
+
+
+def world_of(grid: Grid, law: Law) -> World:
+    """Return the compiled rules' view of a grid; it shares the grid's arrays."""
+    return World(grid.kind, grid.yaw, grid.top, grid.back, grid.cars, law)
+
+
+@compiled
+def fill_mask(w: World, out: NDArray[np.bool_]) -> None:
+    """Write the legality of every action of every car, all judged on the same state, into out (n, 15)."""
+    for car in range(w.cars.shape[0]):
+        pose = pose_of(w, car)
+        for action in range(N_ACTIONS):
+            out[car, action] = legal(w, car, pose, action)
+
+
+@compiled
+def act(w: World, car: int, action: int) -> bool:
+    """Carry out an action if it is legal now, else leave the world as it is; return whether it was."""
+    if not legal(w, car, pose_of(w, car), action):
+        return False
+    apply(w, car, action)
+    return True
+
+
+@compiled
+def run_tick(
+    w: World, cars: NDArray[np.int64], actions: NDArray[np.int64], applied: NDArray[np.bool_]
+) -> None:
+    """Let cars act in the order given; applied[i] tells whether the action of cars[i] was legal."""
+    for turn in range(cars.shape[0]):
+        applied[turn] = act(w, cars[turn], actions[turn])
+    if w.law.derived_marks:
+        derive_marks(w)
+
+
+class Rules:
+    """A rule set at work on single worlds; grids passed in are never changed."""
+
+    def __init__(self, rule_set: RuleSet) -> None:
+        if rule_set not in LAWS:
+            known = ", ".join(get_args(RuleSet))
+            raise InputError(f"unknown rule set '{rule_set}'; there are {known}{suggestion(rule_set, LAWS)}")
+        self.rule_set: RuleSet = rule_set
+        self.law = LAWS[rule_set]
+
+    def mask(self, grid: Grid) -> NDArray[np.bool_]:
+        """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state."""
+        out = np.empty((grid.n_cars, N_ACTIONS), np.bool_)
+        fill_mask(world_of(grid, self.law), out)
+        return out
+
+    def legal(self, grid: Grid, car: int, action: int) -> bool:
+        """Return whether one car could do one action now."""
+        world = world_of(grid, self.law)
+        return bool(legal(world, car, pose_of(world, car), int(action)))
+
+    def apply(self, grid: Grid, car: int, action: int) -> Grid:
+        """Return the world after one car's action; an illegal action changes nothing."""
+        return self.tick(grid, [(car, action)])[0]
+
+    def tick(self, grid: Grid, joint: Sequence[tuple[int, int]]) -> tuple[Grid, NDArray[np.bool_]]:
+        """Let cars act one after the other, each judged on what the earlier ones left.
+
+        ``joint`` lists (car, action) in acting order; a car that is not listed does nothing. Returns the world
+        after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
+        """
+        after = grid.copy()
+        order = np.array([(car, int(action)) for car, action in joint], np.int64).reshape(-1, 2)
+        applied = np.zeros(len(order), np.bool_)
+        run_tick(world_of(after, self.law), order[:, 0].copy(), order[:, 1].copy(), applied)
+        return after, applied

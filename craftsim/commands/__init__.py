@@ -1,0 +1,1 @@
+"""The commands, one module and one function each; registered in `craftsim.cli`."""

@@ -1,0 +1,119 @@
+"""Write the figures of a run as ``report.json``, so that two runs can be compared byte for byte."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping
+from enum import Enum
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from craftsim.discrete.errors import InputError
+
+SCHEMA_VERSION: Final = 1
+"""Raised whenever a key of the report changes its meaning or goes away."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that decide a run's figures, without importing what they name."""
+    return {
+        **{package: _version(package) for package in ("craftsim", "mujoco", "numpy")},
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def output_directory(out: Path) -> Path:
+    """Make a directory for results, parents included, and return it.
+
+    Raises:
+        InputError: it cannot be made or written to.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the output directory {out}: {error.strerror}") from error
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise InputError(f"cannot write into the output directory {out}")
+    return out
+
+
+def write_report(
+    out: Path,
+    figures: Mapping[str, Any],
+    *,
+    command: str,
+    seed: int | None = None,
+    config: Mapping[str, Any] | None = None,
+    wall: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write ``report.json`` into the directory ``out`` and return its path.
+
+    The file appears whole or not at all. Everything outside ``wall`` is the same for two runs of the same
+    command with the same seed and configuration on the same machine.
+
+    Args:
+        out: directory, made when missing.
+        figures: results. Dataclasses, enums (by name), paths and NumPy values may be nested in them; a number
+            that is not finite is written as null, since JSON has no other word for it.
+        command: name of the command that ran.
+        seed: what its random generators were seeded with, if it has any.
+        config: what else decides the figures.
+        wall: what the clock said (durations, rates): never the same twice, hence kept apart.
+
+    Raises:
+        InputError: the directory cannot be written to.
+        TypeError: a value has no place in JSON.
+    """
+    report = {
+        "schema_version": SCHEMA_VERSION,
+        "command": command,
+        "seed": seed,
+        "versions": versions(),
+        "config": config or {},
+        "figures": figures,
+        "wall": wall or {},
+    }
+    text = json.dumps(_plain(report), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
+    path = output_directory(out) / "report.json"
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+    return path
+
+
+def _plain(value: Any) -> Any:
+    """Return a value made of what JSON knows: dict, list, str, int, float, bool and None."""
+    match value:
+        case Enum():
+            return value.name
+        case None | bool() | int() | str():
+            return value
+        case float():
+            return value if math.isfinite(value) else None
+        case np.generic() | np.ndarray():
+            return _plain(value.tolist())
+        case Path():
+            return str(value)
+        case Mapping():
+            return {str(_plain(key)): _plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_plain(item) for item in value]
+        case _ if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        case _:
+            raise TypeError(f"a report cannot hold a {type(value).__name__}: {value!r}")

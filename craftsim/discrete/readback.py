@@ -1,0 +1,219 @@
+"""Reading a Grid from poses: what the world looks like now, whatever anybody asked for.
+
+Positions and quaternions are in the world frame of :mod:`craftsim.discrete.geometry`; the frame of every part has its
+origin on the floor under its centre, z up, a slope's x downhill.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M, cell_position, yaw_angle
+from craftsim.discrete.grid import CarField, Grid, Kind
+
+PLACE_TOLERANCE_M: Final = 0.025
+"""How far from its cell's centre a thing may be and still count as in it: well inside the robot's room to correct."""
+HEIGHT_TOLERANCE_M: Final = 0.010
+"""How far from a level's floor a thing may be and still count as standing on it: a third of the lift of a load."""
+HEADING_TOLERANCE_RAD: Final = 0.15
+"""How far from a grid yaw a heading may be and still be read as it."""
+TILT_TOLERANCE_RAD: Final = 0.05
+"""How far from level, or from the incline, a thing may lean and still count as standing."""
+HINGE_TOLERANCE_RAD: Final = 0.05
+"""How far from fully open or closed a hinge may be; the flap's lip is then 16 mm from its place."""
+LIFT_RANGE_M: Final = (0.016, 0.050)
+"""Height of a load's frame above its car's frame that counts as carried; a board lifts by 0.032."""
+INCLINE_RAD: Final = math.atan(LEVEL_HEIGHT_M / (2 * CELL_PITCH_M))
+"""Angle of an unfolded slope: one level over two cells."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Measured poses of everything that moves, in world coordinates.
+
+    Shapes: positions (n, 3) in metres, quaternions (n, 4) with w first.
+    """
+
+    car_positions: NDArray[np.float64]
+    car_quaternions: NDArray[np.float64]
+    kinds: tuple[Kind, ...]
+    """Of each object: BLOCK, FLAG, or FSLOPE for a slope in any state."""
+    positions: NDArray[np.float64]
+    quaternions: NDArray[np.float64]
+    hinges: NDArray[np.float64]
+    """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How far a thing is from the ideal place that it was read as."""
+
+    offset_m: float
+    """Horizontal distance from the cell's centre."""
+    heading_rad: float
+    """Heading minus the nearest grid yaw's, in (-pi/4, pi/4]."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A Grid read from poses, with what is inexact or impossible about it."""
+
+    grid: Grid
+    cars: tuple[Residual, ...]
+    objects: tuple[Residual, ...]
+    """One for each object; a carried one is measured against its car."""
+    problems: tuple[str, ...] = field(default=())
+    """What could not be read as a grid, in words; empty when everything stands in a cell."""
+
+
+def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.integer]) -> Reading:
+    """Return the Grid that the poses show.
+
+    Args:
+        poses: what was measured.
+        size: (L, W, H) of the map.
+        walls: (n, 3) cells of fixed obstacles, with z counted from 0 for level 1.
+    """
+    grid = Grid.empty(size, len(poses.car_positions))
+    for x, y, z in walls:
+        grid.kind[x, y, z + 1] = Kind.WALL
+    problems: list[str] = []
+    cars = tuple(_read_car(grid, poses, i, problems) for i in range(grid.n_cars))
+    objects = tuple(_read_object(grid, poses, i, problems) for i in range(len(poses.kinds)))
+    grid.derive_marks()
+    return Reading(grid, cars, objects, tuple(problems))
+
+
+def rotation_matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation of a quaternion (w, x, y, z); its columns are the body's axes in the world."""
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def nearest_yaw(heading: float) -> tuple[int, float]:
+    """Return the grid yaw nearest to a heading in radians, and the heading's excess over it in (-pi/4, pi/4]."""
+    yaw = round(heading / (math.pi / 2)) % 4
+    return yaw, math.remainder(heading - yaw_angle(yaw), math.tau)
+
+
+def _column(position: NDArray[np.float64]) -> tuple[int, int]:
+    return math.floor(position[0] / CELL_PITCH_M), math.floor(position[1] / CELL_PITCH_M)
+
+
+def _place(grid: Grid, name: str, position: NDArray[np.float64], problems: list[str]) -> tuple[int, int, float]:
+    """Return the column of a position and its distance from the column's centre, noting what is wrong with it."""
+    x, y = _column(position)
+    offset = float(np.hypot(*(position - cell_position(x, y, 1))[:2]))
+    if offset > PLACE_TOLERANCE_M:
+        problems.append(f"{name} is {offset * 1e3:.0f} mm from the centre of ({x}, {y})")
+    length, width, _ = grid.size
+    if not (0 <= x < length and 0 <= y < width):
+        problems.append(f"{name} is outside the area, at ({x}, {y})")
+        x, y = min(max(x, 0), length - 1), min(max(y, 0), width - 1)
+    return x, y, offset
+
+
+def _level(grid: Grid, name: str, height: float, problems: list[str]) -> int:
+    """Return the level whose floor is nearest to a height in metres, noting a thing that does not stand on it."""
+    level = round(height / LEVEL_HEIGHT_M) + 1
+    excess = height - (level - 1) * LEVEL_HEIGHT_M
+    if abs(excess) > HEIGHT_TOLERANCE_M:
+        problems.append(f"{name} is {excess * 1e3:+.0f} mm from the floor of level {level}")
+    top = grid.size[2]
+    if not 1 <= level <= top:
+        problems.append(f"{name} is on level {level}, outside 1..{top}")
+    return min(max(level, 1), top)
+
+
+def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Residual:
+    name, position = f"car {car}", poses.car_positions[car]
+    turn = rotation_matrix(poses.car_quaternions[car])
+    x, y, offset = _place(grid, name, position, problems)
+    yaw, excess = nearest_yaw(math.atan2(turn[1, 0], turn[0, 0]))
+    if abs(excess) > HEADING_TOLERANCE_RAD:
+        problems.append(f"{name} heads {excess:+.2f} rad away from yaw {yaw}")
+    pitch = math.asin(max(-1.0, min(1.0, turn[2, 0])))
+    roll = abs(math.asin(max(-1.0, min(1.0, turn[2, 1]))))
+    on_slope = abs(pitch) > INCLINE_RAD / 2
+    if roll > TILT_TOLERANCE_RAD or abs(abs(pitch) - on_slope * INCLINE_RAD) > TILT_TOLERANCE_RAD or turn[2, 2] < 0:
+        problems.append(f"{name} leans: pitch {pitch:+.2f} rad, roll {roll:.2f} rad")
+    slope = 0
+    height = float(position[2])
+    if on_slope:
+        lower = (height / LEVEL_HEIGHT_M) % 1.0 < 0.5
+        slope = 1 if lower else 2
+        height += LEVEL_HEIGHT_M * (-0.25 if lower else 0.25)
+    grid.cars[car, [CarField.X, CarField.Y, CarField.YAW, CarField.SLOPE]] = x, y, yaw, slope
+    grid.cars[car, CarField.Z] = _level(grid, name, height, problems)
+    return Residual(offset, excess)
+
+
+def _carrier(poses: Poses, position: NDArray[np.float64]) -> tuple[int, NDArray[np.float64]] | None:
+    """Return the car that carries a thing at this position, and the thing's place (3,) in that car's frame."""
+    for car, (base, quaternion) in enumerate(zip(poses.car_positions, poses.car_quaternions, strict=True)):
+        relative = rotation_matrix(quaternion).T @ (position - base)
+        if LIFT_RANGE_M[0] < relative[2] < LIFT_RANGE_M[1] and np.hypot(*relative[:2]) < CELL_PITCH_M / 4:
+            return car, relative
+    return None
+
+
+def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> Residual:
+    kind, position = poses.kinds[index], poses.positions[index]
+    name = f"{'slope' if kind == Kind.FSLOPE else kind.name.lower()} {index}"
+    turn = rotation_matrix(poses.quaternions[index])
+    yaw, excess = nearest_yaw(math.atan2(turn[1, 0], turn[0, 0]))
+    folded = kind != Kind.FSLOPE or poses.hinges[index] > math.pi / 2
+    if kind == Kind.FSLOPE:
+        wrong = poses.hinges[index] - (math.pi if folded else 0.0)
+        if abs(wrong) > HINGE_TOLERANCE_RAD:
+            problems.append(f"{name} is half open: its hinge stands at {poses.hinges[index]:.2f} rad")
+    carried = _carrier(poses, position)
+    if carried is not None:
+        car, relative = carried
+        if grid.cars[car, CarField.LOAD] != Kind.AIR:
+            problems.append(f"{name} is a second load on car {car}")
+        grid.cars[car, CarField.LOAD] = kind
+        grid.cars[car, CarField.LOAD_YAW] = yaw if kind == Kind.FSLOPE else 0
+        return Residual(float(np.hypot(*relative[:2])), excess)
+    x, y, offset = _place(grid, name, position, problems)
+    level = _level(grid, name, float(position[2]), problems)
+    tilt = math.acos(max(-1.0, min(1.0, turn[2, 2])))
+    if tilt > TILT_TOLERANCE_RAD:
+        problems.append(f"{name} leans by {tilt:.2f} rad")
+    if abs(excess) > HEADING_TOLERANCE_RAD:
+        problems.append(f"{name} is turned by {excess:+.2f} rad")
+    if kind == Kind.FSLOPE:
+        ahead = x + DIRECTIONS[yaw, 0], y + DIRECTIONS[yaw, 1]
+        _put(grid, (x, y, level), Kind.FSLOPE if folded else Kind.BODY, yaw, name, problems)
+        _put(grid, (*ahead, level), Kind.GEAR if folded else Kind.FOOT, yaw, name, problems)
+    else:
+        _put(grid, (x, y, level), kind, 0, name, problems)
+    return Residual(offset, excess)
+
+
+def _put(grid: Grid, cell: tuple[int, int, int], kind: Kind, yaw: int, name: str, problems: list[str]) -> None:
+    length, width, _ = grid.size
+    if not (0 <= cell[0] < length and 0 <= cell[1] < width):
+        problems.append(f"{name} reaches outside the area, into {tuple(int(c) for c in cell)}")
+        return
+    there = Kind(grid.kind[cell])
+    if there == Kind.GEAR:
+        there = Kind.AIR  # a gear leaves room for what stands in its cell
+    if there != Kind.AIR and kind == Kind.GEAR:
+        return
+    if there != Kind.AIR:
+        problems.append(f"{name} shares the cell {tuple(int(c) for c in cell)} with a {there.name.lower()}")
+        return
+    grid.kind[cell] = kind
+    grid.yaw[cell] = yaw

@@ -1,0 +1,80 @@
+"""Comparing the Grid read from poses with the predicted one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.readback import Reading
+
+
+class Finding(StrEnum):
+    """What the comparison of prediction and reading found."""
+
+    AGREES = "agrees"
+    NOT_EXECUTED = "not executed"
+    WRONG_PLACE = "wrong place"
+    SIDE_EFFECT = "side effect"
+    UNREADABLE = "unreadable"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether an action did what the rules predicted, and in words what differs where it did not."""
+
+    finding: Finding
+    differences: tuple[str, ...] = ()
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the reading equals the prediction."""
+        return self.finding is Finding.AGREES
+
+
+def compare(before: Grid, predicted: Grid, reading: Reading) -> Verdict:
+    """Return the verdict on one action: the Grid before it, the one the rules predict, and what was read after it."""
+    if reading.problems:
+        return Verdict(Finding.UNREADABLE, reading.problems)
+    read = reading.grid
+    if read.same_visible(predicted):
+        return Verdict(Finding.AGREES)
+    differences = tuple(describe_differences(predicted, read))
+    if read.same_visible(before):
+        return Verdict(Finding.NOT_EXECUTED, differences)
+    if _untouched_changed(before, predicted, read):
+        return Verdict(Finding.SIDE_EFFECT, differences)
+    return Verdict(Finding.WRONG_PLACE, differences)
+
+
+def _untouched_changed(before: Grid, predicted: Grid, read: Grid) -> bool:
+    """Return whether something that the prediction leaves alone is not as it was."""
+    still_cells = (before.kind == predicted.kind) & (before.yaw == predicted.yaw)
+    changed_cells = (before.kind != read.kind) | (before.yaw != read.yaw)
+    still_cars = (before.cars == predicted.cars).all(axis=1)
+    changed_cars = (before.cars != read.cars).any(axis=1)
+    return bool((still_cells & changed_cells).any() or (still_cars & changed_cars).any())
+
+
+def describe_differences(predicted: Grid, read: Grid) -> list[str]:
+    """Return one line for each cell and each car in which two Grids of one size differ."""
+    lines = []
+    for x, y, z in np.argwhere((predicted.kind != read.kind) | (predicted.yaw != read.yaw)):
+        want, got = (f"{Kind(g.kind[x, y, z]).name.lower()} yaw {g.yaw[x, y, z]}" for g in (predicted, read))
+        lines.append(f"cell ({x}, {y}, {z}): predicted {want}, read {got}")
+    for car in np.flatnonzero((predicted.cars != read.cars).any(axis=1)):
+        lines.append(f"car {car}: predicted {describe_car(predicted, int(car))}, read {describe_car(read, int(car))}")
+    return lines
+
+
+def describe_car(grid: Grid, car: int) -> str:
+    """Return a car's cell, yaw, load and slope state in a few words, such as ``(2, 3, 1) yaw 1, block``."""
+    x, y, z, yaw, load, load_yaw, slope = (int(v) for v in grid.cars[car])
+    words = f"({x}, {y}, {z}) yaw {yaw}"
+    if load != Kind.AIR:
+        words += f", {Kind(load).name.lower()}" + (f" yaw {load_yaw}" if load == Kind.FSLOPE else "")
+    if slope:
+        words += ", lower slope" if slope == 1 else ", upper slope"
+    return words

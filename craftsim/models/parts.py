@@ -1,0 +1,131 @@
+"""The parts of a world: loading their MJCF and finding their joints and motors in a compiled model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+WHEELS = ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr")
+"""Order of everything that is given per wheel: front left, front right, rear left, rear right."""
+
+CAR_COLOURS = (
+    (0.80, 0.24, 0.22),
+    (0.16, 0.47, 0.72),
+    (0.20, 0.58, 0.32),
+    (0.56, 0.33, 0.66),
+    (0.88, 0.50, 0.12),
+    (0.10, 0.60, 0.62),
+    (0.72, 0.30, 0.50),
+    (0.45, 0.42, 0.16),
+)
+"""Colours (r, g, b) by which a person tells the cars apart; car ids beyond the last start over."""
+
+
+def load_part(name: str) -> mujoco.MjSpec:
+    """Return the editable spec of a part: smartcar, block, slope, flag, wall or ground."""
+    with as_file(files("craftsim.mjcf")) as folder:
+        return mujoco.MjSpec.from_file(str(folder / f"{name}.xml"))
+
+
+def load_car(car: int) -> mujoco.MjSpec:
+    """Return a smartcar's spec in the colour of car ``car``; unlike other actuated trees it may sleep when idle."""
+    spec = load_part("smartcar")
+    spec.geom("chassis_visual").rgba = [*CAR_COLOURS[car % len(CAR_COLOURS)], 1.0]
+    spec.body("smartcar").sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
+    return spec
+
+
+def load_slope() -> mujoco.MjSpec:
+    """Return a slope's spec; its tree may sleep although a motor drives the hinge."""
+    spec = load_part("slope")
+    spec.body("slope").sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
+    return spec
+
+
+@dataclass(frozen=True)
+class FreeBody:
+    """Where a free body's state lies in the arrays of MjData."""
+
+    name: str
+    body: int
+    tree: int
+    qpos: int
+    """Address of the seven position numbers: x, y, z and a unit quaternion (w, x, y, z)."""
+    dof: int
+    """Address of the six velocity numbers."""
+
+    @classmethod
+    def find(cls, model: mujoco.MjModel, name: str) -> FreeBody:
+        """Return the handle of the body of this full name."""
+        body = model.body(name).id
+        joint = model.body_jntadr[body]
+        dof = int(model.jnt_dofadr[joint])
+        return cls(name, body, int(model.dof_treeid[dof]), int(model.jnt_qposadr[joint]), dof)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A motor and the joint that it turns or slides."""
+
+    actuator: int
+    qpos: int
+    dof: int
+    activation: int
+    """Address of the drive's held position in MjData.act, or -1 for a pure speed servo."""
+
+    @classmethod
+    def find(cls, model: mujoco.MjModel, name: str) -> Drive:
+        """Return the handle of the actuator of this full name; its joint bears the same name."""
+        actuator = model.actuator(name).id
+        joint = model.joint(name).id
+        return cls(
+            actuator,
+            int(model.jnt_qposadr[joint]),
+            int(model.jnt_dofadr[joint]),
+            int(model.actuator_actadr[actuator]),
+        )
+
+
+@dataclass(frozen=True)
+class Car:
+    """Handles of one smartcar: its body, four wheel drives (in the order of WHEELS) and the board."""
+
+    base: FreeBody
+    board: Drive
+    wheel_actuators: NDArray[np.intp]
+    wheel_dofs: NDArray[np.intp]
+    motors: NDArray[np.intp]
+    """Actuators of the four wheels and the board."""
+
+    @classmethod
+    def find(cls, model: mujoco.MjModel, prefix: str) -> Car:
+        """Return the handles of the smartcar attached under this prefix."""
+        wheels = [Drive.find(model, prefix + wheel) for wheel in WHEELS]
+        board = Drive.find(model, prefix + "board")
+        return cls(
+            FreeBody.find(model, prefix + "smartcar"),
+            board,
+            np.array([w.actuator for w in wheels], np.intp),
+            np.array([w.dof for w in wheels], np.intp),
+            np.array([w.actuator for w in (*wheels, board)], np.intp),
+        )
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Handles of one foldable slope: its base and the hinge of its flap."""
+
+    base: FreeBody
+    hinge: Drive
+    motors: NDArray[np.intp]
+    """The hinge's actuator."""
+
+    @classmethod
+    def find(cls, model: mujoco.MjModel, prefix: str) -> Slope:
+        """Return the handles of the slope attached under this prefix."""
+        hinge = Drive.find(model, prefix + "hinge")
+        return cls(FreeBody.find(model, prefix + "slope"), hinge, np.array([hinge.actuator], np.intp))

@@ -1,0 +1,83 @@
+"""Where each part of a Grid stands in the world: the start poses from which a Site is composed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.geometry import LEVEL_HEIGHT_M, cell_position, yaw_angle
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.models.parameters import BLOCK, SLOPE, SMARTCAR
+
+
+@dataclass(frozen=True)
+class Placement:
+    """One part at its start: pose of its frame and position of its own joint."""
+
+    kind: str
+    """smartcar, block, flag, slope or wall."""
+    position: NDArray[np.float64]
+    """(3,) metres, world."""
+    quaternion: NDArray[np.float64]
+    """(4,) unit quaternion w, x, y, z."""
+    joint: float = 0.0
+    """Height of a smartcar's board (m) or angle of a slope's hinge (rad)."""
+
+
+def placements(grid: Grid) -> list[Placement]:
+    """Return the start pose of every part: cars by id, then loads by car, then objects in scan order x, y, z."""
+    cars = [_car(grid, row) for row in grid.cars]
+    loads = [_load(grid, row, car) for row, car in zip(grid.cars, cars, strict=True) if row[CarField.LOAD] != Kind.AIR]
+    return cars + loads + _objects(grid)
+
+
+def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
+    """Turn by ``heading`` about z, then raise the nose by ``pitch_up`` about the body's own y axis."""
+    ch, sh = math.cos(heading / 2), math.sin(heading / 2)
+    cp, sp = math.cos(pitch_up / 2), math.sin(pitch_up / 2)
+    return np.array([ch * cp, sh * sp, -ch * sp, sh * cp])
+
+
+def _pitch(grid: Grid, row: NDArray[np.int64]) -> float:
+    """Return how far a car's nose is raised: the incline's angle uphill, its negative downhill, 0 on the flat."""
+    x, y, z, yaw, slope = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z, CarField.YAW, CarField.SLOPE))
+    if slope == 0:
+        return 0.0
+    downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])
+    return -SLOPE.incline_rad if yaw == downhill else SLOPE.incline_rad
+
+
+def _car(grid: Grid, row: NDArray[np.int64]) -> Placement:
+    position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
+    position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
+    board = SMARTCAR.board_travel_m if row[CarField.LOAD] != Kind.AIR else 0.0
+    return Placement("smartcar", position, _quaternion(yaw_angle(int(row[CarField.YAW])), _pitch(grid, row)), board)
+
+
+def _load(grid: Grid, row: NDArray[np.int64], car: Placement) -> Placement:
+    lift = SMARTCAR.board_rest_m + SMARTCAR.board_travel_m - BLOCK.underside_m
+    pitch, heading = _pitch(grid, row), yaw_angle(int(row[CarField.YAW]))
+    up = np.array([-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)])
+    position = car.position + lift * up
+    if row[CarField.LOAD] == Kind.FSLOPE:
+        # A carried slope faces away from the car's heading, so the same incline lowers its nose.
+        quaternion = _quaternion(yaw_angle(int(row[CarField.LOAD_YAW])), -pitch)
+        return Placement("slope", position, quaternion, SLOPE.hinge_range_rad)
+    return Placement(Kind(row[CarField.LOAD]).name.lower(), position, car.quaternion)
+
+
+def _objects(grid: Grid) -> list[Placement]:
+    found = []
+    for x, y, z in np.argwhere(grid.kind[:, :, 1:]):
+        kind = Kind(grid.kind[x, y, z + 1])
+        position = cell_position(x, y, z + 1)
+        turn = _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
+        if kind in (Kind.BLOCK, Kind.FLAG, Kind.WALL):
+            found.append(Placement(kind.name.lower(), position, turn))
+        elif kind in (Kind.FSLOPE, Kind.BODY):
+            hinge = SLOPE.hinge_range_rad if kind == Kind.FSLOPE else 0.0
+            found.append(Placement("slope", position, turn, hinge))
+    return found

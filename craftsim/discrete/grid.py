@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.geometry import DIRECTIONS
+
 
 class Kind(IntEnum):
     """What a cell holds, or what a car carries."""
@@ -41,6 +43,18 @@ class CarField(IntEnum):
 
 KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
 
+SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
+"""What a slope has in the next cell in direction of its yaw."""
+
+Cell = tuple[int, int, int]
+"""(x, y, z)."""
+
+
+def beside(cell: Cell, yaw: int) -> Cell:
+    """Return the next cell in direction yaw (any integer, taken modulo 4)."""
+    dx, dy = DIRECTIONS[yaw % 4]
+    return cell[0] + int(dx), cell[1] + int(dy), cell[2]
+
 
 @dataclass(eq=False)
 class Grid:
@@ -61,7 +75,7 @@ class Grid:
     """(L, W, H + 1): the mark "I am the landing of a ramp"; only ever true for blocks."""
 
     @classmethod
-    def empty(cls, size: tuple[int, int, int], n_cars: int = 0) -> Grid:
+    def empty(cls, size: Cell, n_cars: int = 0) -> Grid:
         """Return a world of size (L, W, H) with bare ground; its cars wait to be placed, all at (0, 0, 1)."""
         length, width, height = size
         shape = (length, width, height + 1)
@@ -73,7 +87,7 @@ class Grid:
         return cls(kind, np.zeros(shape, np.int8), cars, top, np.zeros(shape, np.bool_))
 
     @property
-    def size(self) -> tuple[int, int, int]:
+    def size(self) -> Cell:
         """(L, W, H) in cells; H does not count the ground layer."""
         length, width, layers = self.kind.shape
         return length, width, layers - 1

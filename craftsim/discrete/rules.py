@@ -86,8 +86,8 @@ class Rules:
     def tick(self, grid: Grid, joint: Sequence[tuple[int, int]]) -> tuple[Grid, NDArray[np.bool_]]:
         """Let cars act one after the other, each judged on what the earlier ones left.
 
-        ``joint`` lists (car, action) in acting order; a car that is not listed does nothing. Returns the world
-        after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
+        ``joint`` lists (car, action) in acting order; a car that is not listed does nothing. Returns the
+        world after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
         """
         after = grid.copy()
         order = np.array([(car, int(action)) for car, action in joint], np.int64).reshape(-1, 2)

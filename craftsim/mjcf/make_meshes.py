@@ -129,6 +129,13 @@ def board_pads() -> Parts:
     return [*edge, *boss]
 
 
+def lift_post() -> Parts:
+    """Column under the lifting plate that slides in the chassis, for the board's travel of 0.045."""
+    post = box((-0.020, 0.020), (-0.020, 0.020), (-0.052, -0.002))
+    ribs = [box((-0.026, 0.026), (y - 0.003, y + 0.003), (-0.052, -0.002)) for y in (-0.012, 0.012)]
+    return [post, *ribs]
+
+
 def block() -> Parts:
     """Table: deck with a pocket under it, four legs, round seats on top; origin on the floor."""
     bottom, top = DECK_Z
@@ -166,6 +173,11 @@ def incline(x: float) -> float:
     return HINGE_Z - RISE * (x - HINGE_X)
 
 
+def _under_incline(start: float, end: float, foot: float, gap: float) -> list[list[float]]:
+    """Return the (x, z) outline between a height over the floor and a gap under the incline."""
+    return [[start, foot], [end, foot], [end, incline(end) - gap], [start, incline(start) - gap]]
+
+
 def slope_base() -> Parts:
     """Fixed wedge: incline plate on two framed side walls; origin on the floor, +x downhill."""
     back, front = -HALF_CELL, HALF_CELL
@@ -179,32 +191,15 @@ def slope_base() -> Parts:
         (-HALF_CELL, HALF_CELL),
     )
     parts = [plate]
+    rim, rail = 0.0005, 0.014  # walls end just under the plate's face, so that the two do not flicker
     for side in (-1, 1):
-        panel, frame = between(side * 0.150, side * 0.157), between(side * 0.150, side * 0.160)
-        rim = 0.0005  # under the plate's face, so that the two do not flicker
-        parts.append(
-            plate_xz(
-                [[back, 0], [front, 0], [front, incline(front) - rim], [back, incline(back) - rim]], panel
-            )
-        )
-        rail = 0.018
-        for x, width in ((back, 0.016), (front - 0.016, 0.016), (-0.008, 0.016)):
-            ends = (x, x + width)
-            parts.append(
-                plate_xz([[ends[0], 0], [ends[1], 0], *([e, incline(e) - rim] for e in ends[::-1])], frame)
-            )
-        parts.append(plate_xz([[back, 0], [front, 0], [front, 0.014], [back, 0.014]], frame))
-        parts.append(
-            plate_xz(
-                [
-                    [back, incline(back) - rail],
-                    [front, incline(front) - rail],
-                    [front, incline(front) - rim],
-                    [back, incline(back) - rim],
-                ],
-                frame,
-            )
-        )
+        parts.append(plate_xz(_under_incline(back, front, 0.0, rim), between(side * 0.150, side * 0.156)))
+        frame, post = between(side * 0.153, side * 0.160), between(side * 0.153, side * 0.159)
+        parts.append(plate_xz([[back, 0], [front, 0], [front, rail], [back, rail]], frame))
+        top = [[back, incline(back) - rail], [front, incline(front) - rail]]
+        parts.append(plate_xz([*top, [front, incline(front) - rim], [back, incline(back) - rim]], frame))
+        for x in (back + 0.001, -rail / 2, front - 0.001 - rail):
+            parts.append(plate_xz(_under_incline(x, x + rail, 0.002, rail - 0.002), post))
     return parts
 
 
@@ -289,6 +284,7 @@ MESHES: Final[dict[str, Callable[[], Parts]]] = {
         wheel_hub,
         board,
         board_pads,
+        lift_post,
         block,
         block_trim,
         slope_base,

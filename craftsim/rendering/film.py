@@ -76,7 +76,8 @@ class Film:
     def capture(self, data: mujoco.MjData, lines: Sequence[str]) -> None:
         """Append the scene as it stands, with ``lines``, the simulated time and the speed as its caption.
 
-        The first frame belongs to time 0. Nothing happens when no frame is due.
+        The first frame belongs to time 0 and needs ``mj_forward`` to have run. Nothing happens when no frame
+        is due.
         """
         repeat = self._missing(data.time)
         if repeat <= 0:

@@ -1,0 +1,18 @@
+"""Choose the rendering backend before a test module imports MuJoCo; tests of physics do not need one."""
+
+import pytest
+
+from craftsim.rendering.backend import RenderingUnavailable, choose_backend
+
+try:
+    choose_backend()
+    _WHY_NOT = ""
+except RenderingUnavailable as error:
+    _WHY_NOT = str(error)
+
+
+@pytest.fixture
+def rendering() -> None:
+    """Skip the test where nothing renders."""
+    if _WHY_NOT:
+        pytest.skip(_WHY_NOT)

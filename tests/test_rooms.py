@@ -1,0 +1,104 @@
+"""Imports follow the one-way arrows between the package's rooms."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import craftsim
+
+PACKAGE = Path(craftsim.__file__).parent
+
+ALLOWED = {
+    "discrete": set(),
+    "mjcf": set(),
+    "models": {"discrete", "mjcf"},
+    "skills": {"models", "discrete"},
+    "validation": {"skills", "models", "discrete", "report"},
+    "envs": {"skills", "models", "discrete"},
+    "rendering": {"skills", "models", "discrete"},
+    "tuning": {"skills", "models", "discrete"},
+    "report": {"discrete.errors"},
+    "cli": {"commands", "discrete"},
+}
+"""What each room may import of ours, besides itself and the package's version; commands may import all."""
+
+FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "trimesh", "gymnasium", "pettingzoo"}
+
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def _imports(tree: ast.AST, module: str) -> set[str]:
+    """Return the full names of all modules that a module imports, wherever it does so."""
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                base = ".".join([*module.split(".")[: -node.level], *([base] if base else [])])
+            names.update(f"{base}.{alias.name}" for alias in node.names)
+    return names
+
+
+def _violations(module: str, source: str) -> list[str]:
+    """Return the imports of a module (by its name in the package) that go against the arrows."""
+    room = module.split(".")[1]
+    imported = _imports(ast.parse(source), module)
+    wrong = []
+    for name in sorted(imported):
+        top, *inside = name.split(".")
+        if room == "discrete" and top in FORBIDDEN_IN_DISCRETE:
+            wrong.append(name)
+        if top != "craftsim" or not inside or room == "commands":
+            continue
+        target = ".".join(inside)
+        allowed = ALLOWED[room] | {room, "__version__"}
+        if not any(target == entry or target.startswith(f"{entry}.") for entry in allowed):
+            wrong.append(name)
+    return wrong
+
+
+def _module(path: Path) -> str:
+    return ".".join(["craftsim", *path.relative_to(PACKAGE).with_suffix("").parts])
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_module_imports_only_what_its_room_may(path):
+    if path == PACKAGE / "__init__.py":
+        assert not any(
+            name.startswith("craftsim") for name in _imports(ast.parse(path.read_text()), "craftsim")
+        )
+        return
+    assert _violations(_module(path), path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("craftsim.discrete.grid", "import mujoco"),
+        ("craftsim.discrete.grid", "def f():\n    from mujoco import MjModel"),
+        ("craftsim.discrete.grid", "from craftsim.models import site"),
+        ("craftsim.discrete.grid", "from craftsim import models"),
+        ("craftsim.discrete.grid", "from ..models import site"),
+        ("craftsim.models.site", "import craftsim.skills.move"),
+        ("craftsim.skills.move", "from craftsim.rendering.film import Film"),
+        ("craftsim.report", "from craftsim.discrete.grid import Grid"),
+    ],
+)
+def test_an_import_against_the_arrows_is_found(module, source):
+    assert len(_violations(module, source)) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("craftsim.skills.move", "from craftsim.models.site import Site\nfrom craftsim.discrete import grid"),
+        ("craftsim.models.site", "import mujoco\nfrom .parameters import Car"),
+        ("craftsim.report", "from craftsim.discrete.errors import InputError"),
+        ("craftsim.commands.demo", "from craftsim.skills.move import Move"),
+    ],
+)
+def test_an_import_along_the_arrows_is_fine(module, source):
+    assert _violations(module, source) == []

@@ -1,0 +1,24 @@
+"""What the documents say can be typed exists, and what they point to is there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from craftsim.cli import COMMANDS
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "craftsim/mjcf/README.md")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_commands_targets_and_files_exist(document):
+    text = (ROOT / document).read_text(encoding="utf-8")
+    code = " ; ".join(re.findall(r"`([^`\n]+)`", text) + re.findall(r"^    (.+)$", text, re.MULTILINE))
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    assert set(re.findall(r"\bmake ([a-z]+)", code)) <= targets
+    assert set(re.findall(r"\bcraftsim ([a-z]+)", code)) <= set(COMMANDS)
+    for path in re.findall(r"\b(?:tests|scripts|craftsim)/[\w/]+\.\w+", code) + re.findall(
+        r"\]\((?!http)(.+?)\)", text
+    ):
+        assert ((ROOT / document).parent / path).exists() or (ROOT / path).exists(), path

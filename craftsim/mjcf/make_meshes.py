@@ -245,35 +245,16 @@ def gear() -> Parts:
 
 
 def flag() -> Parts:
-    """Pole and pennant; origin at the pole's foot, to be mounted on the top of a block."""
-    pole = [
-        [0, 0],
-        [0.018, 0],
-        [0.018, 0.003],
-        [0.0045, 0.006],
-        [0.0035, 0.158],
-        [0.006, 0.161],
-        [0.006, 0.165],
-        [0, 0.168],
-    ]
-    rod = trimesh.creation.revolve(np.array(pole), sections=14)
+    """Pole and pennant standing on a block's deck; origin on the floor, at the block's middle."""
+    pole = [[0, 0], [0.018, 0], [0.018, 0.003], [0.0045, 0.006], [0.0035, 0.158], [0.006, 0.161]]
+    rod = trimesh.creation.revolve(np.array([*pole, [0.006, 0.165], [0, 0.168]]), sections=14)
     rings = []
-    for step in range(9):
-        along = step / 8
-        x = 0.002 + 0.105 * along
+    for along in np.linspace(0.0, 1.0, 9):
         wave = 0.006 * np.sin(2 * np.pi * 1.1 * along) * along
         half = 0.034 * (1 - 0.92 * along)
-        rings.append(
-            np.array(
-                [
-                    [x, wave - 0.0008, 0.118 - half],
-                    [x, wave + 0.0008, 0.118 - half],
-                    [x, wave + 0.0008, 0.118 + half],
-                    [x, wave - 0.0008, 0.118 + half],
-                ]
-            )
-        )
-    return [rod, loft(rings)]
+        corners = [(-0.0008, -half), (0.0008, -half), (0.0008, half), (-0.0008, half)]
+        rings.append(np.array([[0.002 + 0.105 * along, wave + y, 0.118 + z] for y, z in corners]))
+    return [moved(part, z=DECK_Z[1]) for part in (rod, loft(rings))]
 
 
 MESHES: Final[dict[str, Callable[[], Parts]]] = {

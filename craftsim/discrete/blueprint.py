@@ -1,4 +1,4 @@
-"""Blueprints: the start of a world as drawn in a YAML file, in CraftEnv's format with a few additions of ours.
+"""Blueprints: the start of a world as drawn in a YAML file, in CraftEnv's format with a few additions.
 
 docs/blueprints.md describes the keys.
 """
@@ -86,7 +86,7 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class Blueprint:
-    """A checked start file: counts, listed objects and cars; what the counts have beyond the lists is drawn."""
+    """A checked start file; what the counts have beyond the listed objects and cars is drawn at random."""
 
     path: Path
     size: Cell
@@ -104,7 +104,7 @@ class Blueprint:
     def grid(self, rng: np.random.Generator, placement: Placement = "sane") -> Grid:
         """Return a new world; unlisted objects and cars are drawn from ``rng``.
 
-        Marks start as events leave them (docs/rules.md#marks). Raises BlueprintError when there is no room left.
+        Marks start as events leave them (docs/rules.md#marks). Raises BlueprintError if there is no room.
         """
         return build_grid(self, rng, placement)
 
@@ -117,7 +117,7 @@ class Blueprint:
 
 
 def read_blueprint(path: str | Path) -> Blueprint:
-    """Read and check a start file; raise BlueprintError with file, line and key for anything that is wrong."""
+    """Read and check a start file; raise BlueprintError with file, line and key for whatever is wrong."""
     source, keys = read_keys(Path(path), KEYS)
     for key in REQUIRED_KEYS:
         if key not in keys.items:
@@ -171,7 +171,8 @@ class _Reader:
             if "id" in entry.items:
                 name = self.source.integer(entry.items["id"], f"{key}[{i}].id", 0, MAX_CELLS)
                 if name in lines:
-                    self.source.fail(entry.line, f"key '{key}[{i}].id': {name} is taken, see line {lines[name]}")
+                    taken = f"{name} is taken, see line {lines[name]}"
+                    self.source.fail(entry.line, f"key '{key}[{i}].id': {taken}")
                 lines[name] = entry.line
         return entries
 

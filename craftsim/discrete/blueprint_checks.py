@@ -58,17 +58,19 @@ class _Checker:
         ]
         for key, number, found in listed:
             if found > number:
-                self.source.fail(None, f"key '{key}': {number}, but {found} are listed; allowed: at least {found}")
+                allowed = f"{found} are listed; allowed: at least {found}"
+                self.source.fail(None, f"key '{key}': {number}, but {allowed}")
 
     def place(self, item: ListedObject) -> None:
         """Check that an object's cells lie in the area and are free, and remember them."""
         for cell, kind in parts(item):
             if not self.inside(cell):
-                size = self.blueprint.size
-                self.source.fail(item.line, f"{NAMES[kind]} would be at {cell}, outside the area of {size} cells")
+                area = f"the area of {self.blueprint.size} cells"
+                self.source.fail(item.line, f"{NAMES[kind]} would be at {cell}, outside {area}")
             there = self.kinds.get(cell)
             # Two folded slopes may face each other with their gears in one cell: play leads there.
-            if there is not None and not (there == kind == Kind.GEAR and self.yaws[cell] == (item.yaw + 2) % 4):
+            shared = there == kind == Kind.GEAR and self.yaws[cell] == (item.yaw + 2) % 4
+            if there is not None and not shared:
                 other = f"{NAMES[there]} is already (line {self.lines[cell]})"
                 self.source.fail(
                     item.line, f"{NAMES[kind]} would be at {cell}, where {other}; allowed: one thing a cell"
@@ -83,7 +85,7 @@ class _Checker:
                 self.source.fail(item.line, f"{NAMES[kind]} at {cell} floats; allowed: {allowed}")
 
     def car(self, car: ListedCar) -> None:
-        """Check that a car stands on something it can stand on, and is aligned with a slope it shares a cell with."""
+        """Check that a car stands on something, and that it fits a slope or load in its cell."""
         own = self.kinds.get(car.cell, Kind.AIR)
         where = f"car {car.car} at {car.cell}"
         if own == Kind.WALL:
@@ -97,7 +99,7 @@ class _Checker:
         elif not self.stands(car.cell):
             self.source.fail(car.line, f"{where} stands in the air; allowed: on the ground or on a block")
         if (car.slope == 1) != (own == Kind.FOOT):
-            self.source.fail(car.line, f"{where}: slope 1 and the foot of a slope in the car's cell need each other")
+            self.source.fail(car.line, f"{where}: slope 1 and a slope's foot in its cell need each other")
         if car.slope and (car.yaw - along) % 2:
             allowed = f"{along}, {(along + 2) % 4}"
             self.source.fail(car.line, f"{where}: yaw {car.yaw} is across the slope; allowed: {allowed}")

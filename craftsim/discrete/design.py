@@ -41,7 +41,7 @@ class Design:
         return [target.cell for target in self.targets if target.kind == kind]
 
     def hits(self, grid: Grid) -> Iterator[tuple[Target, bool]]:
-        """Yield each target and whether its cell holds its kind; yaw does not count, carried things neither."""
+        """Yield each target and whether its cell holds its kind; carried things are in no cell."""
         for target in self.targets:
             within = all(0 <= c < n for c, n in zip(target.cell, grid.kind.shape, strict=True))
             yield target, within and grid.kind[target.cell] == target.kind
@@ -62,7 +62,8 @@ class Design:
         """Raise BlueprintError if a target lies outside an area of size (L, W, H)."""
         for target in self.targets:
             if not all(c < n for c, n in zip(target.cell, (*size[:2], size[2] + 1), strict=True)):
-                Source(self.path).fail(target.line, f"target {target.cell} is outside the area of {size} cells")
+                message = f"target {target.cell} is outside the area of {size} cells"
+                Source(self.path).fail(target.line, message)
 
 
 def read_design(path: str | Path) -> Design:
@@ -76,11 +77,13 @@ def read_design(path: str | Path) -> Design:
         names = ["x", "y", "z"]
         for i, entry in enumerate(source.entries(keys.items[key], key, ["id", *names], names)):
             x, y, z = (
-                source.integer(entry.items[name], f"{key}[{i}].{name}", int(name == "z"), MAX_SIDE) for name in names
+                source.integer(entry.items[name], f"{key}[{i}].{name}", int(name == "z"), MAX_SIDE)
+                for name in names
             )
             cell = (x, y, z)
             if cell in lines:
-                source.fail(entry.line, f"key '{key}[{i}]': cell {cell} is a target already, see line {lines[cell]}")
+                taken = f"cell {cell} is a target already, see line {lines[cell]}"
+                source.fail(entry.line, f"key '{key}[{i}]': {taken}")
             lines[cell] = entry.line
             targets.append(Target(kind, cell, entry.line))
     if not targets:

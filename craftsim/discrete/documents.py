@@ -1,7 +1,7 @@
-"""Reading small YAML files from people one does not know: bounded in size and time, with a line for every value.
+"""Reading small YAML files from people one does not know: bounded in size and time, each value with its line.
 
-The parser's events are turned into plain nodes one by one, so nothing is expanded, nested or built before its bounds
-are checked. Anchors, aliases and tags have no use in our files and are refused.
+The parser's events are turned into plain nodes one by one, so nothing is expanded, nested or built before its
+bounds are checked. Anchors, aliases and tags have no use in our files and are refused.
 """
 
 from __future__ import annotations
@@ -67,12 +67,14 @@ class Source:
     def fail_unknown(self, line: int, word: str, known: list[str], what: str = "key") -> NoReturn:
         """Raise for a word that is not known, with what is allowed and the closest known one."""
         shown = word if len(word) <= 40 else word[:37] + "..."
-        self.fail(line, f"unknown {what} '{shown}'{suggestion(word[:80], known)}; allowed: {', '.join(known)}")
+        hint = suggestion(word[:80], known)
+        self.fail(line, f"unknown {what} '{shown}'{hint}; allowed: {', '.join(known)}")
 
     def integer(self, node: Node, key: str, low: int, high: int) -> int:
         """Return a node as an integer within [low, high]."""
         if not isinstance(node, Scalar) or node.quoted or not _INTEGER.fullmatch(node.text):
-            self.fail(node.line, f"key '{key}': must be an integer from {low} to {high}, not {describe(node)}")
+            wanted = f"an integer from {low} to {high}"
+            self.fail(node.line, f"key '{key}': must be {wanted}, not {describe(node)}")
         value = int(node.text)
         if not low <= value <= high:
             self.fail(node.line, f"key '{key}': {value} is out of range, allowed: {low} to {high}")
@@ -97,7 +99,7 @@ class Source:
         return node
 
     def entries(self, node: Node, key: str, known: list[str], required: list[str]) -> list[Mapping]:
-        """Return a node as a list of mappings, each with the required keys and no unknown one; null is empty."""
+        """Return a node as a list of mappings with the required keys and no unknown one; null is empty."""
         if isinstance(node, Scalar) and not node.quoted and node.text in ("", "null", "~"):
             return []
         if not isinstance(node, Sequence):
@@ -106,7 +108,8 @@ class Source:
         for i, entry in enumerate(entries):
             for name in required:
                 if name not in entry.items:
-                    self.fail(entry.line, f"key '{key}[{i}]': needs '{name}'; required: {', '.join(required)}")
+                    needed = f"needs '{name}'; required: {', '.join(required)}"
+                    self.fail(entry.line, f"key '{key}[{i}]': {needed}")
         return entries
 
 
@@ -119,7 +122,7 @@ def describe(node: Node) -> str:
 
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
-    """Return a text file of bounded size; raise BlueprintError if it is missing, too large or not UTF-8 text."""
+    """Return a text file of bounded size; raise BlueprintError if it is missing, too large or not UTF-8."""
     source = Source(path)
     if not path.exists():
         source.fail(None, "no such file")
@@ -139,7 +142,7 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
 
 
 def read_keys(path: Path, known: list[str]) -> tuple[Source, Mapping]:
-    """Return the merged top-level keys of all documents of a YAML file; raise BlueprintError for anything odd."""
+    """Return the merged top-level keys of all documents of a YAML file; raise BlueprintError if odd."""
     source = Source(path)
     merged = Mapping(1)
     for document in _documents(source, read_text(path)):

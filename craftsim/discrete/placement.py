@@ -63,7 +63,9 @@ def kind_of(grid: Grid, cell: Cell) -> Kind:
 class _Draw:
     """Draws free places at level 1."""
 
-    def __init__(self, grid: Grid, blueprint: Blueprint, rng: np.random.Generator, placement: Placement) -> None:
+    def __init__(
+        self, grid: Grid, blueprint: Blueprint, rng: np.random.Generator, placement: Placement
+    ) -> None:
         self.grid = grid
         self.rng = rng
         self.sane = placement == "sane"
@@ -94,7 +96,7 @@ class _Draw:
         return free
 
     def place(self, what: str, slope: bool = False, for_car: bool = False) -> tuple[Cell, int]:
-        """Return a free cell and a yaw, and count the cell as used; raise BlueprintError when there is none."""
+        """Return a free cell and a yaw, and count the cell as used; raise BlueprintError if there is none."""
         yaws = range(4 if self.sane else 3)
         allowed = np.array([self.allowed(yaw if slope else None, for_car) for yaw in yaws])
         found = self._sane(allowed) if self.sane else self._published(allowed, slope)

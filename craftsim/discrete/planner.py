@@ -1,0 +1,141 @@
+"""The action helper: a MOVE means "get to the neighbour cell", by whatever moves and turns lead there.
+
+``legal`` (Rules.mask) says what a car can do at once, ``reachable`` what the helper can bring about; they are never
+mixed. What is left of a plan is kept in a queue that everybody can see, and that a reset empties.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.cells import World, derive_marks
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.legality import FIRST_MOVE, LAST_MOVE, STOP
+from craftsim.discrete.rules import Rules, act, world_of
+from craftsim.discrete.search import (
+    Space,
+    fill_reachable,
+    forget_ways,
+    make_space,
+    plan_move,
+    search,
+    write_plan,
+)
+
+DEFAULT_DEPTH = 10
+"""Search depth of CraftEnv's environment; its published training settings use 20."""
+
+
+def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
+    """Return queues of n cars, shape (n_cars, depth + 1), with nothing in them (-1)."""
+    return np.full((n_cars, depth + 1), -1, np.int8)
+
+
+@compiled
+def advance(queue: NDArray[np.int8]) -> int:
+    """Take the first action from one car's queue."""
+    action = int(queue[0])
+    queue[:-1] = queue[1:]
+    queue[-1] = -1
+    return action
+
+
+@compiled
+def act_with_helper(
+    w: World, car: int, action: int, queue: NDArray[np.int8], space: Space, limit: int
+) -> bool:
+    """Let one car act: by its queue if there is one, else by a fresh plan for a MOVE, else by the action itself.
+
+    Returns whether the primitive that was due was legal; if a queued one was not, the queue is thrown away.
+    """
+    if queue[0] >= 0:
+        applied = act(w, car, advance(queue))
+        if not applied:
+            queue[:] = -1
+        return applied
+    if action < FIRST_MOVE or action > LAST_MOVE:
+        return act(w, car, action)
+    forget_ways(space)
+    node = plan_move(w, car, space, action, limit)
+    if node < 0:
+        return act(w, car, STOP)
+    write_plan(space, node, queue)
+    return act(w, car, advance(queue))
+
+
+@compiled
+def run_helper_tick(
+    w: World,
+    cars: NDArray[np.int64],
+    actions: NDArray[np.int64],
+    applied: NDArray[np.bool_],
+    queues: NDArray[np.int8],
+    space: Space,
+    limit: int,
+) -> None:
+    """Let cars act in the order given, with the helper on; queues (n, limit + 1) are changed in place."""
+    for turn in range(cars.shape[0]):
+        car = cars[turn]
+        applied[turn] = act_with_helper(w, car, actions[turn], queues[car], space, limit)
+    if w.law.derived_marks:
+        derive_marks(w)
+
+
+class Planner:
+    """The action helper with a search depth, for single worlds under a rule set."""
+
+    def __init__(self, rules: Rules, depth: int = DEFAULT_DEPTH) -> None:
+        self.rules = rules
+        self.depth = depth
+        self._spaces: dict[Cell, Space] = {}
+
+    def _space(self, grid: Grid) -> Space:
+        if grid.size not in self._spaces:
+            self._spaces[grid.size] = make_space(grid.size)
+        forget_ways(self._spaces[grid.size])
+        return self._spaces[grid.size]
+
+    def _read(self, space: Space, node: int) -> tuple[Action, ...] | None:
+        if node < 0:
+            return None
+        steps = np.empty(self.depth + 1, np.int8)
+        return tuple(Action(step) for step in steps[: write_plan(space, node, steps)])
+
+    def plan_move(self, grid: Grid, car: int, action: Action) -> tuple[Action, ...] | None:
+        """Return the primitives that a MOVE stands for now, or None if the helper finds no way."""
+        if action not in MOVE_DIRECTION:
+            raise ValueError(f"{action!r} is not one of the four moves")
+        space = self._space(grid)
+        world = world_of(grid, self.rules.law)
+        return self._read(space, plan_move(world, car, space, int(action), self.depth))
+
+    def plan_to(self, grid: Grid, car: int, cell: Cell) -> tuple[Action, ...] | None:
+        """Return the primitives that bring a car to a cell, or None if the helper finds no way."""
+        space = self._space(grid)
+        return self._read(space, search(world_of(grid, self.rules.law), car, space, *cell, self.depth))
+
+    def reachable(self, grid: Grid) -> NDArray[np.bool_]:
+        """Return (n_cars, 15): legal actions, and moves for which a plan exists though they are not legal now."""
+        mask = self.rules.mask(grid)
+        fill_reachable(world_of(grid, self.rules.law), self._space(grid), self.depth, mask)
+        return mask
+
+    def tick(
+        self, grid: Grid, queue: NDArray[np.int8], joint: Sequence[tuple[int, int]]
+    ) -> tuple[Grid, NDArray[np.int8], NDArray[np.bool_]]:
+        """Let cars act in the order given with the helper on; return world, queues and which primitives applied.
+
+        A car whose queue is not empty ignores the action it is given. ``queue`` has shape (n_cars, depth + 1) with
+        -1 where nothing is queued.
+        """
+        grid, queue = grid.copy(), queue.copy()
+        order = np.array([(car, int(action)) for car, action in joint], np.int64).reshape(-1, 2)
+        applied = np.zeros(len(order), np.bool_)
+        world, space = world_of(grid, self.rules.law), self._space(grid)
+        run_helper_tick(world, order[:, 0].copy(), order[:, 1].copy(), applied, queue, space, self.depth)
+        return grid, queue, applied

@@ -5,6 +5,7 @@ Frames: x forward (grid yaw 0), y left, z up; the grid's corner (0, 0) is the wo
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,9 @@ CELL_PITCH_M: Final = 0.3225
 
 LEVEL_HEIGHT_M: Final = 0.185
 """Distance between the floors of two levels (published)."""
+
+INCLINE_RAD: Final = math.atan(LEVEL_HEIGHT_M / (2 * CELL_PITCH_M))
+"""Angle of an unfolded slope: one level over two cells, 16.0 degrees (derived)."""
 
 DIRECTIONS: Final[NDArray[np.int64]] = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 """Unit steps (dx, dy) of the four grid yaws 0..3: +x, +y, -x, -y. Shape (4, 2)."""

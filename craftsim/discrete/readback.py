@@ -13,7 +13,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M, cell_position, yaw_angle
+from craftsim.discrete.geometry import (
+    CELL_PITCH_M,
+    DIRECTIONS,
+    INCLINE_RAD,
+    LEVEL_HEIGHT_M,
+    cell_position,
+    yaw_angle,
+)
 from craftsim.discrete.grid import CarField, Grid, Kind
 
 PLACE_TOLERANCE_M: Final = 0.025
@@ -28,8 +35,6 @@ HINGE_TOLERANCE_RAD: Final = 0.05
 """How far from fully open or closed a hinge may be; the flap's lip is then 16 mm from its place."""
 LIFT_RANGE_M: Final = (0.016, 0.050)
 """Height of a load's frame above its car's frame that counts as carried; a board lifts by 0.032."""
-INCLINE_RAD: Final = math.atan(LEVEL_HEIGHT_M / (2 * CELL_PITCH_M))
-"""Angle of an unfolded slope: one level over two cells."""
 
 
 @dataclass(frozen=True)

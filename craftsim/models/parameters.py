@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
+from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
 
 Origin = Literal["published", "derived", "assumed"]
 
@@ -91,7 +91,9 @@ class SmartcarParameters:
     boss_height_m: float = published(0.005)
     wheel_torque_nm: float = assumed(2.5, "a wheel motor; three times what a loaded climb at 16 degrees needs")
     wheel_speed_rad_s: float = assumed(20.0, "about 1 m/s; no published figure")
-    wheel_gain_nms_rad: float = assumed(10.0, "velocity servo: 0.05 rad/s of droop at the gear's friction")
+    wheel_gain_nms_rad: float = assumed(
+        4.0, "velocity servo: 0.11 rad/s of droop at the gear's friction; stiffer axles fight each other on a crest"
+    )
     gear_friction_nm: float = assumed(
         0.45, "self-locking gear: a car carrying a slope needs 0.39 Nm a wheel to stand on the incline"
     )
@@ -148,7 +150,7 @@ class SlopeParameters:
     hinge_z_m: float = derived(
         LEVEL_HEIGHT_M / 2, "half a level, so that the folded top is level; published 0.095 would stand 5 mm proud"
     )
-    incline_rad: float = derived(math.atan(LEVEL_HEIGHT_M / (2 * CELL_PITCH_M)), "a level over two cells: 16.0 degrees")
+    incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees")
     skin_m: float = assumed(0.004, "leaves a car below 2.8 mm of head-room at its lower corner")
     underside_m: float = assumed(0.1155, "the pads hang as low as a block's underside, so that one board fits both")
     base_mass_kg: float = published(1.0)

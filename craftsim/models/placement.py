@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M, cell_position, yaw_angle
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.terrain import incline_under
 from craftsim.models.parameters import BLOCK, SLOPE, SMARTCAR
 
 
@@ -41,25 +42,16 @@ def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
     return np.array([ch * cp, sh * sp, -ch * sp, sh * cp])
 
 
-def _pitch(grid: Grid, row: NDArray[np.int64]) -> float:
-    """Return how far a car's nose is raised: the incline's angle uphill, its negative downhill, 0 on the flat."""
-    x, y, z, yaw, slope = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z, CarField.YAW, CarField.SLOPE))
-    if slope == 0:
-        return 0.0
-    downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])
-    return -SLOPE.incline_rad if yaw == downhill else SLOPE.incline_rad
-
-
 def _car(grid: Grid, row: NDArray[np.int64]) -> Placement:
     position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
     position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
     board = SMARTCAR.board_travel_m if row[CarField.LOAD] != Kind.AIR else 0.0
-    return Placement("smartcar", position, _quaternion(yaw_angle(int(row[CarField.YAW])), _pitch(grid, row)), board)
+    return Placement("smartcar", position, _quaternion(yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)), board)
 
 
 def _load(grid: Grid, row: NDArray[np.int64], car: Placement) -> Placement:
     lift = SMARTCAR.board_rest_m + SMARTCAR.board_travel_m - BLOCK.underside_m
-    pitch, heading = _pitch(grid, row), yaw_angle(int(row[CarField.YAW]))
+    pitch, heading = incline_under(grid, row), yaw_angle(int(row[CarField.YAW]))
     up = np.array([-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)])
     position = car.position + lift * up
     if row[CarField.LOAD] == Kind.FSLOPE:

@@ -111,7 +111,6 @@ def _compose(
 ) -> tuple[mujoco.MjSpec, dict[str, list[str]]]:
     """Attach every part to the ground; return the spec and the name prefixes by kind of part."""
     spec = load_part("ground")
-    _configure(spec, grid, config)
     names: dict[str, list[str]] = {"smartcar": [], "block": [], "flag": [], "slope": [], "wall": []}
     for item in placed:
         index = len(names[item.kind])
@@ -134,6 +133,7 @@ def _compose(
             size=[0.45 * CELL_PITCH_M, 0.45 * CELL_PITCH_M, 0.001],
             rgba=[0.25, 0.75, 0.40, 0.45],
         )
+    _configure(spec, grid, config)
     return spec, names
 
 

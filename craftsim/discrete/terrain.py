@@ -1,0 +1,23 @@
+"""The ground that the map shows under a car."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.geometry import INCLINE_RAD
+from craftsim.discrete.grid import CarField, Grid
+
+
+def incline_under(grid: Grid, car: NDArray[np.int64]) -> float:
+    """Return the angle in radians by which the ground raises a car's nose: positive uphill, 0 on the flat.
+
+    Args:
+        grid: the world.
+        car: (7,) a row of ``grid.cars`` or of another grid with the same slopes.
+    """
+    x, y, z, yaw, slope = (int(car[f]) for f in (CarField.X, CarField.Y, CarField.Z, CarField.YAW, CarField.SLOPE))
+    if slope == 0:
+        return 0.0
+    downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])
+    return -INCLINE_RAD if yaw == downhill else INCLINE_RAD

@@ -1,0 +1,1 @@
+"""Controllers that perform each discrete action through motors alone, and the executor that runs them."""

@@ -1,0 +1,206 @@
+"""Driving skills: move to the neighbour cell, and turn by a quarter.
+
+Both follow a smooth path from the measured pose to the target pose. The wheels get the path's speed (feed-forward),
+a correction proportional to the pose error with integral action near the goal, and on top what the velocity servos need
+to overcome the gears' dry friction, gravity on an incline, and inertia.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, cell_position, yaw_angle
+from craftsim.discrete.readback import nearest_yaw
+from craftsim.models.parameters import SMARTCAR
+from craftsim.models.sensing import CarMeasurement
+from craftsim.skills.gains import DriveGains
+from craftsim.skills.mecanum import body_twist, wheel_speeds
+from craftsim.skills.outcome import Reason
+from craftsim.skills.profile import Profile
+from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
+
+_AT_REST_RAD_S = 0.03
+_REST_PERIODS = 3
+_BLOCKED_S = 0.25
+
+
+def wrap(angle: float) -> float:
+    """Return an angle in radians brought into [-pi, pi]."""
+    return math.remainder(angle, math.tau)
+
+
+class DrivingSkill(Skill):
+    """Follow a smooth path of poses to a target pose and come to rest on it."""
+
+    def __init__(self, period_s: float, gains: DriveGains) -> None:
+        """Prepare for a control period in seconds and these gains."""
+        super().__init__(period_s)
+        self.gains = gains
+        self._integral = np.zeros(3)
+        self._rest_periods = 0
+        self._stuck_s = 0.0
+
+    def start(self, now: CarMeasurement) -> None:
+        """Lay the path from the measured pose to the target pose."""
+        self._loaded = feels_load(now)
+        self._origin = np.array([now.x, now.y, now.heading])
+        target = self._target(now)
+        self._delta = target - self._origin
+        self._delta[2] = wrap(self._delta[2])
+        self._profile = self._make_profile()
+        travel = self._profile.distance(self._profile.duration_s)
+        self._direction = self._delta / travel if travel else np.zeros(3)
+
+    @abstractmethod
+    def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
+        """Return the target pose (x, y, heading), shape (3,), in the world frame."""
+
+    @abstractmethod
+    def _make_profile(self) -> Profile:
+        """Return the profile along the path, in metres or radians."""
+
+    def _control(self, now: CarMeasurement) -> Command:
+        if self._loaded:
+            self._check_load(now)
+        error = self._reference(self.elapsed_s) - np.array([now.x, now.y, now.heading])
+        error[2] = wrap(error[2])
+        self._check_progress(now, error)
+        if self.elapsed_s >= self._profile.duration_s:
+            self._check_arrival(now, error)
+        if self.outcome is not None:
+            return Command()
+        return Command(wheels=self._wheels(now, error))
+
+    def _reference(self, t: float) -> NDArray[np.float64]:
+        return self._origin + self._direction * self._profile.distance(t)
+
+    def _wheels(self, now: CarMeasurement, error: NDArray[np.float64]) -> NDArray[np.float64]:
+        gains, car, t = self.gains, SMARTCAR, self.elapsed_s + self.period_s
+        if self.elapsed_s > self._profile.duration_s:
+            self._integral += gains.integral_gain * error * self.period_s
+        gain = np.array([gains.position_gain, gains.position_gain, gains.heading_gain])
+        velocity = self._direction * self._profile.speed(t) + gain * error + self._integral
+        acceleration = self._direction * self._profile.acceleration(t)
+        speeds = wheel_speeds(_to_body(velocity, now)) * self._stretch(now)
+        # What a velocity servo of gain kv lacks to give a torque is that torque / kv.
+        mass = car.mass_kg + max(0.0, now.board_force_n / GRAVITY if self._loaded else 0.0)
+        force = _to_body(acceleration, now)[:2] * (mass + _WHEEL_MASS_KG)
+        force[0] += mass * GRAVITY * math.sin(now.pitch)
+        force[1] += mass * GRAVITY * math.sin(now.roll)
+        torque = car.wheel_radius_m / 4 * np.array([force[0] + s * force[1] for s in (-1, 1, 1, -1)])
+        torque += car.gear_friction_nm * np.tanh(speeds / gains.friction_speed)
+        return speeds + torque / car.wheel_gain_nms_rad
+
+    def _stretch(self, now: CarMeasurement) -> NDArray[np.float64]:
+        """Return by how much each wheel must outrun the body's forward speed, shape (4,)."""
+        return np.ones(4)
+
+    def _check_progress(self, now: CarMeasurement, error: NDArray[np.float64]) -> None:
+        behind = float(np.hypot(error[0], error[1]) + SMARTCAR.turn_radius_m * abs(error[2]))
+        self._stuck_s = self._stuck_s + self.period_s if behind > self.gains.blocked_error else 0.0
+        if self._stuck_s <= _BLOCKED_S:
+            return
+        turning = float(np.abs(body_twist(now.wheel_speeds)[:2]).max()) > 0.05
+        reason = Reason.SLIPPED if turning else Reason.BLOCKED
+        self._fail(reason, f"{behind * 1e3:.0f} mm behind the path")
+
+    def _check_arrival(self, now: CarMeasurement, error: NDArray[np.float64]) -> None:
+        gains = self.gains
+        offset, turn = float(np.hypot(error[0], error[1])), abs(float(error[2]))
+        there = offset < gains.position_tolerance and turn < gains.heading_tolerance
+        still = float(np.abs(now.wheel_speeds).max()) < _AT_REST_RAD_S
+        self._rest_periods = self._rest_periods + 1 if there and still else 0
+        if self._rest_periods >= _REST_PERIODS:
+            self._succeed()
+        elif self.elapsed_s > self._profile.duration_s + gains.settle_allowance:
+            reason = Reason.MISALIGNED if still else Reason.TIMEOUT
+            self._fail(reason, f"{offset * 1e3:.2f} mm and {turn * 1e3:.1f} mrad from the target")
+
+
+_WHEEL_MASS_KG = 4 * SMARTCAR.wheel_spin_inertia_kgm2 / SMARTCAR.wheel_radius_m**2
+"""The spinning wheels' share of the inertia, as a mass."""
+
+
+def _to_body(vector: NDArray[np.float64], now: CarMeasurement) -> NDArray[np.float64]:
+    """Turn a horizontal world vector (x, y, rotation) into the body frame; on an incline forward is longer."""
+    c, s = math.cos(now.heading), math.sin(now.heading)
+    forward, left = c * vector[0] + s * vector[1], -s * vector[0] + c * vector[1]
+    return np.array([forward / math.cos(now.pitch), left / math.cos(now.roll), vector[2]])
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """What the map says of the ground of a move: how far it raises the car's nose in the first and in the last cell."""
+
+    start_rad: float = 0.0
+    end_rad: float = 0.0
+
+    @property
+    def sloping(self) -> bool:
+        """Whether the move starts or ends on a slope."""
+        return bool(self.start_rad or self.end_rad)
+
+
+class Move(DrivingSkill):
+    """Drive from the cell that the car is in to its neighbour in a map direction, keeping the heading."""
+
+    def __init__(self, period_s: float, gains: DriveGains, direction: int, terrain: Terrain) -> None:
+        """Prepare to move in a grid direction 0..3 (+x, +y, -x, -y); a move from or onto a slope is slower."""
+        super().__init__(period_s, gains)
+        self.direction = direction
+        self.terrain = terrain
+
+    def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
+        cell = np.floor(np.array([now.x, now.y]) / CELL_PITCH_M) + DIRECTIONS[self.direction]
+        yaw, _ = nearest_yaw(now.heading)
+        return np.array([*cell_position(*cell, 1)[:2], yaw_angle(yaw)])
+
+    def _stretch(self, now: CarMeasurement) -> NDArray[np.float64]:
+        # Where the ground bends, at the cell border, the axles roll on different inclines, but the stiff body gives both
+        # the same speed along itself: an axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
+        if not self.terrain.sloping:
+            return np.ones(4)
+        border = self._origin[:2] + 0.5 * self._delta[:2]
+        past_border = float((np.array([now.x, now.y]) - border) @ DIRECTIONS[self.direction])
+        forward = float(np.array([math.cos(now.heading), math.sin(now.heading)]) @ DIRECTIONS[self.direction])
+        reach = SMARTCAR.wheel_x_m * forward * math.cos(now.pitch)
+        front, rear = (
+            1 / math.cos((self.terrain.end_rad if past_border + side > 0 else self.terrain.start_rad) - now.pitch)
+            for side in (reach, -reach)
+        )
+        return np.array([front, front, rear, rear])
+
+    def _make_profile(self) -> Profile:
+        gains = self.gains
+        factor = gains.load_factor if self._loaded else 1.0
+        speed, acceleration = gains.max_speed, gains.max_acceleration
+        if self.terrain.sloping:
+            speed, acceleration = gains.max_slope_speed, gains.max_slope_acceleration
+        distance = float(np.hypot(self._delta[0], self._delta[1]))
+        return Profile.within(distance, speed * factor, acceleration * factor)
+
+
+class Rotate(DrivingSkill):
+    """Turn on the spot by a quarter, left (counter-clockwise) or right."""
+
+    def __init__(self, period_s: float, gains: DriveGains, quarter: int) -> None:
+        """Prepare to turn by +1 (left) or -1 (right) quarter."""
+        super().__init__(period_s, gains)
+        self.quarter = quarter
+
+    def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
+        cell = np.floor(np.array([now.x, now.y]) / CELL_PITCH_M)
+        yaw, _ = nearest_yaw(now.heading)
+        return np.array([*cell_position(*cell, 1)[:2], yaw_angle(yaw + self.quarter)])
+
+    def _make_profile(self) -> Profile:
+        gains = self.gains
+        factor = gains.load_factor if self._loaded else 1.0
+        return Profile.within(
+            abs(float(self._delta[2])), gains.max_turn_speed * factor, gains.max_turn_acceleration * factor
+        )

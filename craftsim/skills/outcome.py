@@ -1,0 +1,45 @@
+"""How a skill ends: succeeded, or failed for a stated reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Reason(StrEnum):
+    """Why a skill failed."""
+
+    TIMEOUT = "timeout"
+    """It took longer than its allowance."""
+    BLOCKED = "blocked"
+    """The car fell behind its path although the wheels do not slip: something is in the way."""
+    SLIPPED = "slipped"
+    """The wheels turned, the car did not follow."""
+    TIPPED = "tipped"
+    """The car leans further than any slope would make it."""
+    LOAD_LOST = "load lost"
+    """The board does not feel the weight that it should."""
+    MISALIGNED = "misaligned"
+    """The car came to rest off its target, or is not docked to a slope that it should move."""
+    DIVERGED = "diverged"
+    """The measurements are not finite or not plausible."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a skill as the robot itself sees it; whether it is true is read from poses by others."""
+
+    reason: Reason | None
+    """None when it succeeded."""
+    duration_s: float
+    detail: str = ""
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the skill reached its goal."""
+        return self.reason is None
+
+    def __str__(self) -> str:
+        if self.reason is None:
+            return "succeeded"
+        return f"{self.reason}: {self.detail}" if self.detail else str(self.reason)

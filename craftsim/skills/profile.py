@@ -1,0 +1,65 @@
+"""Smooth motion from rest to rest: a speed that ramps up, cruises and ramps down without a jump in acceleration.
+
+Each ramp follows the cubic smoothstep 3u^2 - 2u^3, whose steepest slope is 3/2 of the mean: a ramp to speed v under the
+acceleration limit a lasts 1.5 v / a and covers half of what cruising would.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Distance, speed and acceleration over time, for a travel from rest to rest."""
+
+    cruise_speed: float
+    ramp_s: float
+    duration_s: float
+
+    @classmethod
+    def within(cls, distance: float, max_speed: float, max_acceleration: float) -> Profile:
+        """Return the quickest profile over a distance >= 0 that keeps to a speed and an acceleration limit."""
+        speed = min(max_speed, math.sqrt(max_acceleration * distance / 1.5))
+        if speed <= 0:
+            return cls(0.0, 0.0, 0.0)
+        ramp = 1.5 * speed / max_acceleration
+        return cls(speed, ramp, ramp + distance / speed)
+
+    def distance(self, t: float) -> float:
+        """Return the distance covered at time t; it holds the end afterwards."""
+        if self.duration_s == 0:
+            return 0.0
+        t = min(max(t, 0.0), self.duration_s)
+        cruised = max(0.0, min(t, self.duration_s - self.ramp_s) - self.ramp_s)
+        left = self.duration_s - t
+        return (
+            self.cruise_speed * cruised
+            + self._ramp_distance(min(t, self.ramp_s))
+            + self._ramp_distance(self.ramp_s)
+            - self._ramp_distance(min(left, self.ramp_s))
+        )
+
+    def speed(self, t: float) -> float:
+        """Return the speed at time t."""
+        u = self._phase(t)
+        return self.cruise_speed * u * u * (3 - 2 * u)
+
+    def acceleration(self, t: float) -> float:
+        """Return the acceleration at time t."""
+        u = self._phase(t)
+        if not 0 < u < 1:
+            return 0.0
+        rise = 6 * u * (1 - u) * self.cruise_speed / self.ramp_s
+        return rise if t < self.duration_s / 2 else -rise
+
+    def _phase(self, t: float) -> float:
+        """Return how far the nearer ramp is climbed, 0 at rest and 1 when cruising."""
+        if self.ramp_s == 0:
+            return 0.0
+        return min(max(min(t, self.duration_s - t) / self.ramp_s, 0.0), 1.0)
+
+    def _ramp_distance(self, t: float) -> float:
+        u = t / self.ramp_s
+        return self.cruise_speed * self.ramp_s * (u**3 - u**4 / 2)

@@ -1,0 +1,26 @@
+"""The skill that does nothing: come to rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from craftsim.models.sensing import CarMeasurement
+from craftsim.skills.outcome import Reason
+from craftsim.skills.skill import Command, Skill
+
+_AT_REST_RAD_S = 0.03
+_ALLOWANCE_S = 1.0
+
+
+class Stop(Skill):
+    """Command all motors to zero until the wheels rest."""
+
+    def start(self, now: CarMeasurement) -> None:
+        """Need nothing."""
+
+    def _control(self, now: CarMeasurement) -> Command:
+        if self.elapsed_s > 0 and float(np.abs(now.wheel_speeds).max()) < _AT_REST_RAD_S:
+            self._succeed()
+        elif self.elapsed_s > _ALLOWANCE_S:
+            self._fail(Reason.TIMEOUT, "the wheels still turn")
+        return Command()

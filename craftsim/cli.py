@@ -12,7 +12,11 @@ from collections.abc import Sequence
 from typing import Final
 
 COMMANDS: Final[dict[str, str]] = {
+    "demo": "Build the simple two-story building in physics, and check every action.",
     "doctor": "Say what works on this machine, and the command that mends what does not.",
+    "show": "Show a blueprint as coloured text, and as a picture with --out.",
+    "conformance": "Compare the rules with recordings of CraftEnv.",
+    "bench": "Measure how fast the rules run.",
 }
 """One line on every command, in the order of the help text."""
 

@@ -115,7 +115,6 @@ class Blueprint:
         return sum(kind in kinds for kind in present)
 
 
-
 def read_blueprint(path: str | Path) -> Blueprint:
     """Read and check a start file; raise BlueprintError with file, line and key for whatever is wrong."""
     source, keys = read_keys(Path(path), KEYS)

@@ -180,3 +180,9 @@ def derive_marks(w: World) -> None:
         row = w.cars[car]
         if inside(w, row[F_X], row[F_Y], row[F_Z] - 1):
             w.top[row[F_X], row[F_Y], row[F_Z] - 1] = car
+
+
+@compiled
+def world_at(worlds: World, i: int) -> World:
+    """Return one world of a batch, whose arrays have a leading dimension over worlds."""
+    return World(worlds.kind[i], worlds.yaw[i], worlds.top[i], worlds.back[i], worlds.cars[i], worlds.law)

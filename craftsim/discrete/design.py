@@ -41,10 +41,11 @@ class Design:
         return [target.cell for target in self.targets if target.kind == kind]
 
     def hits(self, grid: Grid) -> Iterator[tuple[Target, bool]]:
-        """Yield each target and whether its cell holds its kind; carried things are in no cell."""
+        """Yield each target and whether its cell holds its kind with its yaw; what is carried is in no cell."""
         for target in self.targets:
-            within = all(0 <= c < n for c, n in zip(target.cell, grid.kind.shape, strict=True))
-            yield target, within and grid.kind[target.cell] == target.kind
+            cell, yaw = target.cell, self.yaw(target)
+            within = all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))
+            yield target, bool(within and grid.kind[cell] == target.kind and yaw in (-1, grid.yaw[cell]))
 
     def satisfied(self, grid: Grid) -> bool:
         """Return whether every target is hit."""
@@ -57,6 +58,16 @@ class Design:
             if beside(cell, yaw) in feet:
                 return yaw
         raise KeyError(f"no target foot beside {cell}")
+
+    def yaw(self, target: Target) -> int:
+        """Return the yaw that a target must have, a slope's from body to foot; -1 where any will do."""
+        if target.kind == Kind.BODY:
+            return self.body_yaw(target.cell)
+        if target.kind == Kind.FOOT:
+            for body in self.of_kind(Kind.BODY):
+                if beside(body, self.body_yaw(body)) == target.cell:
+                    return self.body_yaw(body)
+        return -1
 
     def check_fits(self, size: Cell) -> None:
         """Raise BlueprintError if a target lies outside an area of size (L, W, H)."""

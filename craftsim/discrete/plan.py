@@ -1,7 +1,7 @@
 """Plans: which car does what in which tick, as text that people read and write.
 
-One action a line, ``tick car ACTION``; ``#`` starts a comment. Ticks never go back; within a tick the cars act
-in the order of their lines. Cars that a tick does not name stay as they are.
+One action a line, ``tick car ACTION``; ``#`` starts a comment. Ticks never go back; within a tick the cars
+act in the order of their lines. Cars that a tick does not name stay as they are.
 """
 
 from __future__ import annotations

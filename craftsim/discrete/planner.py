@@ -1,7 +1,7 @@
 """The action helper: a MOVE means "get to the neighbour cell", by whatever moves and turns lead there.
 
-``legal`` (Rules.mask) says what a car can do at once, ``reachable`` what the helper can bring about; they are never
-mixed. What is left of a plan is kept in a queue that everybody can see, and that a reset empties.
+``legal`` (Rules.mask) says what a car can do at once, ``reachable`` what the helper can bring about; they are
+never mixed. What is left of a plan is kept in a queue that everybody can see, and that a reset empties.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def advance(queue: NDArray[np.int8]) -> int:
 def act_with_helper(
     w: World, car: int, action: int, queue: NDArray[np.int8], space: Space, limit: int
 ) -> bool:
-    """Let one car act: by its queue if there is one, else by a fresh plan for a MOVE, else by the action itself.
+    """Let one car act: by its queue if it has one, else by a new plan for a MOVE, else by the action.
 
     Returns whether the primitive that was due was legal; if a queued one was not, the queue is thrown away.
     """
@@ -120,7 +120,7 @@ class Planner:
         return self._read(space, search(world_of(grid, self.rules.law), car, space, *cell, self.depth))
 
     def reachable(self, grid: Grid) -> NDArray[np.bool_]:
-        """Return (n_cars, 15): legal actions, and moves for which a plan exists though they are not legal now."""
+        """Return (n_cars, 15): legal actions, and moves that are not legal but have a plan."""
         mask = self.rules.mask(grid)
         fill_reachable(world_of(grid, self.rules.law), self._space(grid), self.depth, mask)
         return mask
@@ -128,10 +128,10 @@ class Planner:
     def tick(
         self, grid: Grid, queue: NDArray[np.int8], joint: Sequence[tuple[int, int]]
     ) -> tuple[Grid, NDArray[np.int8], NDArray[np.bool_]]:
-        """Let cars act in the order given with the helper on; return world, queues and which primitives applied.
+        """Let cars act in the order given, helper on; return world, queues and which primitives applied.
 
-        A car whose queue is not empty ignores the action it is given. ``queue`` has shape (n_cars, depth + 1) with
-        -1 where nothing is queued.
+        A car whose queue is not empty ignores the action it is given. ``queue`` has shape (n_cars, depth + 1)
+        with -1 where nothing is queued.
         """
         grid, queue = grid.copy(), queue.copy()
         order = np.array([(car, int(action)) for car, action in joint], np.int64).reshape(-1, 2)

@@ -1,6 +1,7 @@
-"""The action helper's A* search, compiled, with the ties and limits of CraftEnv's (docs/rules.md#action-helper).
+"""The action helper's A* search, with the ties and limits of CraftEnv's (docs/rules.md#action-helper).
 
-Nodes are (x, y, z, yaw) of one car; all else stands still. A car's slope state and the yaw of its load follow along.
+Nodes are (x, y, z, yaw) of one car; all else stands still. A car's slope state and the yaw of its load follow
+along.
 """
 
 from __future__ import annotations
@@ -122,7 +123,8 @@ def forget_ways(space: Space) -> None:
 def search(w: World, me: int, space: Space, goal_x: int, goal_y: int, goal_z: int, limit: int) -> int:
     """Search a way for car ``me`` to a cell; return the node reached, or -1 if there is none.
 
-    The whole search fails as soon as a node deeper than ``limit`` is taken up, so a way has at most limit + 1 steps.
+    The whole search fails as soon as a node deeper than ``limit`` is taken up, so a way has at most limit + 1
+    steps.
     """
     start = pose_of(w, me)
     space.state[:] = UNSEEN
@@ -187,7 +189,7 @@ def write_plan(space: Space, node: int, out: NDArray[np.int8]) -> int:
 
 @compiled
 def goal_level(w: World, car: Pose, m: int) -> int:
-    """Return the level of the neighbour cell that a MOVE in direction m asks for, up or down along a slope."""
+    """Return the level of the cell that a MOVE in direction m asks for, up or down along a slope."""
     x, y = car.x + dir_x(m), car.y + dir_y(m)
     if car.slope == 1 and kind_at(w, x, y, car.z) == BODY:
         return car.z + 1
@@ -208,8 +210,8 @@ def plan_move(w: World, me: int, space: Space, action: int, limit: int) -> int:
 def near_enough(w: World, me: int, space: Space, limit: int) -> int:
     """Return, as bits for the four MOVEs, whose goal cell may lie within limit + 1 steps: a quick sieve.
 
-    Floods outwards step by step. All bits are set if some node is met in two slope states, for then what can be
-    reached depends on the order of the search.
+    Floods outwards step by step. All bits are set if some node is met in two slope states, for then what can
+    be reached depends on the order of the search.
     """
     start = pose_of(w, me)
     goals = 0
@@ -225,7 +227,11 @@ def near_enough(w: World, me: int, space: Space, limit: int) -> int:
         car = pose_at(w, start, node, space.slope[node])
         for i in range(4):
             m = move_direction(FIRST_MOVE + i)
-            if car.x == start.x + dir_x(m) and car.y == start.y + dir_y(m) and car.z == goal_level(w, start, m):
+            if (
+                car.x == start.x + dir_x(m)
+                and car.y == start.y + dir_y(m)
+                and car.z == goal_level(w, start, m)
+            ):
                 goals |= 1 << i
         if goals == 15:
             return 15
@@ -250,7 +256,7 @@ def near_enough(w: World, me: int, space: Space, limit: int) -> int:
 
 @compiled
 def fill_reachable(w: World, space: Space, limit: int, mask: NDArray[np.bool_]) -> None:
-    """Turn a mask (n, 15) of legal actions into the helper's: a MOVE is also on where a plan for it exists."""
+    """Turn a mask (n, 15) of legal actions into the helper's: a MOVE with a plan is on, too."""
     for me in range(w.cars.shape[0]):
         missing = 0
         for i in range(4):

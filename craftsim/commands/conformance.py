@@ -1,0 +1,99 @@
+"""Compare our rules with recordings of CraftEnv, record by record."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.rules import RuleSet
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from craftsim.discrete.conformance import Mismatch
+
+
+def conformance(
+    files: tyro.conf.Positional[tuple[Path, ...]],
+    rules: RuleSet = "published",
+    show: int = 3,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+) -> int:
+    """Replay recorded ticks or plans and compare all that they tell: masks, effects, rewards, plans.
+
+    The exit status is 1 when anything differs. With the physical rule set, records are left out in which
+    something happened that only the published rules follow.
+
+    Args: files: recordings, gzip-compressed JSON lines. rules: the rule set to compare. show: how many of the
+    first mismatches to draw. out: directory for report.json.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from craftsim.discrete.conformance import Checker
+    from craftsim.discrete.drawing import LEGEND
+    from craftsim.discrete.errors import InputError
+    from craftsim.discrete.rules import Rules
+    from craftsim.discrete.traces import read_records
+
+    if not files:
+        raise InputError("no recordings given; name one or more .jsonl.gz files")
+    begun = time.perf_counter()
+    checker = Checker(Rules(rules), keep=show)
+    for file in files:
+        for line, record in read_records(file):
+            try:
+                checker.check(line, record)
+            except (KeyError, ValueError, TypeError, IndexError) as error:
+                raise InputError(f"{file}:{line}: not a record as we know it: {error!r}") from error
+    tally = checker.tally
+    console = Console(highlight=False)
+    by_action = Table("action", "taken", "legal", "mismatches")
+    for action in Action:
+        numbers = [table[action.name] for table in (tally.actions, tally.applied, tally.action_mismatches)]
+        if any(numbers):
+            by_action.add_row(action.name, *map(str, numbers))
+    by_check = Table("compared", "checks", "mismatches")
+    for what, checks in tally.checks.items():
+        by_check.add_row(what, str(checks), str(tally.mismatches[what]))
+    console.print(by_action, by_check)
+    for mismatch in tally.first:
+        _draw(console, mismatch)
+    if tally.first:
+        console.print(LEGEND)
+    if tally.skipped:
+        console.print(f"{tally.skipped} records with a quirk were left out")
+    mismatches = tally.mismatches.total()
+    if out is not None:
+        from craftsim.report import write_report
+
+        figures = {f.name: getattr(tally, f.name) for f in dataclasses.fields(tally) if f.name != "first"} | {
+            "total_checks": tally.checks.total(),
+            "total_mismatches": mismatches,
+        }
+        wall = {"seconds": time.perf_counter() - begun}
+        config = {"files": [file.name for file in files], "rules": rules}
+        write_report(out, figures, command="conformance", config=config, wall=wall)
+    print(f"{tally.records} records, {tally.checks.total()} checks, {mismatches} mismatches")
+    return 1 if mismatches else 0
+
+
+def _draw(console: Console, mismatch: Mismatch) -> None:
+    from craftsim.discrete.drawing import world_text
+
+    console.rule(f"{mismatch.where}: {mismatch.what}", align="left")
+    console.print(f"expected {mismatch.expected}\ngot      {mismatch.got}", markup=False)
+    worlds = [
+        ("before", mismatch.before),
+        ("expected after", mismatch.after_expected),
+        ("got after", mismatch.after_got),
+    ]
+    for title, grid in worlds:
+        if grid is not None:
+            console.print(f"{title}:", style="bold")
+            console.print(world_text(grid))

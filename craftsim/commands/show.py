@@ -1,0 +1,49 @@
+"""Show a blueprint as coloured text and as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def show(
+    blueprint: tyro.conf.Positional[Path],
+    seed: int = 0,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+) -> int:
+    """Print the world that a blueprint starts, level by level, and draw it as a PNG with --out.
+
+    Args:
+        blueprint: start file, or the name of a shipped one such as simple_two_story.
+        seed: seed for what the file leaves to chance.
+        out: directory for the picture, named after the blueprint.
+    """
+    import numpy as np
+    from rich.console import Console
+
+    from craftsim.discrete.blueprint import read_blueprint
+    from craftsim.discrete.drawing import LEGEND, world_image, world_text
+    from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
+
+    path = shipped_blueprint(str(blueprint)) if str(blueprint) in TASK_NAMES else blueprint
+    drawing = read_blueprint(path)
+    grid = drawing.grid(np.random.default_rng(seed))
+    console = Console(highlight=False)
+    console.print(world_text(grid, drawing.goal))
+    console.print(LEGEND, markup=False)
+    length, width, height = drawing.size
+    counts = f"{drawing.n_cars} cars, {drawing.n_blocks} blocks, {drawing.n_slopes} slopes"
+    console.print(f"{length} x {width} cells, {height} levels: {counts}")
+    for note in drawing.notes:
+        console.print(f"note: {note}", markup=False)
+    if out is not None:
+        import cv2
+
+        from craftsim.report import output_directory
+
+        picture = output_directory(out) / f"{path.stem}.png"
+        cv2.imwrite(str(picture), world_image(grid, drawing.goal)[:, :, ::-1])
+        console.print(f"picture: {picture}", markup=False, soft_wrap=True)
+    return 0

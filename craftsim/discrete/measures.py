@@ -1,0 +1,224 @@
+"""Numbers that say something about worlds, one or many: what rewards and successes build on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.cells import World, world_at
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.design import Design
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.rules import LAWS, world_of
+from craftsim.discrete.scores import (
+    NO_FLAG,
+    code_score,
+    finished,
+    flag_distance,
+    largest_platform,
+    paper_score,
+    ramps,
+    storeys,
+)
+
+COMPLETION: Final = 4.0
+"""What a finished building is worth by the paper's table 1."""
+
+CODE_COMPLETION: Final = 8.0
+"""What a finished building is worth in CraftEnv's code."""
+
+
+class Measure:
+    """A number for a world. Subclasses override ``of_worlds`` and get ``of`` for a single world from it."""
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return the numbers of a batch of B worlds, whose arrays have a leading dimension, shape (B,)."""
+        raise NotImplementedError
+
+    def of(self, grid: Grid) -> float:
+        """Return the number of one world."""
+        w = world_of(grid, LAWS["physical"])
+        one = World(w.kind[None], w.yaw[None], w.top[None], w.back[None], w.cars[None], w.law)
+        return float(self.of_worlds(one)[0])
+
+
+class Custom(Measure):
+    """A measure from any function of a Grid; a batch is looked at world by world."""
+
+    def __init__(self, function: Callable[[Grid], float]) -> None:
+        self.function = function
+
+    def of(self, grid: Grid) -> float:
+        """Return the number of one world."""
+        return float(self.function(grid))
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return the numbers of a batch of worlds, shape (B,)."""
+        grids = zip(worlds.kind, worlds.yaw, worlds.cars, worlds.top, worlds.back, strict=True)
+        return np.array([self.of(Grid(*arrays)) for arrays in grids], np.float64)
+
+
+@compiled
+def _paper_scores(
+    worlds: World, targets: NDArray[np.int64], upper_block: float, completion: float, out: NDArray[np.float64]
+) -> None:
+    for i in range(out.shape[0]):
+        out[i] = paper_score(world_at(worlds, i), targets, upper_block, completion)
+
+
+@compiled
+def _code_scores(
+    worlds: World, targets: NDArray[np.int64], completion: float, out: NDArray[np.float64]
+) -> None:
+    for i in range(out.shape[0]):
+        out[i] = code_score(world_at(worlds, i), targets, completion)
+
+
+@compiled
+def _finished(worlds: World, targets: NDArray[np.int64], out: NDArray[np.float64]) -> None:
+    for i in range(out.shape[0]):
+        out[i] = finished(world_at(worlds, i), targets)
+
+
+@compiled
+def _platforms(worlds: World, gears_too: bool, levels: int, out: NDArray[np.float64]) -> None:
+    for i in range(out.shape[0]):
+        out[i] = largest_platform(world_at(worlds, i), gears_too, levels)
+
+
+@compiled
+def _flag_distances(worlds: World, goal: tuple[int, int, int], out: NDArray[np.float64]) -> None:
+    for i in range(out.shape[0]):
+        out[i] = flag_distance(world_at(worlds, i), goal)
+
+
+@compiled
+def _complexities(worlds: World, weights: tuple[float, float, float], out: NDArray[np.float64]) -> None:
+    levels = worlds.kind.shape[3] - 1
+    for i in range(out.shape[0]):
+        w = world_at(worlds, i)
+        platform = max(largest_platform(w, False, levels) - 1, 0)
+        out[i] = weights[0] * platform + weights[1] * storeys(w) + weights[2] * ramps(w)
+
+
+def target_array(design: Design) -> NDArray[np.int64]:
+    """Return the targets as rows (kind, x, y, z, yaw), yaw -1 where the drawing does not say."""
+    rows = [(target.kind, *target.cell, design.yaw(target)) for target in design.targets]
+    return np.array(rows, np.int64).reshape(-1, 5)
+
+
+class PaperBuilding(Measure):
+    """Worth of a building by table 1; ``upper_block`` is that of a block above the floor level."""
+
+    def __init__(self, design: Design, upper_block: float) -> None:
+        self.targets = target_array(design)
+        self.upper_block = upper_block
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return the worth of each building, shape (B,)."""
+        out = np.empty(len(worlds.kind))
+        _paper_scores(worlds, self.targets, self.upper_block, COMPLETION, out)
+        return out
+
+
+class CodeBuilding(Measure):
+    """Worth of a building as CraftEnv's code computes it."""
+
+    def __init__(self, design: Design) -> None:
+        self.targets = target_array(design)
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return the worth of each building, shape (B,)."""
+        out = np.empty(len(worlds.kind))
+        _code_scores(worlds, self.targets, CODE_COMPLETION, out)
+        return out
+
+
+class Finished(Measure):
+    """1 where a design is built, else 0."""
+
+    def __init__(self, design: Design) -> None:
+        self.targets = target_array(design)
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return 1 or 0 for each world, shape (B,)."""
+        out = np.empty(len(worlds.kind))
+        _finished(worlds, self.targets, out)
+        return out
+
+
+class PaperPlatform(Measure):
+    """Blocks of the largest platform less one (equation 3); 0 without blocks."""
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return the number of each world, shape (B,)."""
+        out = np.empty(len(worlds.kind))
+        _platforms(worlds, False, worlds.kind.shape[3] - 1, out)
+        return np.maximum(out - 1, 0)
+
+
+class CodePlatform(Measure):
+    """Blocks and gears of the largest platform, 0 for a single one; the top level is not looked at."""
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return the number of each world, shape (B,)."""
+        out = np.empty(len(worlds.kind))
+        _platforms(worlds, True, worlds.kind.shape[3] - 2, out)
+        return np.where(out > 1, out, 0.0)
+
+
+class FlagNearness(Measure):
+    """Minus the Manhattan distance of the flag to the goal; a lost flag is farther than any cell."""
+
+    def __init__(self, goal: Cell) -> None:
+        self.goal = goal
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return the number of each world, shape (B,)."""
+        out = np.empty(len(worlds.kind))
+        _flag_distances(worlds, self.goal, out)
+        return np.where(out == NO_FLAG, -float(sum(worlds.kind.shape[1:])), -out)
+
+
+class OnePlatform(Measure):
+    """1 where all n blocks form one platform, else 0."""
+
+    def __init__(self, n_blocks: int) -> None:
+        self.n_blocks = n_blocks
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return 1 or 0 for each world, shape (B,)."""
+        return (PaperPlatform().of_worlds(worlds) == self.n_blocks - 1).astype(np.float64)
+
+
+class FlagAtGoal(Measure):
+    """1 where the flag, carried or not, is in the goal cell, else 0."""
+
+    def __init__(self, goal: Cell) -> None:
+        self.nearness = FlagNearness(goal)
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return 1 or 0 for each world, shape (B,)."""
+        return (self.nearness.of_worlds(worlds) == 0).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Complexity(Measure):
+    """How elaborate a building is: a weighted sum of three counts."""
+
+    platform: float = 1.0
+    """Weight of the blocks of the largest platform less one."""
+    storey: float = 1.0
+    """Weight of each level that a block stands above the floor."""
+    ramp: float = 1.0
+    """Weight of each unfolded slope that leads up to a block."""
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return the number of each world, shape (B,)."""
+        out = np.empty(len(worlds.kind))
+        _complexities(worlds, (self.platform, self.storey, self.ramp), out)
+        return out

@@ -1,0 +1,156 @@
+"""Tasks: where a world starts, what it pays, when it is done. The six of the paper and one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.blueprint import NO_CELL, Blueprint, read_blueprint
+from craftsim.discrete.design import Design, read_design
+from craftsim.discrete.errors import BlueprintError, InputError, suggestion
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.measures import (
+    CodeBuilding,
+    CodePlatform,
+    Complexity,
+    Custom,
+    Finished,
+    FlagAtGoal,
+    FlagNearness,
+    Measure,
+    OnePlatform,
+    PaperBuilding,
+    PaperPlatform,
+)
+from craftsim.discrete.observation import Layout
+from craftsim.discrete.placement import Placement
+from craftsim.discrete.rewards import CodeBarrier, CodeReward, PaperBarrier, Reward
+
+TaskName = Literal[
+    "strip", "block", "simple_two_story", "complex_two_story", "free_building", "breaking_barrier"
+]
+TASK_NAMES: Final[tuple[str, ...]] = get_args(TaskName)
+
+RewardName = Literal["paper", "published_code", "complexity"]
+"""What a task pays: as the paper states it, as CraftEnv's code computes it, or how elaborate a building is."""
+
+DEFAULT_MAX_STEPS: Final = 18
+"""The published step limit; an episode has two ticks more (docs/rules.md#episode-length)."""
+
+UPPER_BLOCK: Final = {"simple_two_story": 1.0, "complex_two_story": 3.0}
+"""Worth of a block above the floor by the paper's table 1, in simple and in complex buildings."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """Everything that makes a world an episode."""
+
+    name: str
+    starts: tuple[Blueprint, ...]
+    """One of them is drawn for every episode; all announce the same numbers of cars, slopes and blocks."""
+    reward: Reward
+    success: Measure | Callable[[Grid], float | bool]
+    """Whether the work is done: not zero when it is."""
+    design: Design | None = None
+    max_steps: int = DEFAULT_MAX_STEPS
+    ends_on_success: bool = True
+    shows_flag: bool = False
+    """Whether observations have the flag's place; else that row repeats the goal."""
+    placement: Placement = "sane"
+
+    def __post_init__(self) -> None:
+        if not self.starts:
+            raise InputError(f"task '{self.name}' needs at least one start file")
+        if self.max_steps < 0:
+            raise InputError(f"task '{self.name}': max_steps is {self.max_steps}, allowed: 0 or more")
+        first = self.starts[0]
+        for start in self.starts[1:]:
+            counts = [(b.n_cars, b.n_slopes, b.n_blocks, b.size) for b in (first, start)]
+            if counts[0] != counts[1]:
+                raise BlueprintError(
+                    f"{start.path}: cars, slopes, blocks and area are {counts[1]}, but {counts[0]} in "
+                    f"{first.path}; the start files of one task must agree"
+                )
+        if self.design is not None:
+            self.design.check_fits(first.size)
+
+    @property
+    def layout(self) -> Layout:
+        """Layout of the task's observations."""
+        return Layout.of(self.starts[0], self.shows_flag)
+
+    @property
+    def success_measure(self) -> Measure:
+        """The success predicate as a measure."""
+        return self.success if isinstance(self.success, Measure) else Custom(self.success)
+
+    def draw(self, rng: np.random.Generator) -> Grid:
+        """Return a new world from one of the start files."""
+        start = self.starts[rng.integers(len(self.starts))] if len(self.starts) > 1 else self.starts[0]
+        return start.grid(rng, self.placement)
+
+    def over(self, t: NDArray[np.int64], success: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return whether episodes are over after tick t (from 0), elementwise."""
+        too_long: NDArray[np.bool_] = t > self.max_steps
+        return too_long | success if self.ends_on_success else too_long
+
+    def succeeded(self, grid: Grid) -> bool:
+        """Return whether the work is done."""
+        return bool(self.success_measure.of(grid))
+
+
+def shipped_blueprint(name: str) -> Path:
+    """Return the path of a shipped start or goal file, e.g. ``strip`` or ``strip_goal``."""
+    with as_file(files("craftsim") / "data" / "blueprints" / f"{name}.yaml") as path:
+        return path
+
+
+def make_task(name: TaskName | str, reward: RewardName = "paper", max_steps: int = DEFAULT_MAX_STEPS) -> Task:
+    """Return one of the paper's six tasks.
+
+    With ``reward="published_code"`` an episode ends by its length alone, random placement is as published,
+    and the flag's row is shown in the barrier task only; otherwise it also ends with success.
+    """
+    if name not in TASK_NAMES:
+        raise InputError(
+            f"unknown task '{name}'{suggestion(name, TASK_NAMES)}; there are {', '.join(TASK_NAMES)}"
+        )
+    if reward not in get_args(RewardName):
+        known = get_args(RewardName)
+        raise InputError(
+            f"unknown reward '{reward}'{suggestion(reward, known)}; there are {', '.join(known)}"
+        )
+    start = read_blueprint(shipped_blueprint(name))
+    code = reward == "published_code"
+    design = None
+    success: Measure
+    pays: Reward
+    if name == "free_building":
+        pays = CodeReward(CodePlatform()) if code else Reward(PaperPlatform())
+        success = OnePlatform(start.n_blocks)
+    elif name == "breaking_barrier":
+        goal = start.goal or NO_CELL
+        pays = (CodeBarrier if code else PaperBarrier)(FlagNearness(goal))
+        success = FlagAtGoal(goal)
+    else:
+        design = read_design(shipped_blueprint(f"{name}_goal"))
+        upper_block = UPPER_BLOCK.get(name, 1.0)
+        pays = CodeReward(CodeBuilding(design)) if code else Reward(PaperBuilding(design, upper_block))
+        success = Finished(design)
+    return Task(
+        name=name,
+        starts=(start,),
+        reward=Reward(Complexity()) if reward == "complexity" else pays,
+        success=success,
+        design=design,
+        max_steps=max_steps,
+        ends_on_success=not code,
+        shows_flag=name == "breaking_barrier",
+        placement="published" if code else "sane",
+    )

@@ -1,0 +1,156 @@
+"""Many worlds of one size side by side: the same compiled rules, one call for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.cells import World, world_at
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.errors import CraftsimError
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.legality import N_ACTIONS
+from craftsim.discrete.observation import ROW, Layout, fill_rows
+from craftsim.discrete.planner import empty_queue, run_helper_tick
+from craftsim.discrete.rules import Rules, fill_mask, run_tick
+from craftsim.discrete.search import Space, fill_reachable, make_space
+
+
+@compiled
+def _fill_masks(worlds: World, out: NDArray[np.bool_]) -> None:
+    for i in range(out.shape[0]):
+        fill_mask(world_at(worlds, i), out[i])
+
+
+@compiled
+def _fill_reachable(worlds: World, space: Space, limit: int, out: NDArray[np.bool_]) -> None:
+    for i in range(out.shape[0]):
+        fill_mask(world_at(worlds, i), out[i])
+        fill_reachable(world_at(worlds, i), space, limit, out[i])
+
+
+@compiled
+def _tick(
+    worlds: World, order: NDArray[np.int64], actions: NDArray[np.int64], applied: NDArray[np.bool_]
+) -> None:
+    for i in range(order.shape[0]):
+        run_tick(world_at(worlds, i), order[i], actions[i], applied[i])
+
+
+@compiled
+def _helper_tick(
+    worlds: World,
+    order: NDArray[np.int64],
+    actions: NDArray[np.int64],
+    applied: NDArray[np.bool_],
+    queues: NDArray[np.int8],
+    space: Space,
+    limit: int,
+) -> None:
+    for i in range(order.shape[0]):
+        run_helper_tick(world_at(worlds, i), order[i], actions[i], applied[i], queues[i], space, limit)
+
+
+@compiled
+def _fill_rows(
+    worlds: World,
+    n_slopes: int,
+    n_blocks: int,
+    goal: tuple[int, int, int],
+    shows_flag: bool,
+    out: NDArray[np.int32],
+) -> bool:
+    fits = True
+    for i in range(out.shape[0]):
+        fits &= fill_rows(world_at(worlds, i), n_slopes, n_blocks, goal, shows_flag, out[i])
+    return fits
+
+
+class Worlds:
+    """B worlds of one size and number of cars under one rule set; they are changed in place.
+
+    With a ``depth`` the action helper is on and ``queue`` (B, n, depth + 1) holds what it still has to do, -1
+    where nothing.
+    """
+
+    def __init__(self, rules: Rules, grids: Sequence[Grid], depth: int | None = None) -> None:
+        shapes = {(grid.size, grid.n_cars) for grid in grids}
+        if len(shapes) != 1:
+            raise CraftsimError(
+                f"worlds of a batch must be of one size and number of cars, not {sorted(shapes)}"
+            )
+        self.rules = rules
+        self.depth = depth
+        self.n_cars = grids[0].n_cars
+        self.arrays = World(
+            np.stack([grid.kind for grid in grids]),
+            np.stack([grid.yaw for grid in grids]),
+            np.stack([grid.top for grid in grids]),
+            np.stack([grid.back for grid in grids]),
+            np.stack([grid.cars for grid in grids]),
+            rules.law,
+        )
+        self.queue = np.stack([empty_queue(self.n_cars, depth or 0) for _ in grids])
+        self._space = make_space(grids[0].size)
+
+    def __len__(self) -> int:
+        return len(self.arrays.kind)
+
+    def grid(self, i: int) -> Grid:
+        """Return a copy of world i."""
+        w = self.arrays
+        return Grid(w.kind[i], w.yaw[i], w.cars[i], w.top[i], w.back[i]).copy()
+
+    def put(self, i: int, grid: Grid) -> None:
+        """Replace world i, and empty its queues."""
+        w = self.arrays
+        w.kind[i], w.yaw[i], w.top[i], w.back[i], w.cars[i] = (
+            grid.kind,
+            grid.yaw,
+            grid.top,
+            grid.back,
+            grid.cars,
+        )
+        self.queue[i] = -1
+
+    def legal(self) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what each car could do at once."""
+        out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
+        _fill_masks(self.arrays, out)
+        return out
+
+    def reachable(self, depth: int) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what is legal, and the moves that a helper of a given depth has a plan for."""
+        out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
+        _fill_reachable(self.arrays, self._space, depth, out)
+        return out
+
+    def tick(self, actions: NDArray[np.integer], order: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Let all cars act; return (B, n), by car, whether what each did was legal when its turn came.
+
+        ``actions`` (B, n) is by car, ``order`` (B, n) lists the cars of each world as they act.
+        """
+        turns: NDArray[np.int64] = np.ascontiguousarray(order, np.int64)
+        acting = np.take_along_axis(np.asarray(actions, np.int64), turns, axis=1)
+        in_order = np.empty(turns.shape, np.bool_)
+        if self.depth is None:
+            _tick(self.arrays, turns, acting, in_order)
+        else:
+            _helper_tick(self.arrays, turns, acting, in_order, self.queue, self._space, self.depth)
+        applied = np.empty_like(in_order)
+        np.put_along_axis(applied, turns, in_order, axis=1)
+        return applied
+
+    def entity_rows(self, layout: Layout) -> NDArray[np.int32]:
+        """Return (B, n_rows, 13): the rows of all entities of each world.
+
+        Raises CraftsimError if a world has more slopes or blocks than the layout has rows for.
+        """
+        out = np.empty((len(self), layout.n_rows, ROW), np.int32)
+        if not _fill_rows(
+            self.arrays, layout.n_slopes, layout.n_blocks, layout.goal_cell, layout.shows_flag, out
+        ):
+            raise CraftsimError(layout.overflow)
+        return out

@@ -55,13 +55,17 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Residual:
-    """How far a thing is from the ideal place that it was read as."""
+class Placed:
+    """Where a car or an object was read to be, and how far it is from the ideal place."""
 
+    cell: tuple[int, int, int]
+    """(x, y, z); of a carried object the cell of its car."""
     offset_m: float
-    """Horizontal distance from the cell's centre."""
+    """Horizontal distance from the cell's centre; of a carried object from its car's centre line."""
     heading_rad: float
     """Heading minus the nearest grid yaw's, in (-pi/4, pi/4]."""
+    carrier: int | None = None
+    """The car that carries it, if any."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +73,9 @@ class Reading:
     """A Grid read from poses, with what is inexact or impossible about it."""
 
     grid: Grid
-    cars: tuple[Residual, ...]
-    objects: tuple[Residual, ...]
-    """One for each object; a carried one is measured against its car."""
+    cars: tuple[Placed, ...]
+    objects: tuple[Placed, ...]
+    """In the order of the poses."""
     problems: tuple[str, ...] = field(default=())
     """What could not be read as a grid, in words; empty when everything stands in a cell."""
 
@@ -116,7 +120,9 @@ def _column(position: NDArray[np.float64]) -> tuple[int, int]:
     return math.floor(position[0] / CELL_PITCH_M), math.floor(position[1] / CELL_PITCH_M)
 
 
-def _place(grid: Grid, name: str, position: NDArray[np.float64], problems: list[str]) -> tuple[int, int, float]:
+def _place(
+    grid: Grid, name: str, position: NDArray[np.float64], problems: list[str]
+) -> tuple[int, int, float]:
     """Return the column of a position and its distance from the column's centre, noting what is wrong with it."""
     x, y = _column(position)
     offset = float(np.hypot(*(position - cell_position(x, y, 1))[:2]))
@@ -141,7 +147,7 @@ def _level(grid: Grid, name: str, height: float, problems: list[str]) -> int:
     return min(max(level, 1), top)
 
 
-def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Residual:
+def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Placed:
     name, position = f"car {car}", poses.car_positions[car]
     turn = rotation_matrix(poses.car_quaternions[car])
     x, y, offset = _place(grid, name, position, problems)
@@ -151,7 +157,11 @@ def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Residu
     pitch = math.asin(max(-1.0, min(1.0, turn[2, 0])))
     roll = abs(math.asin(max(-1.0, min(1.0, turn[2, 1]))))
     on_slope = abs(pitch) > INCLINE_RAD / 2
-    if roll > TILT_TOLERANCE_RAD or abs(abs(pitch) - on_slope * INCLINE_RAD) > TILT_TOLERANCE_RAD or turn[2, 2] < 0:
+    if (
+        roll > TILT_TOLERANCE_RAD
+        or abs(abs(pitch) - on_slope * INCLINE_RAD) > TILT_TOLERANCE_RAD
+        or turn[2, 2] < 0
+    ):
         problems.append(f"{name} leans: pitch {pitch:+.2f} rad, roll {roll:.2f} rad")
     slope = 0
     height = float(position[2])
@@ -160,8 +170,8 @@ def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Residu
         slope = 1 if lower else 2
         height += LEVEL_HEIGHT_M * (-0.25 if lower else 0.25)
     grid.cars[car, [CarField.X, CarField.Y, CarField.YAW, CarField.SLOPE]] = x, y, yaw, slope
-    grid.cars[car, CarField.Z] = _level(grid, name, height, problems)
-    return Residual(offset, excess)
+    grid.cars[car, CarField.Z] = level = _level(grid, name, height, problems)
+    return Placed((x, y, level), offset, excess)
 
 
 def _carrier(poses: Poses, position: NDArray[np.float64]) -> tuple[int, NDArray[np.float64]] | None:
@@ -173,7 +183,7 @@ def _carrier(poses: Poses, position: NDArray[np.float64]) -> tuple[int, NDArray[
     return None
 
 
-def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> Residual:
+def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> Placed:
     kind, position = poses.kinds[index], poses.positions[index]
     name = f"{'slope' if kind == Kind.FSLOPE else kind.name.lower()} {index}"
     turn = rotation_matrix(poses.quaternions[index])
@@ -190,7 +200,8 @@ def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> R
             problems.append(f"{name} is a second load on car {car}")
         grid.cars[car, CarField.LOAD] = kind
         grid.cars[car, CarField.LOAD_YAW] = yaw if kind == Kind.FSLOPE else 0
-        return Residual(float(np.hypot(*relative[:2])), excess)
+        x, y, z = (int(grid.cars[car, f]) for f in (CarField.X, CarField.Y, CarField.Z))
+        return Placed((x, y, z), float(np.hypot(*relative[:2])), excess, car)
     x, y, offset = _place(grid, name, position, problems)
     level = _level(grid, name, float(position[2]), problems)
     tilt = math.acos(max(-1.0, min(1.0, turn[2, 2])))
@@ -204,10 +215,12 @@ def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> R
         _put(grid, (*ahead, level), Kind.GEAR if folded else Kind.FOOT, yaw, name, problems)
     else:
         _put(grid, (x, y, level), kind, 0, name, problems)
-    return Residual(offset, excess)
+    return Placed((x, y, level), offset, excess)
 
 
-def _put(grid: Grid, cell: tuple[int, int, int], kind: Kind, yaw: int, name: str, problems: list[str]) -> None:
+def _put(
+    grid: Grid, cell: tuple[int, int, int], kind: Kind, yaw: int, name: str, problems: list[str]
+) -> None:
     length, width, _ = grid.size
     if not (0 <= cell[0] < length and 0 <= cell[1] < width):
         problems.append(f"{name} reaches outside the area, into {tuple(int(c) for c in cell)}")

@@ -75,10 +75,14 @@ class SmartcarParameters:
     chassis_width_m: float = published(0.167)
     chassis_bottom_m: float = published(-0.040)
     chassis_top_m: float = published(0.050)
-    chassis_chamfer_m: float = assumed(0.025, "published without a figure; keeps the nose off the foot of the slope")
+    chassis_chamfer_m: float = assumed(
+        0.025, "published without a figure; keeps the nose off the foot of the slope"
+    )
     chassis_mass_kg: float = published(1.0)
     chassis_com_m: float = published(-0.025, "height of the chassis' centre of mass")
-    board_top_m: float = published(0.053, "read as the upper face, so that the plate lies on the chassis' top")
+    board_top_m: float = published(
+        0.053, "read as the upper face, so that the plate lies on the chassis' top"
+    )
     board_length_m: float = published(0.194)
     board_width_m: float = published(0.200)
     board_thickness_m: float = published(0.003)
@@ -89,10 +93,13 @@ class SmartcarParameters:
     boss_side_m: float = published(0.11, "at its foot")
     boss_top_side_m: float = assumed(0.100, "bevelled edges are published without a figure: 45 degrees")
     boss_height_m: float = published(0.005)
-    wheel_torque_nm: float = assumed(2.5, "a wheel motor; three times what a loaded climb at 16 degrees needs")
+    wheel_torque_nm: float = assumed(
+        2.5, "a wheel motor; three times what a loaded climb at 16 degrees needs"
+    )
     wheel_speed_rad_s: float = assumed(20.0, "about 1 m/s; no published figure")
     wheel_gain_nms_rad: float = assumed(
-        4.0, "velocity servo: 0.11 rad/s of droop at the gear's friction; stiffer axles fight each other on a crest"
+        4.0,
+        "velocity servo: 0.11 rad/s of droop at the gear's friction; stiffer axles fight each other on a crest",
     )
     gear_friction_nm: float = assumed(
         0.45, "self-locking gear: a car carrying a slope needs 0.39 Nm a wheel to stand on the incline"
@@ -123,16 +130,21 @@ class BlockParameters:
 
     side_m: float = published(0.32)
     height_m: float = derived(
-        LEVEL_HEIGHT_M, "one level; the mesh has 0.187 and the collision box 0.1905, which do not stack at the pitch"
+        LEVEL_HEIGHT_M,
+        "one level; the mesh has 0.187 and the collision box 0.1905, which do not stack at the pitch",
     )
     leg_side_m: float = published(0.025)
     leg_offset_m: float = published(0.1475)
-    underside_m: float = published(0.1155, "top of the legs; the deck's box starts 3 mm higher, a gap no table has")
+    underside_m: float = published(
+        0.1155, "top of the legs; the deck's box starts 3 mm higher, a gap no table has"
+    )
     deck_mass_kg: float = published(0.5)
     leg_mass_kg: float = published(0.001)
     pocket_side_m: float = assumed(0.111, "the boss' foot and 0.5 mm of play on each side")
     pocket_depth_m: float = assumed(0.006, "the boss' height and 1 mm")
-    friction: float = assumed(0.4, "moulded plastic on plastic, plywood or concrete: handbooks give 0.3 to 0.5")
+    friction: float = assumed(
+        0.4, "moulded plastic on plastic, plywood or concrete: handbooks give 0.3 to 0.5"
+    )
 
     @property
     def mass_kg(self) -> float:
@@ -146,13 +158,18 @@ class SlopeParameters:
 
     side_m: float = published(0.32, "the visual mesh; the collision meshes' 0.34 overlap at the grid's pitch")
     height_m: float = derived(LEVEL_HEIGHT_M, "one level, so that the incline ends flush with a block's deck")
-    hinge_x_m: float = derived(CELL_PITCH_M / 2, "on the cell's border, so that the folded flap covers the base")
+    hinge_x_m: float = derived(
+        CELL_PITCH_M / 2, "on the cell's border, so that the folded flap covers the base"
+    )
     hinge_z_m: float = derived(
-        LEVEL_HEIGHT_M / 2, "half a level, so that the folded top is level; published 0.095 would stand 5 mm proud"
+        LEVEL_HEIGHT_M / 2,
+        "half a level, so that the folded top is level; published 0.095 would stand 5 mm proud",
     )
     incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees")
     skin_m: float = assumed(0.004, "leaves a car below 2.8 mm of head-room at its lower corner")
-    underside_m: float = assumed(0.1155, "the pads hang as low as a block's underside, so that one board fits both")
+    underside_m: float = assumed(
+        0.1155, "the pads hang as low as a block's underside, so that one board fits both"
+    )
     base_mass_kg: float = published(1.0)
     flap_mass_kg: float = published(0.1)
     gear_radius_m: float = published(0.02)

@@ -31,7 +31,11 @@ class Placement:
 def placements(grid: Grid) -> list[Placement]:
     """Return the start pose of every part: cars by id, then loads by car, then objects in scan order x, y, z."""
     cars = [_car(grid, row) for row in grid.cars]
-    loads = [_load(grid, row, car) for row, car in zip(grid.cars, cars, strict=True) if row[CarField.LOAD] != Kind.AIR]
+    loads = [
+        _load(grid, row, car)
+        for row, car in zip(grid.cars, cars, strict=True)
+        if row[CarField.LOAD] != Kind.AIR
+    ]
     return cars + loads + _objects(grid)
 
 
@@ -46,13 +50,17 @@ def _car(grid: Grid, row: NDArray[np.int64]) -> Placement:
     position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
     position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
     board = SMARTCAR.board_travel_m if row[CarField.LOAD] != Kind.AIR else 0.0
-    return Placement("smartcar", position, _quaternion(yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)), board)
+    return Placement(
+        "smartcar", position, _quaternion(yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)), board
+    )
 
 
 def _load(grid: Grid, row: NDArray[np.int64], car: Placement) -> Placement:
     lift = SMARTCAR.board_rest_m + SMARTCAR.board_travel_m - BLOCK.underside_m
     pitch, heading = incline_under(grid, row), yaw_angle(int(row[CarField.YAW]))
-    up = np.array([-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)])
+    up = np.array(
+        [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]
+    )
     position = car.position + lift * up
     if row[CarField.LOAD] == Kind.FSLOPE:
         # A carried slope faces away from the car's heading, so the same incline lowers its nose.

@@ -80,7 +80,9 @@ def _docked_slope(site: Site, position: NDArray[np.float64], turn: NDArray[np.fl
 
 def read_poses(site: Site) -> Poses:
     """Return the true poses of everything that moves: cars by id; then blocks, flags and slopes."""
-    objects = [(Kind.BLOCK, b, math.nan) for b in site.blocks] + [(Kind.FLAG, f, math.nan) for f in site.flags]
+    objects = [(Kind.BLOCK, b, math.nan) for b in site.blocks] + [
+        (Kind.FLAG, f, math.nan) for f in site.flags
+    ]
     objects += [(Kind.FSLOPE, s.base, float(site.data.qpos[s.hinge.qpos])) for s in site.slopes]
     cars = [site.free_body_state(car.base) for car in site.cars]
     states = [site.free_body_state(body) for _, body, _ in objects]

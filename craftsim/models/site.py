@@ -5,23 +5,32 @@ A Site is composed from a Grid. After a reset the only thing that changes it is 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from craftsim.discrete.geometry import CELL_PITCH_M, cell_position
+from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.composition import Cell, compose
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parts import Car, FreeBody, Slope, load_car, load_part, load_slope
-from craftsim.models.placement import Placement, placements
+from craftsim.models.parts import Car, FreeBody, Slope
+from craftsim.models.placement import placements
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _STAY_AWAKE = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
 
-GoalCells = Sequence[tuple[int, int, int]]
+
+@dataclass(frozen=True)
+class SiteState:
+    """A saved state. MuJoCo's state vector leaves out which trees sleep, so the whole of MjData is kept."""
+
+    data: mujoco.MjData
+    policies: NDArray[np.int32]
 
 
 class Site:
@@ -32,19 +41,21 @@ class Site:
     :meth:`turn_hinge`.
     """
 
-    def __init__(self, grid: Grid, config: SimulationConfig | None = None, goals: GoalCells = ()) -> None:
+    def __init__(
+        self, grid: Grid, config: SimulationConfig | None = None, goals: Sequence[Cell] = ()
+    ) -> None:
         """Compose, compile and reset the world of a grid; ``goals`` are cells that get a marker without contact."""
         self.config = config or SimulationConfig()
         self.size = grid.size
         self._placements = placements(grid)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
-        spec, names = _compose(grid, self._placements, self.config, goals)
+        spec, names = compose(grid, self._placements, self.config, goals)
         self.model: mujoco.MjModel = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self.cars = tuple(Car.find(self.model, n) for n in names["smartcar"])
-        self.slopes = tuple(Slope.find(self.model, n) for n in names["slope"])
-        self.blocks = tuple(FreeBody.find(self.model, n + "block") for n in names["block"])
-        self.flags = tuple(FreeBody.find(self.model, n + "flag") for n in names["flag"])
+        self.cars = tuple(Car.find(self.model, name) for name in names["smartcar"])
+        self.slopes = tuple(Slope.find(self.model, name) for name in names["slope"])
+        self.blocks = tuple(FreeBody.find(self.model, name + "block") for name in names["block"])
+        self.flags = tuple(FreeBody.find(self.model, name + "flag") for name in names["flag"])
         self.reset()
 
     def reset(self) -> None:
@@ -90,6 +101,22 @@ class Site:
         else:
             mujoco.mj_step(self.model, self.data, self.config.steps_per_period)
 
+    def save(self) -> SiteState:
+        """Return a copy of the full state: restoring it and going on gives the same numbers, bit for bit."""
+        return SiteState(copy.copy(self.data), self.model.tree_sleep_policy.copy())
+
+    def restore(self, state: SiteState) -> None:
+        """Go back to a state that this Site, or another one composed from an equal grid and config, has saved."""
+        if (
+            state.data.qpos.shape != self.data.qpos.shape
+            or state.policies.shape != self.model.tree_sleep_policy.shape
+        ):
+            raise InputError(
+                "this state was saved by a Site with other parts; restore it on one of an equal grid"
+            )
+        mujoco.mj_copyData(self.data, self.model, state.data)
+        self.model.tree_sleep_policy[:] = state.policies
+
     def free_body_state(self, body: FreeBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return copies of a body's position (3,) in metres and unit quaternion (4,), w first, in the world frame."""
         pose = self.data.qpos[body.qpos : body.qpos + 7].copy()
@@ -98,54 +125,10 @@ class Site:
     def _rouse(self) -> bool:
         """Keep commanded trees awake, let the others sleep; return whether a commanded one is asleep."""
         asleep = False
-        for part in (*self.cars, *self.slopes):
-            actuators = part.motors
-            busy = bool(np.any(self.data.ctrl[actuators]))
-            self.model.tree_sleep_policy[part.base.tree] = _STAY_AWAKE if busy else _MAY_SLEEP
-            asleep |= busy and self.data.tree_asleep[part.base.tree] >= 0
+        machines = [(car.base.tree, car.motors) for car in self.cars]
+        machines += [(slope.base.tree, slope.motors) for slope in self.slopes]
+        for tree, motors in machines:
+            busy = bool(np.any(self.data.ctrl[motors]))
+            self.model.tree_sleep_policy[tree] = _STAY_AWAKE if busy else _MAY_SLEEP
+            asleep |= busy and bool(self.data.tree_asleep[tree] >= 0)
         return asleep
-
-
-def _compose(
-    grid: Grid, placed: list[Placement], config: SimulationConfig, goals: GoalCells
-) -> tuple[mujoco.MjSpec, dict[str, list[str]]]:
-    """Attach every part to the ground; return the spec and the name prefixes by kind of part."""
-    spec = load_part("ground")
-    names: dict[str, list[str]] = {"smartcar": [], "block": [], "flag": [], "slope": [], "wall": []}
-    for item in placed:
-        index = len(names[item.kind])
-        prefix = f"{'car' if item.kind == 'smartcar' else item.kind}{index}/"
-        names[item.kind].append(prefix)
-        match item.kind:
-            case "smartcar":
-                part = load_car(index)
-            case "slope":
-                part = load_slope()
-            case _:
-                part = load_part(item.kind)
-        frame = spec.worldbody.add_frame(pos=item.position, quat=item.quaternion)
-        frame.attach_body(part.body(item.kind), prefix, "")
-    for i, (x, y, z) in enumerate(goals):
-        spec.worldbody.add_site(
-            name=f"goal{i}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=cell_position(x, y, z) + np.array([0, 0, 0.002]),
-            size=[0.45 * CELL_PITCH_M, 0.45 * CELL_PITCH_M, 0.001],
-            rgba=[0.25, 0.75, 0.40, 0.45],
-        )
-    _configure(spec, grid, config)
-    return spec, names
-
-
-def _configure(spec: mujoco.MjSpec, grid: Grid, config: SimulationConfig) -> None:
-    spec.modelname = "site"
-    spec.option.timestep = config.timestep_s
-    spec.option.impratio = config.friction_impedance_ratio
-    spec.option.sleep_tolerance = config.sleep_tolerance_m_s
-    if config.sleep:
-        spec.option.enableflags |= _SLEEP
-    length, width, _ = grid.size
-    ground = spec.geom("ground")
-    margin = 1.0
-    ground.size = [(0.5 * length + margin) * CELL_PITCH_M, (0.5 * width + margin) * CELL_PITCH_M, 0.05]
-    ground.pos = [0.5 * length * CELL_PITCH_M, 0.5 * width * CELL_PITCH_M, 0.0]

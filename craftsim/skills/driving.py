@@ -158,7 +158,7 @@ class Move(DrivingSkill):
     def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
         cell = np.floor(np.array([now.x, now.y]) / CELL_PITCH_M) + DIRECTIONS[self.direction]
         yaw, _ = nearest_yaw(now.heading)
-        return np.array([*cell_position(*cell, 1)[:2], yaw_angle(yaw)])
+        return np.array([*cell_position(cell[0], cell[1], 1)[:2], yaw_angle(yaw)])
 
     def _stretch(self, now: CarMeasurement) -> NDArray[np.float64]:
         # Where the ground bends, at the cell border, the axles roll on different inclines, but the stiff body gives both
@@ -170,7 +170,10 @@ class Move(DrivingSkill):
         forward = float(np.array([math.cos(now.heading), math.sin(now.heading)]) @ DIRECTIONS[self.direction])
         reach = SMARTCAR.wheel_x_m * forward * math.cos(now.pitch)
         front, rear = (
-            1 / math.cos((self.terrain.end_rad if past_border + side > 0 else self.terrain.start_rad) - now.pitch)
+            1
+            / math.cos(
+                (self.terrain.end_rad if past_border + side > 0 else self.terrain.start_rad) - now.pitch
+            )
             for side in (reach, -reach)
         )
         return np.array([front, front, rear, rear])
@@ -196,7 +199,7 @@ class Rotate(DrivingSkill):
     def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
         cell = np.floor(np.array([now.x, now.y]) / CELL_PITCH_M)
         yaw, _ = nearest_yaw(now.heading)
-        return np.array([*cell_position(*cell, 1)[:2], yaw_angle(yaw + self.quarter)])
+        return np.array([*cell_position(cell[0], cell[1], 1)[:2], yaw_angle(yaw + self.quarter)])
 
     def _make_profile(self) -> Profile:
         gains = self.gains

@@ -25,13 +25,18 @@ class Executor:
         self.gains = gains or load_gains()
         self.observer = observer
 
-    def run(self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None) -> dict[int, Outcome]:
+    def run(
+        self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None
+    ) -> dict[int, Outcome]:
         """Perform one action for each given car, and return the outcomes by car; other cars are left at rest.
 
         ``terrain`` gives the ground of the moves that are not on the flat, by car.
         """
         site, period = self.site, self.site.config.control_period_s
-        skills = {car: make_skill(action, self.gains, period, (terrain or {}).get(car)) for car, action in actions.items()}
+        skills = {
+            car: make_skill(action, self.gains, period, (terrain or {}).get(car))
+            for car, action in actions.items()
+        }
         for car, skill in skills.items():
             skill.start(measure(site, car))
         outcomes: dict[int, Outcome] = {}

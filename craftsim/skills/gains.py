@@ -77,7 +77,9 @@ class Gains:
         for section in ("drive", "board", "hinge"):
             for name, value in asdict(getattr(self, section)).items():
                 if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-                    raise InputError(f"{self.source}: {section}.{name} must be a positive number, not {value!r}")
+                    raise InputError(
+                        f"{self.source}: {section}.{name} must be a positive number, not {value!r}"
+                    )
 
 
 def load_gains(path: Path | None = None) -> Gains:
@@ -85,7 +87,9 @@ def load_gains(path: Path | None = None) -> Gains:
 
     Raises InputError, naming the file and key, for what is not a known gain.
     """
-    nominal = yaml.safe_load(files("craftsim.data").joinpath("gains/nominal.yaml").read_text(encoding="utf-8"))
+    nominal = yaml.safe_load(
+        files("craftsim.data").joinpath("gains/nominal.yaml").read_text(encoding="utf-8")
+    )
     if path is None:
         return _build(nominal, {}, "nominal")
     try:

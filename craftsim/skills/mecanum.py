@@ -19,7 +19,7 @@ TWIST_TO_WHEELS: Final[NDArray[np.float64]] = (
     np.array([[1, -1, -_L], [1, 1, _L], [1, 1, -_L], [1, -1, _L]]) / SMARTCAR.wheel_radius_m
 )
 """(4, 3): wheel speeds in rad/s from a body twist in m/s, m/s and rad/s."""
-WHEELS_TO_TWIST: Final[NDArray[np.float64]] = np.linalg.pinv(TWIST_TO_WHEELS)
+WHEELS_TO_TWIST: Final[NDArray[np.float64]] = np.linalg.pinv(TWIST_TO_WHEELS).astype(np.float64)
 """(3, 4): the body twist that fits four wheel speeds best in the sense of least squares."""
 
 

@@ -1,0 +1,97 @@
+"""Composing a world from a Grid: every part attached to the ground at its start pose, goal markers, cameras."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
+from craftsim.discrete.grid import Grid
+from craftsim.models.config import SimulationConfig
+from craftsim.models.parts import load_car, load_part, load_slope
+from craftsim.models.placement import Placement
+
+Cell = tuple[int, int, int]
+
+_MARGIN_CELLS = 2
+"""Width of bare floor around the area; whole cells, so that the floor's lines are the cells' borders."""
+_FIELD_OF_VIEW_DEG = 38.0
+
+
+def compose(
+    grid: Grid, placed: list[Placement], config: SimulationConfig, goals: Sequence[Cell]
+) -> tuple[mujoco.MjSpec, dict[str, list[str]]]:
+    """Attach every part to the ground; return the spec and the name prefixes by kind of part."""
+    spec = load_part("ground")
+    names: dict[str, list[str]] = {"smartcar": [], "block": [], "flag": [], "slope": [], "wall": []}
+    for item in placed:
+        index = len(names[item.kind])
+        prefix = f"{'car' if item.kind == 'smartcar' else item.kind}{index}/"
+        names[item.kind].append(prefix)
+        match item.kind:
+            case "smartcar":
+                part = load_car(index)
+            case "slope":
+                part = load_slope()
+            case _:
+                part = load_part(item.kind)
+        frame = spec.worldbody.add_frame(pos=item.position, quat=item.quaternion)
+        frame.attach_body(part.body(item.kind), prefix, "")
+    for i, (x, y, z) in enumerate(goals):
+        spec.worldbody.add_site(
+            name=f"goal{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=cell_position(x, y, z) + np.array([0, 0, 0.002]),
+            size=[0.45 * CELL_PITCH_M, 0.45 * CELL_PITCH_M, 0.001],
+            rgba=[0.25, 0.75, 0.40, 0.45],
+        )
+    _add_cameras(spec, grid)
+    _configure(spec, grid, config)
+    return spec, names
+
+
+def _configure(spec: mujoco.MjSpec, grid: Grid, config: SimulationConfig) -> None:
+    spec.modelname = "site"
+    spec.option.timestep = config.timestep_s
+    spec.option.impratio = config.friction_impedance_ratio
+    spec.option.sleep_tolerance = config.sleep_tolerance_m_s
+    if config.sleep:
+        spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    length, width, _ = grid.size
+    ground = spec.geom("ground")
+    ground.size = [
+        (0.5 * length + _MARGIN_CELLS) * CELL_PITCH_M,
+        (0.5 * width + _MARGIN_CELLS) * CELL_PITCH_M,
+        0.05,
+    ]
+    ground.pos = [0.5 * length * CELL_PITCH_M, 0.5 * width * CELL_PITCH_M, 0.0]
+
+
+def _add_cameras(spec: mujoco.MjSpec, grid: Grid) -> None:
+    """Add the cameras ``overview`` (from the front right, above) and ``top``, both with the whole area in view."""
+    length, width, height = grid.size
+    centre = 0.5 * CELL_PITCH_M * np.array([length, width, 0.0])
+    centre[2] = 0.5 * LEVEL_HEIGHT_M * min(height, 2)
+    span = CELL_PITCH_M * math.hypot(length, width)
+    distance = 0.5 * span / math.tan(math.radians(_FIELD_OF_VIEW_DEG) / 2)
+    towards = np.array([0.55, -0.62, 0.56])
+    towards /= np.linalg.norm(towards)
+    views = {"overview": centre + distance * towards, "top": centre + [0.0, -1e-3, 1.15 * distance]}
+    for name, position in views.items():
+        quaternion = _looking_at(centre, position)
+        spec.worldbody.add_camera(name=name, pos=position, quat=quaternion, fovy=_FIELD_OF_VIEW_DEG)
+
+
+def _looking_at(target: NDArray[np.float64], position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the quaternion of a camera at ``position`` that looks at ``target`` with the horizon level."""
+    backward = (position - target) / np.linalg.norm(position - target)
+    right = np.cross([0.0, 0.0, 1.0], backward)
+    right /= np.linalg.norm(right)
+    axes = np.column_stack([right, np.cross(backward, right), backward])
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, axes.ravel())
+    return quaternion

@@ -1,0 +1,1 @@
+"""Checking what really happened: plans run in physics, each action against the rules' prediction."""

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -119,7 +120,7 @@ def _run(
         )
     console.print(_table(run))
     built = design.satisfied(run.final.grid) if design else None
-    figures = {
+    figures: dict[str, Any] = {
         "actions": [_figures(record) for record in run.records],
         "agree": sum(record.legal and record.verdict.agrees for record in run.records),
         "total": len(run.records),
@@ -127,7 +128,7 @@ def _run(
         "simulated_s": run.simulated_s,
         "max_car_error_mm": 1e3 * max(r.car_error_m for r in run.records),
         "max_car_heading_error_mrad": 1e3 * max(abs(r.car_heading_error_rad) for r in run.records),
-        "max_placed_error_mm": 1e3 * max((r.placed_error_m or 0.0 for r in run.records)),
+        "max_placed_error_mm": 1e3 * max(r.placed_error_m or 0.0 for r in run.records),
         "max_others_moved_mm": 1e3 * max(r.others_moved_m for r in run.records),
         "final_cars": run.final.cars,
         "final_objects": run.final.objects,
@@ -141,11 +142,22 @@ def _run(
         "rules": "physical",
     }
     wall = {"total_s": time.perf_counter() - started}
+    _print_worst(console, figures)
     report = write_report(out, figures, command="demo", seed=seed, config=config, wall=wall)
     console.print(f"Report: {report}", soft_wrap=True)
     if film is not None:
         console.print(f"Film:   {out / f'{blueprint.stem}.mp4'} ({film.frames} frames)", soft_wrap=True)
     return _conclude(console, run, built)
+
+
+def _print_worst(console: Console, figures: dict[str, Any]) -> None:
+    console.print(
+        f"At worst: cars {figures['max_car_error_mm']:.2f} mm and "
+        f"{figures['max_car_heading_error_mrad']:.2f} mrad off, things set down "
+        f"{figures['max_placed_error_mm']:.2f} mm off, others moved {figures['max_others_moved_mm']:.2f} mm. "
+        f"{figures['simulated_s']:.1f} s simulated.",
+        soft_wrap=True,
+    )
 
 
 def _conclude(console: Console, run: CheckedRun, built: bool | None) -> int:
@@ -210,29 +222,27 @@ def _caption(car: int, doing: dict[int, Action]) -> str:
 
 
 def _table(run: CheckedRun) -> Table:
-    table = Table(title="Predicted by the rules, read from poses")
+    caption = "car: cell, heading, load, low or high on a slope; mm, mrad: the car's error at the end"
+    table = Table(
+        title="Predicted by the rules, read from poses", caption=caption, box=SIMPLE_HEAD, pad_edge=False
+    )
     for heading in ("tick", "car", "action", "predicted", "read", "verdict"):
-        table.add_column(heading)
-    for heading in ("s", "car mm", "mrad", "placed mm", "others mm"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, overflow="fold")
+    for heading in ("s", "mm", "mrad"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for record in run.records:
-        verdict = (
-            str(record.verdict.finding)
-            if record.outcome.succeeded
-            else f"{record.verdict.finding}; {record.outcome}"
-        )
+        verdict = str(record.verdict.finding) + ("" if record.outcome.succeeded else f"; {record.outcome}")
+        good = record.legal and record.verdict.agrees
         table.add_row(
             str(record.tick),
             str(record.car),
             record.action.name,
             record.predicted,
-            record.read,
-            f"[green]{verdict}[/]" if record.verdict.agrees else f"[red]{verdict}[/]",
+            "same" if record.read == record.predicted else record.read,
+            f"[{'green' if good else 'red'}]{verdict}[/]",
             f"{record.outcome.duration_s:.2f}",
             f"{record.car_error_m * 1e3:.2f}",
             f"{record.car_heading_error_rad * 1e3:+.2f}",
-            "" if record.placed_error_m is None else f"{record.placed_error_m * 1e3:.2f}",
-            f"{record.others_moved_m * 1e3:.2f}",
         )
     return table
 

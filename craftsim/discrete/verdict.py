@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.readback import Reading
+
+HEADINGS: Final = ("+x", "+y", "-x", "-y")
+"""The four grid yaws as map directions."""
 
 
 class Finding(StrEnum):
@@ -65,16 +69,18 @@ def describe_differences(predicted: Grid, read: Grid) -> list[str]:
         want, got = (f"{Kind(g.kind[x, y, z]).name.lower()} yaw {g.yaw[x, y, z]}" for g in (predicted, read))
         lines.append(f"cell ({x}, {y}, {z}): predicted {want}, read {got}")
     for car in np.flatnonzero((predicted.cars != read.cars).any(axis=1)):
-        lines.append(f"car {car}: predicted {describe_car(predicted, int(car))}, read {describe_car(read, int(car))}")
+        lines.append(
+            f"car {car}: predicted {describe_car(predicted, int(car))}, read {describe_car(read, int(car))}"
+        )
     return lines
 
 
 def describe_car(grid: Grid, car: int) -> str:
-    """Return a car's cell, yaw, load and slope state in a few words, such as ``(2, 3, 1) yaw 1, block``."""
+    """Return a car's cell, heading, load and place on a slope in brief, such as ``2,3,1 +y block``."""
     x, y, z, yaw, load, load_yaw, slope = (int(v) for v in grid.cars[car])
-    words = f"({x}, {y}, {z}) yaw {yaw}"
+    words = [f"{x},{y},{z} {HEADINGS[yaw]}"]
     if load != Kind.AIR:
-        words += f", {Kind(load).name.lower()}" + (f" yaw {load_yaw}" if load == Kind.FSLOPE else "")
+        words.append(Kind(load).name.lower() + (HEADINGS[load_yaw] if load == Kind.FSLOPE else ""))
     if slope:
-        words += ", lower slope" if slope == 1 else ", upper slope"
-    return words
+        words.append("low" if slope == 1 else "high")
+    return " ".join(words)

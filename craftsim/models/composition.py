@@ -77,10 +77,10 @@ def _add_cameras(spec: mujoco.MjSpec, grid: Grid) -> None:
     centre = 0.5 * CELL_PITCH_M * np.array([length, width, 0.0])
     centre[2] = 0.5 * LEVEL_HEIGHT_M * min(height, 2)
     span = CELL_PITCH_M * math.hypot(length, width)
-    distance = 0.5 * span / math.tan(math.radians(_FIELD_OF_VIEW_DEG) / 2)
+    distance = 0.42 * span / math.tan(math.radians(_FIELD_OF_VIEW_DEG) / 2)
     towards = np.array([0.55, -0.62, 0.56])
     towards /= np.linalg.norm(towards)
-    views = {"overview": centre + distance * towards, "top": centre + [0.0, -1e-3, 1.15 * distance]}
+    views = {"overview": centre + distance * towards, "top": centre + np.array([0.0, -1e-3, 1.15 * distance])}
     for name, position in views.items():
         quaternion = _looking_at(centre, position)
         spec.worldbody.add_camera(name=name, pos=position, quat=quaternion, fovy=_FIELD_OF_VIEW_DEG)

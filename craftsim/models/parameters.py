@@ -1,9 +1,9 @@
 """Dimensions, masses and limits of the machines, each with its origin.
 
-Every figure is *published* (the robot description files that accompany the CraftEnv paper), *derived* (from published
-figures, with the arithmetic) or *assumed* (ours, with the reason). The MJCF files hold the same nominal figures so that a
-person can read and open them alone; ``tests/models/test_parameters.py`` holds the two against each other. Where the
-published files contradict themselves the note says what was chosen and why.
+Every figure is *published* (the robot description files that accompany the CraftEnv paper), *derived* (from
+published figures, with the arithmetic) or *assumed* (ours, with the reason). The MJCF files hold the same nominal
+figures so that a person can read and open them alone; ``tests/models/test_parameters.py`` holds the two against
+each other. Where the published files contradict themselves the note says what was chosen and why.
 
 Units: metres, kilograms, seconds, radians, newtons, newton metres.
 """

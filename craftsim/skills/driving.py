@@ -161,8 +161,8 @@ class Move(DrivingSkill):
         return np.array([*cell_position(cell[0], cell[1], 1)[:2], yaw_angle(yaw)])
 
     def _stretch(self, now: CarMeasurement) -> NDArray[np.float64]:
-        # Where the ground bends, at the cell border, the axles roll on different inclines, but the stiff body gives both
-        # the same speed along itself: an axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
+        # Where the ground bends, at the cell border, the axles roll on different inclines, but the stiff body gives
+        # both the same speed along itself: an axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
         if not self.terrain.sloping:
             return np.ones(4)
         border = self._origin[:2] + 0.5 * self._delta[:2]

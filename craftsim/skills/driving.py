@@ -165,17 +165,16 @@ class Move(DrivingSkill):
         # both the same speed along itself: an axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
         if not self.terrain.sloping:
             return np.ones(4)
-        border = self._origin[:2] + 0.5 * self._delta[:2]
-        past_border = float((np.array([now.x, now.y]) - border) @ DIRECTIONS[self.direction])
-        forward = float(np.array([math.cos(now.heading), math.sin(now.heading)]) @ DIRECTIONS[self.direction])
+        step = DIRECTIONS[self.direction]
+        past_border = float((np.array([now.x, now.y]) - self._origin[:2] - 0.5 * self._delta[:2]) @ step)
+        forward = math.cos(now.heading) * step[0] + math.sin(now.heading) * step[1]
         reach = SMARTCAR.wheel_x_m * forward * math.cos(now.pitch)
-        front, rear = (
-            1
-            / math.cos(
-                (self.terrain.end_rad if past_border + side > 0 else self.terrain.start_rad) - now.pitch
-            )
-            for side in (reach, -reach)
-        )
+
+        def outrun(axle: float) -> float:
+            ground = self.terrain.end_rad if past_border + axle > 0 else self.terrain.start_rad
+            return 1 / math.cos(ground - now.pitch)
+
+        front, rear = outrun(reach), outrun(-reach)
         return np.array([front, front, rear, rear])
 
     def _make_profile(self) -> Profile:

@@ -57,6 +57,7 @@ def compose(
 def _configure(spec: mujoco.MjSpec, grid: Grid, config: SimulationConfig) -> None:
     spec.modelname = "site"
     spec.option.timestep = config.timestep_s
+    spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{config.solver.upper()}")
     spec.option.impratio = config.friction_impedance_ratio
     spec.option.sleep_tolerance = config.sleep_tolerance_m_s
     if config.sleep:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from craftsim.discrete.errors import InputError
+
+Solver = Literal["newton", "pgs"]
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,10 @@ class SimulationConfig:
 
     control_period_s: float = 0.02
     """How often skills are asked for a command: 50 Hz, as a small robot's controller. A multiple of the step."""
+
+    solver: Solver = "newton"
+    """Contact solver: Newton converges on these stiff contacts in a few iterations; pgs, which does not, is slower and
+    there to compare. MuJoCo's third solver, cg, is not stable on them."""
 
     friction_impedance_ratio: float = 100.0
     """How much stiffer friction is than normal contact (MuJoCo's impratio): at 100 a loaded car parked on the slope
@@ -42,6 +49,10 @@ class SimulationConfig:
         if self.timestep_s > 0.005:
             raise InputError(
                 f"SimulationConfig.timestep_s is {self.timestep_s}; above 0.005 s rollers lose the ground, try 0.004"
+            )
+        if self.solver not in get_args(Solver):
+            raise InputError(
+                f"SimulationConfig.solver is '{self.solver}'; allowed: {', '.join(get_args(Solver))}"
             )
         ratio = self.control_period_s / self.timestep_s
         if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:

@@ -108,6 +108,12 @@ class Blueprint:
         """
         return build_grid(self, rng, placement)
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether nothing is left to chance."""
+        numbers = (self.n_blocks, self.n_slopes, self.n_cars)
+        return numbers == (self.listed(Kind.BLOCK), self.listed(Kind.FSLOPE, Kind.BODY), len(self.cars))
+
     def listed(self, *kinds: Kind) -> int:
         """Return how many objects of some kinds are listed, carried and odd ones included."""
         odd = self.snapshot.cells if self.snapshot else ()

@@ -105,8 +105,15 @@ def yaw_at(w: World, x: int, y: int, z: int) -> int:
 @compiled
 def pose_of(w: World, car: int) -> Pose:
     """Return the state of a car."""
-    row = w.cars[car]
-    return Pose(row[F_X], row[F_Y], row[F_Z], row[F_YAW], row[F_LOAD], row[F_LOAD_YAW], row[F_SLOPE])
+    return Pose(
+        w.cars[car, F_X],
+        w.cars[car, F_Y],
+        w.cars[car, F_Z],
+        w.cars[car, F_YAW],
+        w.cars[car, F_LOAD],
+        w.cars[car, F_LOAD_YAW],
+        w.cars[car, F_SLOPE],
+    )
 
 
 @compiled
@@ -128,8 +135,7 @@ def derived_top(w: World, x: int, y: int, z: int, ignored: int) -> int:
     Gears and walls in the cell above count as nothing. Of two cars in one cell the higher id is returned.
     """
     for car in range(w.cars.shape[0] - 1, -1, -1):
-        row = w.cars[car]
-        if car != ignored and row[F_X] == x and row[F_Y] == y and row[F_Z] == z + 1:
+        if car != ignored and w.cars[car, F_X] == x and w.cars[car, F_Y] == y and w.cars[car, F_Z] == z + 1:
             return car
     above = kind_at(w, x, y, z + 1)
     if above in (AIR, GEAR, WALL):
@@ -177,9 +183,8 @@ def derive_marks(w: World) -> None:
                 w.top[x, y, z] = NOTHING if above in (AIR, GEAR, WALL) else OBJECT
                 w.back[x, y, z] = w.kind[x, y, z] == BLOCK and derived_back(w, x, y, z)
     for car in range(w.cars.shape[0]):
-        row = w.cars[car]
-        if inside(w, row[F_X], row[F_Y], row[F_Z] - 1):
-            w.top[row[F_X], row[F_Y], row[F_Z] - 1] = car
+        if inside(w, w.cars[car, F_X], w.cars[car, F_Y], w.cars[car, F_Z] - 1):
+            w.top[w.cars[car, F_X], w.cars[car, F_Y], w.cars[car, F_Z] - 1] = car
 
 
 @compiled

@@ -155,13 +155,12 @@ def moved(w: World, car: Pose, m: int) -> Pose:
 @compiled
 def write_pose(w: World, me: int, car: Pose) -> None:
     """Store a car's position, yaw, carried yaw and slope state."""
-    row = w.cars[me]
-    row[F_X] = car.x
-    row[F_Y] = car.y
-    row[F_Z] = car.z
-    row[F_YAW] = car.yaw
-    row[F_LOAD_YAW] = car.load_yaw
-    row[F_SLOPE] = car.slope
+    w.cars[me, F_X] = car.x
+    w.cars[me, F_Y] = car.y
+    w.cars[me, F_Z] = car.z
+    w.cars[me, F_YAW] = car.yaw
+    w.cars[me, F_LOAD_YAW] = car.load_yaw
+    w.cars[me, F_SLOPE] = car.slope
 
 
 @compiled

@@ -59,10 +59,12 @@ class Episodes:
 
     def reset(self, which: Sequence[int] | NDArray[np.integer] | None = None) -> None:
         """Start some episodes anew, or all."""
-        chosen = range(len(self.worlds)) if which is None else which
-        for i in chosen:
-            self.worlds.put(int(i), self.task.draw(self.rng))
-        rows = np.asarray(chosen, np.int64)
+        rows = np.arange(len(self.worlds)) if which is None else np.asarray(which, np.int64)
+        if self.task.always_starts_the_same:
+            self.worlds.put(rows, self.task.draw(self.rng))
+        else:
+            for i in rows:
+                self.worlds.put(int(i), self.task.draw(self.rng))
         self.t[rows] = 0
         self.paid[rows] = False
         self.done[rows] = False
@@ -145,7 +147,7 @@ class Episode:
         """Start anew."""
         self.batch.reset()
 
-    def step(self, actions: Sequence[int], order: Sequence[int] | None = None) -> Step:
+    def step(self, actions: Sequence[int] | NDArray[np.integer], order: Sequence[int] | None = None) -> Step:
         """Let all cars act once; ``actions`` by car, ``order`` of their turns."""
         turns = None if order is None else np.asarray(order)[None]
         steps = self.batch.step(np.asarray(actions, np.int64)[None], turns)

@@ -110,16 +110,15 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
     if carries_slope and not is_air_or_gear(kind_at(w, corner_x, corner_y, car.z)):
         return False
     for other in range(w.cars.shape[0]):
-        row = w.cars[other]
-        if other == me or row[F_LOAD] == AIR or row[F_Z] != car.z:
+        if other == me or w.cars[other, F_LOAD] == AIR or w.cars[other, F_Z] != car.z:
             continue
-        if abs(row[F_X] - car.x) + abs(row[F_Y] - car.y) == 1:
+        if abs(w.cars[other, F_X] - car.x) + abs(w.cars[other, F_Y] - car.y) == 1:
             return False
-        if carries_slope and row[F_X] == corner_x and row[F_Y] == corner_y:
+        if carries_slope and w.cars[other, F_X] == corner_x and w.cars[other, F_Y] == corner_y:
             return False
-        if row[F_LOAD] == FSLOPE:
-            gear_yaw = row[F_LOAD_YAW]
-            gx, gy = row[F_X] + dir_x(gear_yaw), row[F_Y] + dir_y(gear_yaw)
+        if w.cars[other, F_LOAD] == FSLOPE:
+            gear_yaw = w.cars[other, F_LOAD_YAW]
+            gx, gy = w.cars[other, F_X] + dir_x(gear_yaw), w.cars[other, F_Y] + dir_y(gear_yaw)
             beside = abs(gx - car.x) + abs(gy - car.y) == 1
             points_at_me = gx + dir_x(gear_yaw) == car.x and gy + dir_y(gear_yaw) == car.y
             if beside and not points_at_me:

@@ -85,9 +85,16 @@ def _finished(worlds: World, targets: NDArray[np.int64], out: NDArray[np.float64
 
 
 @compiled
-def _platforms(worlds: World, gears_too: bool, levels: int, out: NDArray[np.float64]) -> None:
+def _platforms(
+    worlds: World,
+    gears_too: bool,
+    levels: int,
+    seen: NDArray[np.bool_],
+    stack: NDArray[np.int64],
+    out: NDArray[np.float64],
+) -> None:
     for i in range(out.shape[0]):
-        out[i] = largest_platform(world_at(worlds, i), gears_too, levels)
+        out[i] = largest_platform(world_at(worlds, i), gears_too, levels, seen, stack)
 
 
 @compiled
@@ -97,12 +104,19 @@ def _flag_distances(worlds: World, goal: tuple[int, int, int], out: NDArray[np.f
 
 
 @compiled
-def _complexities(worlds: World, weights: tuple[float, float, float], out: NDArray[np.float64]) -> None:
-    levels = worlds.kind.shape[3] - 1
+def _add_storeys_and_ramps(worlds: World, storey: float, ramp: float, out: NDArray[np.float64]) -> None:
     for i in range(out.shape[0]):
         w = world_at(worlds, i)
-        platform = max(largest_platform(w, False, levels) - 1, 0)
-        out[i] = weights[0] * platform + weights[1] * storeys(w) + weights[2] * ramps(w)
+        out[i] += storey * storeys(w) + ramp * ramps(w)
+
+
+def platform_sizes(worlds: World, gears_too: bool, levels: int) -> NDArray[np.float64]:
+    """Return the size of the largest platform of each world, shape (B,)."""
+    _, length, width, _ = worlds.kind.shape
+    seen, stack = np.empty((length, width), np.bool_), np.empty((length * width, 2), np.int64)
+    out = np.empty(len(worlds.kind))
+    _platforms(worlds, gears_too, levels, seen, stack, out)
+    return out
 
 
 def target_array(design: Design) -> NDArray[np.int64]:
@@ -156,9 +170,7 @@ class PaperPlatform(Measure):
 
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
         """Return the number of each world, shape (B,)."""
-        out = np.empty(len(worlds.kind))
-        _platforms(worlds, False, worlds.kind.shape[3] - 1, out)
-        return np.maximum(out - 1, 0)
+        return np.maximum(platform_sizes(worlds, False, worlds.kind.shape[3] - 1) - 1, 0)
 
 
 class CodePlatform(Measure):
@@ -166,9 +178,8 @@ class CodePlatform(Measure):
 
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
         """Return the number of each world, shape (B,)."""
-        out = np.empty(len(worlds.kind))
-        _platforms(worlds, True, worlds.kind.shape[3] - 2, out)
-        return np.where(out > 1, out, 0.0)
+        sizes = platform_sizes(worlds, True, worlds.kind.shape[3] - 2)
+        return np.where(sizes > 1, sizes, 0.0)
 
 
 class FlagNearness(Measure):
@@ -219,6 +230,6 @@ class Complexity(Measure):
 
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
         """Return the number of each world, shape (B,)."""
-        out = np.empty(len(worlds.kind))
-        _complexities(worlds, (self.platform, self.storey, self.ramp), out)
+        out = self.platform * PaperPlatform().of_worlds(worlds)
+        _add_storeys_and_ramps(worlds, self.storey, self.ramp, out)
         return out

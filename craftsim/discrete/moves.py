@@ -33,10 +33,17 @@ from craftsim.discrete.compiled import compiled
 def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: int) -> bool:
     """Return whether another car carries a gear in a cell; ``tolerated_yaw`` (-1: none) is not seen."""
     for other in range(w.cars.shape[0]):
-        row = w.cars[other]
-        if other == me or row[F_LOAD] != FSLOPE or row[F_Z] != z or row[F_LOAD_YAW] == tolerated_yaw:
+        if (
+            other == me
+            or w.cars[other, F_LOAD] != FSLOPE
+            or w.cars[other, F_Z] != z
+            or w.cars[other, F_LOAD_YAW] == tolerated_yaw
+        ):
             continue
-        if row[F_X] + dir_x(row[F_LOAD_YAW]) == x and row[F_Y] + dir_y(row[F_LOAD_YAW]) == y:
+        if (
+            w.cars[other, F_X] + dir_x(w.cars[other, F_LOAD_YAW]) == x
+            and w.cars[other, F_Y] + dir_y(w.cars[other, F_LOAD_YAW]) == y
+        ):
             return True
     return False
 
@@ -45,10 +52,9 @@ def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: in
 def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> bool:
     """Return whether another car, or another loaded car, is in a cell."""
     for other in range(w.cars.shape[0]):
-        row = w.cars[other]
-        if other == me or (only_loaded and row[F_LOAD] == AIR):
+        if other == me or (only_loaded and w.cars[other, F_LOAD] == AIR):
             continue
-        if row[F_X] == x and row[F_Y] == y and row[F_Z] == z:
+        if w.cars[other, F_X] == x and w.cars[other, F_Y] == y and w.cars[other, F_Z] == z:
             return True
     return False
 

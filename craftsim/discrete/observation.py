@@ -104,13 +104,17 @@ def fill_rows(
     n_blocks: int,
     goal: tuple[int, int, int],
     shows_flag: bool,
+    slots: NDArray[np.int64],
     out: NDArray[np.int32],
 ) -> bool:
-    """Write the rows of all entities into out (n_rows, 13); return False if a group has too few rows."""
+    """Write the rows of all entities into out (n_rows, 13); return False if a group has too few rows.
+
+    ``slots`` (2, 13) is scratch: by type flag, a group's next row and how many it has left.
+    """
     out[:] = 0
     n_cars = w.cars.shape[0]
-    first = np.zeros(ROW, np.int64)
-    free = np.zeros(ROW, np.int64)
+    slots[:] = 0
+    first, free = slots[0], slots[1]
     first[IS_FSLOPE] = n_cars
     first[IS_BODY] = first[IS_FSLOPE] + n_slopes
     first[IS_FOOT] = first[IS_BODY] + n_slopes
@@ -121,14 +125,20 @@ def fill_rows(
     free[IS_FLAG] = 1 if shows_flag else 0
     fits = True
     for car in range(n_cars):
-        state = w.cars[car]
-        write_row(out[car], state[F_X], state[F_Y], state[F_Z], IS_CAR, state[F_YAW])
-        flag = type_flag(state[F_LOAD])
+        write_row(out[car], w.cars[car, F_X], w.cars[car, F_Y], w.cars[car, F_Z], IS_CAR, w.cars[car, F_YAW])
+        flag = type_flag(w.cars[car, F_LOAD])
         if flag == 0:
             continue
         out[car, IS_LOADED] = 1
         if free[flag] > 0:
-            write_row(out[first[flag]], state[F_X], state[F_Y], state[F_Z], flag, state[F_LOAD_YAW])
+            write_row(
+                out[first[flag]],
+                w.cars[car, F_X],
+                w.cars[car, F_Y],
+                w.cars[car, F_Z],
+                flag,
+                w.cars[car, F_LOAD_YAW],
+            )
             first[flag] += 1
             free[flag] -= 1
         elif flag != IS_FLAG:
@@ -150,7 +160,7 @@ def fill_rows(
     last = out.shape[0] - 1
     write_row(out[last], goal[0], goal[1], goal[2], IS_GOAL, 0)
     if not shows_flag:
-        out[last - 1] = out[last]
+        write_row(out[last - 1], goal[0], goal[1], goal[2], IS_GOAL, 0)
     return fits
 
 

@@ -40,7 +40,8 @@ def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
 def advance(queue: NDArray[np.int8]) -> int:
     """Take the first action from one car's queue."""
     action = int(queue[0])
-    queue[:-1] = queue[1:]
+    for i in range(len(queue) - 1):
+        queue[i] = queue[i + 1]
     queue[-1] = -1
     return action
 

@@ -86,11 +86,14 @@ def code_score(w: World, targets: NDArray[np.int64], completion: float) -> float
 
 
 @compiled
-def largest_platform(w: World, gears_too: bool, levels: int) -> int:
-    """Return the size of the largest group of blocks side by side on one of the levels 1 to ``levels``."""
+def largest_platform(
+    w: World, gears_too: bool, levels: int, seen: NDArray[np.bool_], stack: NDArray[np.int64]
+) -> int:
+    """Return the size of the largest group of blocks side by side on one of the levels 1 to ``levels``.
+
+    ``seen`` (L, W) and ``stack`` (L * W, 2) are scratch.
+    """
     length, width = w.kind.shape[0], w.kind.shape[1]
-    seen = np.zeros((length, width), np.bool_)
-    stack = np.empty((length * width, 2), np.int64)
     largest = 0
     for z in range(1, levels + 1):
         seen[:] = False
@@ -119,9 +122,12 @@ def largest_platform(w: World, gears_too: bool, levels: int) -> int:
 def flag_distance(w: World, goal: tuple[int, int, int]) -> int:
     """Return the Manhattan distance of the flag, carried or not, to the goal; NO_FLAG if there is no flag."""
     for car in range(w.cars.shape[0]):
-        row = w.cars[car]
-        if row[F_LOAD] == FLAG:
-            return abs(row[F_X] - goal[0]) + abs(row[F_Y] - goal[1]) + abs(row[F_Z] - goal[2])
+        if w.cars[car, F_LOAD] == FLAG:
+            return (
+                abs(w.cars[car, F_X] - goal[0])
+                + abs(w.cars[car, F_Y] - goal[1])
+                + abs(w.cars[car, F_Z] - goal[2])
+            )
     for x in range(w.kind.shape[0]):
         for y in range(w.kind.shape[1]):
             for z in range(1, w.kind.shape[2]):

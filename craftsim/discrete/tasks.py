@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final, Literal, get_args
@@ -90,10 +91,22 @@ class Task:
         """The success predicate as a measure."""
         return self.success if isinstance(self.success, Measure) else Custom(self.success)
 
+    @cached_property
+    def _fixed(self) -> list[Grid | None]:
+        """The worlds of the start files that leave nothing to chance."""
+        rng = np.random.default_rng(0)
+        return [start.grid(rng, self.placement) if start.is_fixed else None for start in self.starts]
+
     def draw(self, rng: np.random.Generator) -> Grid:
         """Return a new world from one of the start files."""
-        start = self.starts[rng.integers(len(self.starts))] if len(self.starts) > 1 else self.starts[0]
-        return start.grid(rng, self.placement)
+        start = int(rng.integers(len(self.starts))) if len(self.starts) > 1 else 0
+        fixed = self._fixed[start]
+        return self.starts[start].grid(rng, self.placement) if fixed is None else fixed.copy()
+
+    @property
+    def always_starts_the_same(self) -> bool:
+        """Whether every episode starts with the same world."""
+        return len(self.starts) == 1 and self.starts[0].is_fixed
 
     def over(self, t: NDArray[np.int64], success: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return whether episodes are over after tick t (from 0), elementwise."""

@@ -60,11 +60,12 @@ def _fill_rows(
     n_blocks: int,
     goal: tuple[int, int, int],
     shows_flag: bool,
+    slots: NDArray[np.int64],
     out: NDArray[np.int32],
 ) -> bool:
     fits = True
     for i in range(out.shape[0]):
-        fits &= fill_rows(world_at(worlds, i), n_slopes, n_blocks, goal, shows_flag, out[i])
+        fits &= fill_rows(world_at(worlds, i), n_slopes, n_blocks, goal, shows_flag, slots, out[i])
     return fits
 
 
@@ -103,17 +104,12 @@ class Worlds:
         w = self.arrays
         return Grid(w.kind[i], w.yaw[i], w.cars[i], w.top[i], w.back[i]).copy()
 
-    def put(self, i: int, grid: Grid) -> None:
-        """Replace world i, and empty its queues."""
+    def put(self, which: int | NDArray[np.integer], grid: Grid) -> None:
+        """Replace one world or several by copies of a grid, and empty their queues."""
         w = self.arrays
-        w.kind[i], w.yaw[i], w.top[i], w.back[i], w.cars[i] = (
-            grid.kind,
-            grid.yaw,
-            grid.top,
-            grid.back,
-            grid.cars,
-        )
-        self.queue[i] = -1
+        w.kind[which], w.yaw[which], w.cars[which] = grid.kind, grid.yaw, grid.cars
+        w.top[which], w.back[which] = grid.top, grid.back
+        self.queue[which] = -1
 
     def legal(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what each car could do at once."""
@@ -149,8 +145,8 @@ class Worlds:
         Raises CraftsimError if a world has more slopes or blocks than the layout has rows for.
         """
         out = np.empty((len(self), layout.n_rows, ROW), np.int32)
-        if not _fill_rows(
-            self.arrays, layout.n_slopes, layout.n_blocks, layout.goal_cell, layout.shows_flag, out
-        ):
+        slots = np.empty((2, ROW), np.int64)
+        counts = (layout.n_slopes, layout.n_blocks)
+        if not _fill_rows(self.arrays, *counts, layout.goal_cell, layout.shows_flag, slots, out):
             raise CraftsimError(layout.overflow)
         return out

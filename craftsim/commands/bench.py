@@ -1,0 +1,176 @@
+"""Measure how fast the rules run."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import tyro
+
+from craftsim.discrete.rules import RuleSet
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from craftsim.discrete.episodes import Episode, Episodes
+
+REFERENCE: Final = {
+    "simple_two_story": (5270.0, 225.0),
+    "complex_two_story": (2830.0, 115.0),
+}
+"""CraftEnv's steps a second on one core of a machine like ours: primitive masks; helper masks and observations."""
+
+DEPTH: Final = 20
+"""The search depth of CraftEnv's published training settings, the costlier of the two."""
+
+
+def bench(
+    what: tyro.conf.Positional[Literal["rules"]],
+    rules: RuleSet = "published",
+    worlds: int = 1000,
+    seconds: float = 2.0,
+    memory_worlds: int = 10_000,
+    seed: int = 0,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+) -> int:
+    """Print steps a second of the grid rules on one core, against CraftEnv's, and the memory of many worlds.
+
+    A step is one tick of one world, with reward, end of episode and reset, and the masks of all cars for the next
+    one; "helper" adds the helper's search to masks and moves, and the global observation of every car. Actions are
+    drawn from the masks, and drawing them is part of the time.
+
+    Args:
+        what: rules, the only thing to measure so far.
+        rules: the rule set to run.
+        worlds: how many worlds a batch has.
+        seconds: how long each measurement runs.
+        memory_worlds: how many worlds to make for the memory figure.
+        seed: seed of starts, actions and orders.
+        out: directory for report.json.
+    """
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    from craftsim.discrete.episodes import Episode, Episodes
+    from craftsim.discrete.tasks import make_task
+
+    table = Table("task", "cars", "work", "worlds", "steps/s", "CraftEnv", "times")
+    rates: dict[str, dict[str, float]] = {}
+    memory = _memory(memory_worlds, rules, seed)
+    for name, (primitive, with_helper) in REFERENCE.items():
+        task = make_task(name, reward="published_code")
+        rates[name] = {}
+        cases: list[tuple[str, int, float, int | None]] = [
+            ("primitive", worlds, primitive, None),
+            ("helper", worlds, with_helper, DEPTH),
+            ("helper", 1, with_helper, DEPTH),
+        ]
+        for work, n, reference, depth in cases:
+            rng = np.random.default_rng(seed)
+            if n == 1:
+                step = _single_step(Episode(task, rng, rules, depth), rng)
+            else:
+                step = _batch_step(Episodes(task, rng, n, rules, depth), rng)
+            rate = _rate(step, seconds) * n
+            rates[name][f"{work}, {n} world{'s' if n > 1 else ''}"] = rate
+            cars, times = str(task.starts[0].n_cars), f"{rate / reference:.0f}"
+            table.add_row(name, cars, work, str(n), f"{rate:,.0f}", f"{reference:,.0f}", times)
+    console = Console(highlight=False)
+    console.print(table)
+    for line in memory["lines"]:
+        console.print(line)
+    if out is not None:
+        from craftsim.report import write_report
+
+        config = {"rules": rules, "worlds": worlds, "depth": DEPTH, "reference": REFERENCE}
+        figures = {"memory_worlds": memory_worlds, "bytes_a_world": memory["bytes_a_world"]}
+        wall = {"steps_a_second": rates, "peak_mib": memory["peak_mib"], "grown_mib": memory["grown_mib"]}
+        write_report(out, figures, command="bench", seed=seed, config=config, wall=wall)
+    return 0
+
+
+def _pick(rng: np.random.Generator, mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return for each car one of its allowed actions, uniformly; 0 where there is none."""
+    import numpy as np
+
+    picked: NDArray[np.int64] = (rng.random(mask.shape, dtype=np.float32) * mask).argmax(-1)
+    return picked
+
+
+def _batch_step(episodes: Episodes, rng: np.random.Generator) -> Callable[[], None]:
+    helper = episodes.worlds.depth is not None
+    masks = [episodes.reachable() if helper else episodes.legal()]
+
+    def step() -> None:
+        done = episodes.step(_pick(rng, masks[0])).done
+        if done.any():
+            episodes.reset(done.nonzero()[0])
+        masks[0] = episodes.reachable() if helper else episodes.legal()
+        if helper:
+            episodes.vectors()
+
+    return step
+
+
+def _single_step(episode: Episode, rng: np.random.Generator) -> Callable[[], None]:
+    masks = [episode.reachable()]
+
+    def step() -> None:
+        if episode.step(_pick(rng, masks[0])).done:
+            episode.reset()
+        masks[0] = episode.reachable()
+        episode.vectors()
+
+    return step
+
+
+def _rate(step: Callable[[], None], seconds: float) -> float:
+    """Return calls a second, after a first call that compiles."""
+    step()
+    calls = 0
+    begun = time.perf_counter()
+    while (elapsed := time.perf_counter() - begun) < seconds:
+        step()
+        calls += 1
+    return calls / elapsed
+
+
+def _peak_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def _memory(n: int, rules: RuleSet, seed: int) -> dict[str, Any]:
+    """Return what n worlds of the complex two-story task take: their arrays, and the growth of the peak memory.
+
+    The growth is that of a step with helper masks and observations, after a batch of one has compiled everything.
+    """
+    import numpy as np
+
+    from craftsim.discrete.episodes import Episodes
+    from craftsim.discrete.tasks import make_task
+
+    task = make_task("complex_two_story")
+    peaks = []
+    for size in (1, n):
+        rng = np.random.default_rng(seed)
+        episodes = Episodes(task, rng, size, rules, DEPTH)
+        _batch_step(episodes, rng)()
+        peaks.append(_peak_mib())
+    arrays = episodes.worlds.arrays
+    state = sum(a.nbytes for a in (arrays.kind, arrays.yaw, arrays.top, arrays.back, arrays.cars))
+    grown = peaks[1] - peaks[0]
+    return {
+        "bytes_a_world": state // n,
+        "peak_mib": peaks[1],
+        "grown_mib": grown,
+        "lines": [
+            f"{n:,} worlds of complex_two_story: {state / 2**20:.1f} MiB of state, {state // n} bytes each",
+            f"peak memory {peaks[1]:.0f} MiB, {grown:.0f} MiB more than one world "
+            "(helper masks and observations included)",
+        ],
+    }

@@ -96,7 +96,8 @@ def load_gains(path: Path | None = None) -> Gains:
         given = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a YAML file of gains") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:
+        # ValueError: bytes that are no UTF-8, or a date that no calendar has.
         raise InputError(f"{path}: not YAML: {error}") from error
     return _build(nominal, given if given is not None else {}, str(path))
 
@@ -107,7 +108,7 @@ def _build(nominal: dict[str, dict[str, float]], given: Any, source: str) -> Gai
         raise InputError(f"{source}: expected the sections {', '.join(sections)}")
     merged: dict[str, Any] = {}
     for section in given:
-        if section not in sections:
+        if section != "source" and section not in sections:  # a dump of Gains names where it came from
             raise InputError(f"{source}: unknown section {section!r}{suggestion(str(section), sections)}")
     for section, kind in sections.items():
         known = [f.name for f in fields(kind)]

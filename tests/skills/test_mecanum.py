@@ -1,0 +1,39 @@
+"""Ideal mecanum kinematics: the two matrices undo each other, and their signs are those of the documented formula."""
+
+import numpy as np
+import pytest
+
+from craftsim.models.parameters import SMARTCAR
+from craftsim.skills.mecanum import TWIST_TO_WHEELS, WHEELS_TO_TWIST, body_twist, wheel_speeds
+
+R = 0.0496
+LEVER = 0.060 + 0.083
+
+
+def test_every_twist_survives_the_way_through_the_wheels():
+    np.testing.assert_allclose(WHEELS_TO_TWIST @ TWIST_TO_WHEELS, np.eye(3), atol=1e-12)
+    twist = np.array([0.3, -0.2, 1.7])
+    np.testing.assert_allclose(body_twist(wheel_speeds(twist)), twist, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("twist", "rim_speeds"),
+    [
+        ((1, 0, 0), (1, 1, 1, 1)),
+        ((0, 1, 0), (-1, 1, 1, -1)),
+        ((0, 0, 1), (-LEVER, LEVER, -LEVER, LEVER)),
+        ((1, 1, 1), (-LEVER, 2 + LEVER, 2 - LEVER, LEVER)),
+    ],
+    ids=["forward", "left", "counter-clockwise", "all three"],
+)
+def test_the_wheels_turn_as_the_formula_says(twist, rim_speeds):
+    np.testing.assert_allclose(wheel_speeds(twist), np.array(rim_speeds) / R, rtol=1e-12)
+
+
+def test_wheels_that_fight_each_other_give_no_twist():
+    np.testing.assert_allclose(body_twist([1, 1, -1, -1]), 0.0, atol=1e-12)
+
+
+def test_the_lever_and_the_radius_are_those_of_the_car():
+    assert SMARTCAR.turn_radius_m == pytest.approx(LEVER)
+    assert SMARTCAR.wheel_radius_m == pytest.approx(R)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.blueprint_checks import check_blueprint
-from craftsim.discrete.documents import Mapping, Scalar, Sequence, Source, read_keys
+from craftsim.discrete.documents import Mapping, Scalar, Sequence, Source, parse_keys, read_text
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
 from craftsim.discrete.placement import Placement, build_grid
 
@@ -123,7 +123,12 @@ class Blueprint:
 
 def read_blueprint(path: str | Path) -> Blueprint:
     """Read and check a start file; raise BlueprintError with file, line and key for whatever is wrong."""
-    source, keys = read_keys(Path(path), KEYS)
+    return parse_blueprint(read_text(Path(path)), path)
+
+
+def parse_blueprint(text: str, path: str | Path) -> Blueprint:
+    """Read and check a start file's text; ``path`` is the file that messages speak of."""
+    source, keys = parse_keys(Path(path), text, KEYS)
     for key in REQUIRED_KEYS:
         if key not in keys.items:
             source.fail(None, f"key '{key}' is missing; required: {', '.join(REQUIRED_KEYS)}")

@@ -36,7 +36,6 @@ class _Checker:
         self.kinds: dict[Cell, Kind] = {}
         self.lines: dict[Cell, int] = {}
         self.yaws: dict[Cell, int] = {}
-        self.running = blueprint.snapshot is not None
 
     def inside(self, cell: Cell) -> bool:
         """Return whether a cell is in the area, ground layer excluded."""
@@ -61,12 +60,16 @@ class _Checker:
                 allowed = f"{found} are listed; allowed: at least {found}"
                 self.source.fail(None, f"key '{key}': {number}, but {allowed}")
 
-    def place(self, item: ListedObject) -> None:
-        """Check that an object's cells lie in the area and are free, and remember them."""
+    def within(self, item: ListedObject) -> None:
+        """Check that an object's cells lie in the area."""
         for cell, kind in parts(item):
             if not self.inside(cell):
                 area = f"the area of {self.blueprint.size} cells"
                 self.source.fail(item.line, f"{NAMES[kind]} would be at {cell}, outside {area}")
+
+    def place(self, item: ListedObject) -> None:
+        """Check that an object's cells are free, and remember them."""
+        for cell, kind in parts(item):
             there = self.kinds.get(cell)
             # Two folded slopes may face each other with their gears in one cell: play leads there.
             shared = there == kind == Kind.GEAR and self.yaws[cell] == (item.yaw + 2) % 4
@@ -136,7 +139,9 @@ def check_blueprint(blueprint: Blueprint) -> None:
     """
     checker = _Checker(blueprint)
     checker.counts()
-    if checker.running:
+    for item in blueprint.objects:
+        checker.within(item)
+    if blueprint.snapshot is not None:
         return
     for item in blueprint.objects:
         checker.place(item)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from craftsim.discrete.blueprint import MAX_SIDE
-from craftsim.discrete.documents import Source, read_keys
+from craftsim.discrete.documents import Source, parse_keys, read_text
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
 
 TARGET_KEYS: Final = {
@@ -79,7 +79,7 @@ class Design:
 
 def read_design(path: str | Path) -> Design:
     """Read and check a goal file; raise BlueprintError with file, line and key for anything that is wrong."""
-    source, keys = read_keys(Path(path), list(TARGET_KEYS))
+    source, keys = parse_keys(Path(path), read_text(Path(path)), list(TARGET_KEYS))
     targets: list[Target] = []
     lines: dict[Cell, int] = {}
     for key, kind in TARGET_KEYS.items():

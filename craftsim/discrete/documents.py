@@ -141,11 +141,14 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
         source.fail(data[: error.start].count(b"\n") + 1, "not UTF-8 text")
 
 
-def read_keys(path: Path, known: list[str]) -> tuple[Source, Mapping]:
-    """Return the merged top-level keys of all documents of a YAML file; raise BlueprintError if odd."""
+def parse_keys(path: Path, text: str, known: list[str]) -> tuple[Source, Mapping]:
+    """Return the merged top-level keys of all documents of a YAML text; raise BlueprintError if odd.
+
+    ``path`` is the file that messages speak of.
+    """
     source = Source(path)
     merged = Mapping(1)
-    for document in _documents(source, read_text(path)):
+    for document in _documents(source, text):
         if isinstance(document, Scalar) and document.text == "":
             continue
         mapping = source.mapping(document, "document", known)

@@ -1,0 +1,114 @@
+"""Writing a world as a blueprint, such that reading it back gives the same world, marks included."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.blueprint import LOADS, NO_CELL, OBJECT_KEYS, parse_blueprint
+from craftsim.discrete.errors import BlueprintError
+from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
+
+_LOAD_NAMES: Final = {kind: name for name, kind in LOADS.items()}
+_UNNAMED: Final = Path("saved world")
+
+
+def _entry(**values: int | str) -> str:
+    return "{" + ", ".join(f"{key}: {value}" for key, value in values.items()) + "}"
+
+
+def _list(key: str, entries: list[str], indent: str = "") -> list[str]:
+    return [f"{indent}{key}:", *(f"{indent}  - {entry}" for entry in entries)] if entries else []
+
+
+def _objects(grid: Grid, kind: Kind) -> list[str]:
+    """Return the entries of all complete objects of a kind; a slope without its second part is none."""
+    entries: list[str] = []
+    for x, y, z in np.argwhere(grid.kind == kind):
+        cell, yaw = (int(x), int(y), int(z)), int(grid.yaw[x, y, z])
+        place = {"id": len(entries), "x": cell[0], "y": cell[1], "z": cell[2]}
+        if kind in KINDS_WITH_YAW:
+            second = beside(cell, yaw)
+            inside = all(0 <= c < n for c, n in zip(second, grid.kind.shape, strict=True))
+            if not inside or grid.kind[second] != SECOND_PART[kind]:
+                continue
+            place["yaw"] = yaw
+        entries.append(_entry(**place))
+    return entries
+
+
+def _car(car: int, row: list[int]) -> str:
+    place = dict(zip(("x", "y", "z", "yaw"), row, strict=False))
+    extra: dict[str, int | str] = {}
+    if row[CarField.LOAD] != Kind.AIR:
+        extra["load"] = _LOAD_NAMES[Kind(row[CarField.LOAD])]
+    if row[CarField.LOAD] == Kind.FSLOPE:
+        extra["load_yaw"] = row[CarField.LOAD_YAW]
+    if row[CarField.SLOPE]:
+        extra["slope"] = row[CarField.SLOPE]
+    return _entry(id=car, **place, **extra)
+
+
+def _snapshot(grid: Grid, listed: Grid) -> list[str]:
+    """Return the section for what the listed things do not account for, empty if they do for all."""
+
+    def odd(differs: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> list[Cell]:
+        return [(int(x), int(y), int(z)) for x, y, z in np.argwhere(differs)]
+
+    def at(cell: Cell, **values: int | str) -> str:
+        return _entry(x=cell[0], y=cell[1], z=cell[2], **values)
+
+    cells = odd((grid.kind != listed.kind) | (grid.yaw != listed.yaw))
+    entries = [at(cell, kind=Kind(grid.kind[cell]).name.lower(), yaw=int(grid.yaw[cell])) for cell in cells]
+    # An odd cell is put in place with blank marks.
+    for cell in cells:
+        listed.top[cell], listed.back[cell] = -1, False
+    top = [at(cell, mark=int(grid.top[cell])) for cell in odd(grid.top != listed.top)]
+    back = [at(cell, mark=int(grid.back[cell])) for cell in odd(grid.back != listed.back)]
+    lines = [*_list("cells", entries, "  "), *_list("top", top, "  "), *_list("back", back, "  ")]
+    return ["snapshot:", *lines] if lines else []
+
+
+def _text(grid: Grid, goal: Cell | None, n_blocks: int, n_slopes: int, snapshot: list[str]) -> str:
+    length, width, height = grid.size
+    x, y, z = goal or NO_CELL
+    lines = [
+        f"area_length: {length}",
+        f"area_width: {width}",
+        f"area_height: {height}",
+        f"block_num: {n_blocks}",
+        f"slope_num: {n_slopes}",
+        f"smartcar_num: {grid.n_cars}",
+        *(line for key, kind in OBJECT_KEYS.items() for line in _list(key, _objects(grid, kind))),
+        *_list("smartcar", [_car(car, row) for car, row in enumerate(grid.cars.tolist())]),
+        *_list("goal", [_entry(id=0, x=x, y=y, z=z)]),
+        *snapshot,
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def blueprint_text(grid: Grid, goal: Cell | None = None) -> str:
+    """Return a world as the text of a blueprint.
+
+    A world that play has led to may hold what no drawing lists: half slopes, marks of past events. Such
+    things go into a ``snapshot`` section, which is written only where it is needed.
+    """
+    loads = grid.cars[:, CarField.LOAD]
+    carried = int((loads == Kind.BLOCK).sum()), int((loads == Kind.FSLOPE).sum())
+    listed_blocks = len(_objects(grid, Kind.BLOCK)) + carried[0]
+    listed_slopes = sum(len(_objects(grid, kind)) for kind in (Kind.FSLOPE, Kind.BODY)) + carried[1]
+    bare_text = _text(grid, goal, listed_blocks, listed_slopes, ["snapshot: {}"])
+    bare = parse_blueprint(bare_text, _UNNAMED).grid(np.random.default_rng(0))
+    snapshot = _snapshot(grid, bare)
+    if not snapshot:
+        plain = _text(grid, goal, listed_blocks, listed_slopes, [])
+        try:
+            parse_blueprint(plain, _UNNAMED)
+        except BlueprintError:
+            return bare_text
+        return plain
+    n_blocks = int((grid.kind == Kind.BLOCK).sum()) + carried[0]
+    n_slopes = int(np.isin(grid.kind, (Kind.FSLOPE, Kind.BODY)).sum()) + carried[1]
+    return _text(grid, goal, n_blocks, n_slopes, snapshot)

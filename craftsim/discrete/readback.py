@@ -34,7 +34,7 @@ TILT_TOLERANCE_RAD: Final = 0.05
 HINGE_TOLERANCE_RAD: Final = 0.05
 """How far from fully open or closed a hinge may be; the flap's lip is then 16 mm from its place."""
 LIFT_RANGE_M: Final = (0.016, 0.050)
-"""Height of a load's frame above its car's frame that counts as carried; a board lifts by 0.032."""
+"""Height of a load above its car that counts as carried; a board lifts blocks by 0.032, slopes by 0.042."""
 
 
 @dataclass(frozen=True)

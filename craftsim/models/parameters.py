@@ -168,7 +168,7 @@ class SlopeParameters:
     incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees")
     skin_m: float = assumed(0.004, "leaves a car below 2.8 mm of head-room at its lower corner")
     underside_m: float = assumed(
-        0.1155, "the pads hang as low as a block's underside, so that one board fits both"
+        0.1055, "of the pads: 2.9 mm above a lowered board, and low enough that a raised one clears the incline"
     )
     base_mass_kg: float = published(1.0)
     flap_mass_kg: float = published(0.1)

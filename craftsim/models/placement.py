@@ -56,7 +56,8 @@ def _car(grid: Grid, row: NDArray[np.int64]) -> Placement:
 
 
 def _load(grid: Grid, row: NDArray[np.int64], car: Placement) -> Placement:
-    lift = SMARTCAR.board_rest_m + SMARTCAR.board_travel_m - BLOCK.underside_m
+    underside = SLOPE.underside_m if row[CarField.LOAD] == Kind.FSLOPE else BLOCK.underside_m
+    lift = SMARTCAR.board_rest_m + SMARTCAR.board_travel_m - underside
     pitch, heading = incline_under(grid, row), yaw_angle(int(row[CarField.YAW]))
     up = np.array(
         [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]

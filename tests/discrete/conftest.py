@@ -1,0 +1,52 @@
+"""Hand-made worlds for tests of single rules."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, beside
+
+Scene = Callable[..., Grid]
+
+
+def make_scene(objects=(), cars=(), size=(7, 7, 3), marks="derived") -> Grid:
+    """Return a world: objects are (kind, cell[, yaw]), slopes with their second part; cars are dicts of CarField."""
+    grid = Grid.empty(size, len(cars))
+    for kind, cell, *yaw in objects:
+        grid.kind[cell] = kind
+        grid.yaw[cell] = yaw[0] if yaw else 0
+        if kind in SECOND_PART:
+            second = beside(cell, yaw[0])
+            grid.kind[second] = SECOND_PART[kind]
+            grid.yaw[second] = yaw[0]
+    for row, car in zip(grid.cars, cars, strict=True):
+        for name, value in car.items():
+            row[CarField[name.upper()]] = value
+    grid.derive_marks()
+    return grid
+
+
+def car_at(x, y, z=1, yaw=0, load=Kind.AIR, load_yaw=0, slope=0):
+    """Return a car for make_scene; a carried slope points away behind it."""
+    if load == Kind.FSLOPE:
+        load_yaw = (yaw + 2) % 4
+    return {"x": x, "y": y, "z": z, "yaw": yaw, "load": load, "load_yaw": load_yaw, "slope": slope}
+
+
+@pytest.fixture
+def scene():
+    """The maker of hand-made worlds."""
+    return make_scene
+
+
+@pytest.fixture
+def car():
+    """The maker of cars for them."""
+    return car_at
+
+
+@pytest.fixture
+def rng():
+    """A generator with a fixed seed."""
+    return np.random.default_rng(7)

@@ -1,0 +1,121 @@
+"""The published rules agree with recordings of CraftEnv, and the checker notices when something does not."""
+
+import copy
+import gzip
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from craftsim.discrete.conformance import QUIRK_TAGS, Checker
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.traces import read_records
+
+DATA = Path(__file__).parents[1] / "data"
+FILES = (DATA / "traces.jsonl.gz", DATA / "plans.jsonl.gz")
+
+
+@pytest.fixture(scope="module")
+def records():
+    return [record for file in FILES for record in read_records(file)]
+
+
+def tally_of(records, rule_set):
+    checker = Checker(Rules(rule_set))
+    for line, record in records:
+        checker.check(line, record)
+    return checker.tally
+
+
+def test_published_rules_agree_with_every_record(records):
+    tally = tally_of(records, "published")
+    assert not tally.mismatches
+    assert tally.records == len(records) > 1500
+    kinds = {"mask", "applied", "objects", "cars", "marks", "reward", "done", "observation", "reachable", "plan"}
+    assert set(tally.checks) == kinds
+    assert min(tally.checks.values()) > 300
+    assert all(tally.applied[name] > 30 for name in ("LIFT", "DROP", "FOLD", "UNFOLD"))
+
+
+def test_physical_rules_agree_with_every_record_without_a_quirk(records):
+    ticks = [(line, record) for line, record in records if "joint" in record]
+    tally = tally_of(ticks, "physical")
+    assert not tally.mismatches
+    assert tally.skipped == sum(bool(QUIRK_TAGS & set(record["tags"])) for _, record in ticks) > 50
+
+
+def test_physical_rules_disagree_exactly_where_marks_drifted(records):
+    for line, record in records:
+        if "devdep" in record.get("tags", ()):
+            record = dict(record, tags=[])
+            assert tally_of([(line, record)], "physical").mismatches.total() > 0
+
+
+TAMPERINGS = {
+    "mask": lambda r: r["mask"].__setitem__(0, "1" * 15),
+    "applied": lambda r: r["applied"].__setitem__(0, 1 - r["applied"][0]),
+    "objects": lambda r: r["after"]["objs"].pop(),
+    "cars": lambda r: r["after"]["cars"][0].__setitem__("yaw", (r["after"]["cars"][0]["yaw"] + 1) % 4),
+    "marks": lambda r: r["after"]["dev"]["on"].append([0, 0, 0, -2]),
+    "reward": lambda r: r.__setitem__("reward", r["reward"] + 1),
+    "done": lambda r: r.__setitem__("done", not r["done"]),
+    "observation": lambda r: r["obs"][0].__setitem__(0, r["obs"][0][0] + 1),
+}
+
+
+@pytest.mark.parametrize("what", TAMPERINGS)
+def test_a_tampered_record_is_a_mismatch_of_its_kind(records, what):
+    line, record = next((n, r) for n, r in records if r.get("task") == "simple_twolayer" and r["t"] > 3)
+    record = copy.deepcopy(record)
+    TAMPERINGS[what](record)
+    assert tally_of([(line, record)], "published").mismatches == Counter({what: 1})
+
+
+def test_a_tampered_plan_is_a_mismatch(records):
+    line, record = next((n, r) for n, r in records if "depth" in r)
+    record = copy.deepcopy(record)
+    record["cars"][0]["plans"]["6"] = [4]
+    assert tally_of([(line, record)], "published").mismatches == Counter({"plan": 1})
+
+
+def write_records(path, records):
+    with gzip.open(path, "wt", encoding="utf-8") as file:
+        file.writelines(json.dumps(record) + "\n" for record in records)
+
+
+def test_command_counts_and_exits_zero_when_all_agree(records, tmp_path, capsys):
+    from craftsim.cli import main
+
+    write_records(tmp_path / "some.jsonl.gz", [record for _, record in records[:20]])
+    assert main(["conformance", str(tmp_path / "some.jsonl.gz"), "--out", str(tmp_path)]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("20 records, ")
+    assert last.endswith(" 0 mismatches")
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["schema_version"] == 1
+    assert report["figures"]["records"] == 20
+    assert report["figures"]["total_mismatches"] == 0
+
+
+def test_command_draws_the_first_mismatch_and_exits_one(records, tmp_path, capsys):
+    from craftsim.cli import main
+
+    record = copy.deepcopy(records[0][1])
+    TAMPERINGS["cars"](record)
+    write_records(tmp_path / "wrong.jsonl.gz", [record])
+    assert main(["conformance", str(tmp_path / "wrong.jsonl.gz")]) == 1
+    out = capsys.readouterr().out
+    assert "expected after" in out
+    assert "level 1" in out
+    assert out.splitlines()[-1].endswith("1 mismatches")
+
+
+@pytest.mark.parametrize("content", [b"not gzip", gzip.compress(b"{\n"), gzip.compress(b'{"a": 1}\n')])
+def test_command_refuses_what_is_no_recording(tmp_path, capsys, content):
+    from craftsim.cli import main
+
+    path = tmp_path / "odd.jsonl.gz"
+    path.write_bytes(content)
+    assert main(["conformance", str(path)]) == 2
+    assert str(path) in capsys.readouterr().err

@@ -142,6 +142,9 @@ class BlockParameters:
     leg_mass_kg: float = published(0.001)
     pocket_side_m: float = assumed(0.111, "the boss' foot and 0.5 mm of play on each side")
     pocket_depth_m: float = assumed(0.006, "the boss' height and 1 mm")
+    foot_friction: float = assumed(
+        0.8, "rubber feet; on bare plastic (0.4) a car that drives on top shoves its block by millimetres"
+    )
     friction: float = assumed(
         0.4, "moulded plastic on plastic, plywood or concrete: handbooks give 0.3 to 0.5"
     )
@@ -168,7 +171,8 @@ class SlopeParameters:
     incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees")
     skin_m: float = assumed(0.004, "leaves a car below 2.8 mm of head-room at its lower corner")
     underside_m: float = assumed(
-        0.1055, "of the pads: 2.9 mm above a lowered board, and low enough that a raised one clears the incline"
+        0.1055,
+        "of the pads: 2.9 mm above a lowered board, and low enough that a raised one clears the incline",
     )
     base_mass_kg: float = published(1.0)
     flap_mass_kg: float = published(0.1)

@@ -209,14 +209,15 @@ def slope_flap() -> Parts:
     start, end = FLAP_X
     lip_x = (HINGE_Z - LIP) / RISE  # where the wedge is as thin as its lip
 
-    def ring(x: float, half_y: float, bevel: float) -> np.ndarray:
-        top = max(-RISE * x, ground + LIP)
-        low, high = ground + bevel, top - bevel
-        corners = [(half_y - bevel, ground), (half_y, low), (half_y, high), (half_y - bevel, top)]
+    def ring(x: float, half_y: float, bevel: float, heel: float = 0.0) -> np.ndarray:
+        top, bottom = max(-RISE * x, ground + LIP), ground + heel
+        low, high = bottom + bevel, top - bevel
+        corners = [(half_y - bevel, bottom), (half_y, low), (half_y, high), (half_y - bevel, top)]
         outline = corners + [(-y, z) for y, z in corners[::-1]]
         return np.array([[x, y, z] for y, z in outline])
 
-    root = loft([ring(start, NOTCH_Y, 0.002), ring(NOTCH_END_X + 0.001, NOTCH_Y, 0.002)])
+    # The heel is cut away: it would drag over the floor when the flap begins to turn.
+    root = loft([ring(start, NOTCH_Y, 0.002, heel=0.020), ring(NOTCH_END_X + 0.001, NOTCH_Y, 0.002)])
     wedge = loft(
         [
             ring(NOTCH_END_X, HALF_CELL, 0.002),

@@ -32,7 +32,18 @@ def test_published_rules_agree_with_every_record(records):
     tally = tally_of(records, "published")
     assert not tally.mismatches
     assert tally.records == len(records) > 1500
-    kinds = {"mask", "applied", "objects", "cars", "marks", "reward", "done", "observation", "reachable", "plan"}
+    kinds = {
+        "mask",
+        "applied",
+        "objects",
+        "cars",
+        "marks",
+        "reward",
+        "done",
+        "observation",
+        "reachable",
+        "plan",
+    }
     assert set(tally.checks) == kinds
     assert min(tally.checks.values()) > 300
     assert all(tally.applied[name] > 30 for name in ("LIFT", "DROP", "FOLD", "UNFOLD"))

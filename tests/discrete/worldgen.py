@@ -1,0 +1,91 @@
+"""Random sane worlds and the ways to mirror and turn them, for tests of properties."""
+
+import numpy as np
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.blueprint import parse_blueprint
+from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Grid, Kind
+
+MOVE_BY_DIRECTION = (Action.MOVE_RIGHT, Action.MOVE_FORWARD, Action.MOVE_LEFT, Action.MOVE_BACK)
+
+
+def random_world(rng):
+    """Return a world of random size with random blocks, slopes, cars and sometimes a flag, all placed by chance."""
+    length, width, height = (int(rng.integers(low, high)) for low, high in ((3, 7), (3, 7), (1, 4)))
+    flag = (
+        f"flag: [{{id: 0, x: {rng.integers(length)}, y: {rng.integers(width)}, z: 1}}]"
+        if rng.random() < 0.5
+        else ""
+    )
+    text = f"""
+area_length: {length}
+area_width: {width}
+area_height: {height}
+block_num: {rng.integers(0, 4)}
+slope_num: {rng.integers(0, 2) if min(length, width) > 3 else 0}
+smartcar_num: {rng.integers(1, 4)}
+{flag}
+"""
+    return parse_blueprint(text, "random").grid(rng)
+
+
+def play(rules, grid, rng, ticks, eager=True):
+    """Yield (joint, world after) of random play; eager cars prefer what is legal, and work on objects."""
+    for _ in range(ticks):
+        mask = rules.mask(grid)
+        joint = []
+        for car in rng.permutation(grid.n_cars):
+            choices = np.flatnonzero(mask[car]) if eager and mask[car].any() else np.arange(15)
+            work = [action for action in choices if action in (0, 1, 2, 3)]
+            pick = rng.choice(work) if work and rng.random() < 0.4 else rng.choice(choices)
+            joint.append((int(car), Action(pick)))
+        grid, _ = rules.tick(grid, joint)
+        yield joint, grid
+
+
+def mirrored(grid):
+    """Return the world with y reversed."""
+    other = Grid(
+        *(np.ascontiguousarray(a[:, ::-1]) for a in (grid.kind, grid.yaw)),
+        grid.cars.copy(),
+        grid.top,
+        grid.back,
+    )
+    _turn_yaws(other, lambda yaw: -yaw % 4)
+    other.cars[:, CarField.Y] = grid.size[1] - 1 - grid.cars[:, CarField.Y]
+    other.top, other.back = (np.ascontiguousarray(a[:, ::-1]) for a in (grid.top, grid.back))
+    return other
+
+
+def turned(grid):
+    """Return the world turned by a quarter to the left: +x becomes +y."""
+    arrays = [
+        np.ascontiguousarray(np.rot90(a, axes=(0, 1))) for a in (grid.kind, grid.yaw, grid.top, grid.back)
+    ]
+    other = Grid(arrays[0], arrays[1], grid.cars.copy(), arrays[2], arrays[3])
+    _turn_yaws(other, lambda yaw: (yaw + 1) % 4)
+    other.cars[:, CarField.X] = grid.size[1] - 1 - grid.cars[:, CarField.Y]
+    other.cars[:, CarField.Y] = grid.cars[:, CarField.X]
+    return other
+
+
+def _turn_yaws(grid, change):
+    slopes = np.isin(grid.kind, KINDS_WITH_YAW)
+    grid.yaw[slopes] = change(grid.yaw[slopes])
+    grid.cars[:, CarField.YAW] = change(grid.cars[:, CarField.YAW])
+    carried = grid.cars[:, CarField.LOAD] == Kind.FSLOPE
+    grid.cars[carried, CarField.LOAD_YAW] = change(grid.cars[carried, CarField.LOAD_YAW])
+
+
+def renamed_actions(change_direction, flips_turns):
+    """Return for each action the one it becomes when directions change so."""
+    names = np.arange(15)
+    for direction, move in enumerate(MOVE_BY_DIRECTION):
+        names[move] = MOVE_BY_DIRECTION[change_direction(direction)]
+    if flips_turns:
+        names[[Action.ROTATE_LEFT, Action.ROTATE_RIGHT]] = Action.ROTATE_RIGHT, Action.ROTATE_LEFT
+    return names
+
+
+MIRRORED_ACTIONS = renamed_actions(lambda direction: -direction % 4, True)
+TURNED_ACTIONS = renamed_actions(lambda direction: (direction + 1) % 4, False)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Grid, Kind, beside
+from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Grid, beside
 from craftsim.discrete.rules import Rules
 from craftsim.models.config import SimulationConfig
 from craftsim.models.site import Site

@@ -1,0 +1,157 @@
+"""Each skill, in each place where it is allowed, does in physics what the rules predict.
+
+Bands: a car ends within 1 mm and 3 mrad of its cell, a thing is set down within 2 mm of its cell's centre, and nothing
+that the action does not concern moves more than 1 mm.
+"""
+
+import pytest
+
+from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.grid import Kind, beside
+
+CAR_M, HEADING_RAD, PLACED_M, OTHERS_M = 1e-3, 3e-3, 2e-3, 1e-3
+MOVE = {direction: action for action, direction in MOVE_DIRECTION.items()}
+RIGHT, FORWARD, LEFT, BACK = (MOVE[direction] for direction in range(4))
+LIFT, DROP, FOLD, UNFOLD, STOP = Action.LIFT, Action.DROP, Action.FOLD, Action.UNFOLD, Action.STOP
+TURNS = [Action.ROTATE_LEFT, Action.ROTATE_RIGHT]
+MOVES = [RIGHT, LEFT, FORWARD, BACK]
+LOADS = [Kind.BLOCK, Kind.FLAG, Kind.FSLOPE]
+
+
+def _perform(checked, actions, car=0):
+    """Perform actions one by one and hold each against the bands."""
+    for action in actions:
+        record = checked.perform(0, car, action)
+        what = f"{action.name}: {record}"
+        assert record.legal, what
+        assert record.outcome.succeeded, what
+        assert record.verdict.agrees, what
+        assert record.car_error_m <= CAR_M, what
+        assert abs(record.car_heading_error_rad) <= HEADING_RAD, what
+        assert record.others_moved_m <= OTHERS_M, what
+        if action in (DROP, FOLD, UNFOLD):
+            assert record.placed_error_m is not None, what
+        if record.placed_error_m is not None:
+            assert record.placed_error_m <= PLACED_M, what
+
+
+def _loaded(cell, yaw, load):
+    """Return the row of a car with a load; a carried slope faces backwards."""
+    return (*cell, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0)
+
+
+@pytest.mark.parametrize("yaw", range(4))
+def test_moves_in_all_directions_at_each_heading(make_checked, yaw):
+    _perform(make_checked((3, 3, 1), [(1, 1, 1, yaw)]), MOVES)
+
+
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("yaw", [0, 1])
+def test_carries_a_load_in_all_directions_and_sets_it_down_in_place(make_checked, yaw, load):
+    checked = make_checked((5, 5, 2), [_loaded((2, 2, 1), yaw, load)])
+    _perform(checked, [RIGHT, LEFT, LEFT, RIGHT, FORWARD, BACK, BACK, FORWARD, DROP])
+
+
+@pytest.mark.parametrize("kind", [Kind.BLOCK, Kind.FLAG])
+@pytest.mark.parametrize("yaw", range(4))
+def test_drives_in_and_out_under_a_table_forward_and_backward(make_checked, yaw, kind):
+    checked = make_checked((3, 3, 2), [(*beside((1, 1, 1), yaw + 2), yaw)], [(kind, (1, 1, 1))])
+    ahead, behind = MOVE[yaw], MOVE[(yaw + 2) % 4]
+    _perform(checked, [ahead, ahead, behind, behind])
+
+
+@pytest.mark.parametrize("yaw", range(4))
+@pytest.mark.parametrize("kind", [Kind.FSLOPE, Kind.BODY])
+def test_backs_in_under_a_slope_from_its_high_side_and_leaves_forward(make_checked, yaw, kind):
+    heading = (yaw + 2) % 4
+    checked = make_checked((5, 5, 2), [(*beside((2, 2, 1), heading), heading)], [(kind, (2, 2, 1), yaw)])
+    _perform(checked, [MOVE[yaw], MOVE[heading]])
+
+
+@pytest.mark.parametrize("yaw", range(4))
+def test_turns_both_ways_from_each_heading(make_checked, yaw):
+    _perform(make_checked((1, 1, 1), [(0, 0, 1, yaw)]), [*TURNS, TURNS[1], TURNS[0]])
+
+
+@pytest.mark.parametrize("kind", [Kind.BLOCK, Kind.FLAG])
+def test_turns_under_a_table(make_checked, kind):
+    _perform(make_checked((1, 1, 2), [(0, 0, 1, 0)], [(kind, (0, 0, 1))]), [*TURNS, TURNS[0], TURNS[0]])
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_turns_with_a_load_and_sets_it_down_in_place(make_checked, load):
+    checked = make_checked((5, 5, 2), [_loaded((2, 2, 1), 0, load)])
+    _perform(checked, [*TURNS, TURNS[1], TURNS[1], DROP])
+
+
+@pytest.mark.parametrize("load", [Kind.BLOCK, Kind.FLAG])
+def test_takes_up_and_sets_down_time_and_again(make_checked, load):
+    checked = make_checked((2, 1, 2), [(0, 0, 1, 0)], [(load, (0, 0, 1))])
+    _perform(checked, [LIFT, DROP, LIFT, DROP])
+
+
+def test_takes_up_and_sets_down_a_folded_slope_time_and_again(make_checked):
+    checked = make_checked((3, 1, 2), [(1, 0, 1, 0)], [(Kind.FSLOPE, (1, 0, 1), 2)])
+    _perform(checked, [LIFT, DROP, LIFT, DROP])
+
+
+@pytest.mark.parametrize("yaw", [0, 3])
+def test_unfolds_and_folds_the_slope_above(make_checked, yaw):
+    checked = make_checked((3, 3, 2), [(1, 1, 1, (yaw + 2) % 4)], [(Kind.FSLOPE, (1, 1, 1), yaw)])
+    _perform(checked, [UNFOLD, FOLD])
+
+
+def test_unfolds_a_slope_that_it_has_brought(make_checked):
+    checked = make_checked((5, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)])
+    _perform(checked, [LIFT, RIGHT, DROP, UNFOLD, RIGHT])
+
+
+def _ramp(direction):
+    """Return the map's size, the cells of a way that climbs in a direction, and what stands there.
+
+    Two cells of floor, foot and body of a slope, and three blocks on a line in the middle of the map.
+    """
+    lengthwise = direction in (0, 2)
+    at = range(7) if direction in (0, 1) else range(6, -1, -1)
+    cells = [(i, 2, 1) if lengthwise else (2, i, 1) for i in at]
+    size = (7, 5, 3) if lengthwise else (5, 7, 3)
+    landing = [(Kind.BLOCK, cell) for cell in cells[4:]]
+    return size, cells, [(Kind.BODY, cells[3], (direction + 2) % 4), *landing]
+
+
+@pytest.mark.parametrize("direction", range(4))
+def test_climbs_a_ramp_drives_and_turns_on_top_and_comes_back_down(make_checked, direction):
+    size, cells, objects = _ramp(direction)
+    up, down = MOVE[direction], MOVE[(direction + 2) % 4]
+    checked = make_checked(size, [(*cells[0], direction)], objects)
+    _perform(checked, [up] * 6 + [TURNS[0], TURNS[0]] + [down] * 6)
+
+
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("direction", [0, 3])
+def test_carries_a_load_up_a_ramp_and_back_down(make_checked, direction, load):
+    size, cells, objects = _ramp(direction)
+    up, down = MOVE[direction], MOVE[(direction + 2) % 4]
+    checked = make_checked(size, [_loaded(cells[1], direction, load)], objects)
+    _perform(checked, [up] * 4 + [TURNS[1], TURNS[1]] + [down] * 5 + [DROP])
+
+
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("direction", [1, 2])
+def test_sets_a_load_down_on_the_second_level(make_checked, direction, load):
+    size, cells, objects = _ramp(direction)
+    checked = make_checked(size, [_loaded(cells[1], direction, load)], objects)
+    _perform(checked, [MOVE[direction]] * 4 + [DROP])
+
+
+def test_stays_where_it_is_when_told_to_stop(make_checked):
+    checked = make_checked((1, 1, 1), [(0, 0, 1, 0)])
+    _perform(checked, [STOP, STOP])
+
+
+def test_works_beside_neighbours_without_touching_them(make_checked):
+    ring = [(x, y) for x in range(3) for y in range(3) if (x, y) != (1, 1) and (x, y) != (2, 1)]
+    checked = make_checked(
+        (4, 3, 2), [(1, 1, 1, 0)], [(Kind.BLOCK, (1, 1, 1))] + [(Kind.BLOCK, (x, y, 1)) for x, y in ring]
+    )
+    _perform(checked, [LIFT, RIGHT, LEFT, DROP])

@@ -10,7 +10,6 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -222,12 +221,10 @@ def _caption(car: int, doing: dict[int, Action]) -> str:
 
 
 def _table(run: CheckedRun) -> Table:
-    caption = "car: cell, heading, load, low or high on a slope; mm, mrad: the car's error at the end"
-    table = Table(
-        title="Predicted by the rules, read from poses", caption=caption, box=SIMPLE_HEAD, pad_edge=False
-    )
+    caption = "cell, heading, load, low or high on a slope; mm, mrad: error of the car"
+    table = Table(title="Predicted by the rules, read from poses", caption=caption, box=None, pad_edge=False)
     for heading in ("tick", "car", "action", "predicted", "read", "verdict"):
-        table.add_column(heading, overflow="fold")
+        table.add_column(heading, no_wrap=heading != "verdict", overflow="fold")
     for heading in ("s", "mm", "mrad"):
         table.add_column(heading, justify="right", no_wrap=True)
     for record in run.records:

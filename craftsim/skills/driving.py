@@ -19,7 +19,7 @@ from craftsim.discrete.readback import nearest_yaw
 from craftsim.models.parameters import SMARTCAR
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.gains import DriveGains
-from craftsim.skills.mecanum import body_twist, wheel_speeds
+from craftsim.skills.mecanum import body_twist, wheel_speeds, wheel_torques
 from craftsim.skills.outcome import Reason
 from craftsim.skills.profile import Profile
 from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
@@ -80,21 +80,22 @@ class DrivingSkill(Skill):
         return self._origin + self._direction * self._profile.distance(t)
 
     def _wheels(self, now: CarMeasurement, error: NDArray[np.float64]) -> NDArray[np.float64]:
-        gains, car, t = self.gains, SMARTCAR, self.elapsed_s + self.period_s
+        # The command holds for one period, so the path's motion in the middle of that period is fed forward.
+        gains, t = self.gains, self.elapsed_s + self.period_s / 2
         if self.elapsed_s > self._profile.duration_s:
             self._integral += gains.integral_gain * error * self.period_s
         gain = np.array([gains.position_gain, gains.position_gain, gains.heading_gain])
         velocity = self._direction * self._profile.speed(t) + gain * error + self._integral
         acceleration = self._direction * self._profile.acceleration(t)
-        speeds = wheel_speeds(_to_body(velocity, now)) * self._stretch(now)
-        # What a velocity servo of gain kv lacks to give a torque is that torque / kv.
-        mass = car.mass_kg + max(0.0, now.board_force_n / GRAVITY if self._loaded else 0.0)
-        force = _to_body(acceleration, now)[:2] * (mass + _WHEEL_MASS_KG)
-        force[0] += mass * GRAVITY * math.sin(now.pitch)
-        force[1] += mass * GRAVITY * math.sin(now.roll)
-        torque = car.wheel_radius_m / 4 * np.array([force[0] + s * force[1] for s in (-1, 1, 1, -1)])
-        torque += car.gear_friction_nm * np.tanh(speeds / gains.friction_speed)
-        return speeds + torque / car.wheel_gain_nms_rad
+        slip = np.array([1.0, gains.sideways_slip, gains.turn_slip])
+        speeds = wheel_speeds(slip * _to_body(velocity, now)) * self._stretch(now)
+        mass = SMARTCAR.mass_kg + (max(0.0, now.board_force_n) / GRAVITY if self._loaded else 0.0)
+        inertia = np.array([mass + _SPIN_MASS_KG, mass + _SPIN_MASS_KG, _TURN_INERTIA_KGM2])
+        weight = mass * GRAVITY * np.array([math.sin(now.pitch), math.sin(now.roll), 0.0])
+        torque = wheel_torques(inertia * _to_body(acceleration, now) + weight)
+        torque += SMARTCAR.gear_friction_nm * np.tanh(speeds / gains.friction_speed)
+        # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
+        return speeds + torque / SMARTCAR.wheel_gain_nms_rad
 
     def _stretch(self, now: CarMeasurement) -> NDArray[np.float64]:
         """Return by how much each wheel must outrun the body's forward speed, shape (4,)."""
@@ -122,8 +123,14 @@ class DrivingSkill(Skill):
             self._fail(reason, f"{offset * 1e3:.2f} mm and {turn * 1e3:.1f} mrad from the target")
 
 
-_WHEEL_MASS_KG = 4 * SMARTCAR.wheel_spin_inertia_kgm2 / SMARTCAR.wheel_radius_m**2
-"""The spinning wheels' share of the inertia, as a mass."""
+_SPIN_MASS_KG = 4 * SMARTCAR.wheel_spin_inertia_kgm2 / SMARTCAR.wheel_radius_m**2
+"""What the spin of the four wheels adds to the car's inertia, as a mass."""
+_TURN_INERTIA_KGM2 = (
+    SMARTCAR.chassis_mass_kg * (SMARTCAR.chassis_length_m**2 + SMARTCAR.chassis_width_m**2) / 12
+    + 4 * SMARTCAR.wheel_mass_kg * (SMARTCAR.wheel_x_m**2 + SMARTCAR.wheel_y_m**2)
+    + _SPIN_MASS_KG * SMARTCAR.turn_radius_m**2
+)
+"""Inertia of the car about its vertical axis, the spin of its wheels included."""
 
 
 def _to_body(vector: NDArray[np.float64], now: CarMeasurement) -> NDArray[np.float64]:

@@ -23,6 +23,10 @@ class DriveGains:
     """1/s: turn rate commanded per radian of heading error."""
     integral_gain: float
     """1/s^2: integral action on position and heading, once the path has ended."""
+    sideways_slip: float
+    """By how much the wheels must outrun ideal kinematics to go sideways: rollers turn against their bearings."""
+    turn_slip: float
+    """The same for turning on the spot."""
     friction_speed: float
     """rad/s: wheel speed at which the compensation of the gears' dry friction reaches tanh(1) = 76 % of it."""
     max_speed: float

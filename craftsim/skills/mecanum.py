@@ -28,6 +28,14 @@ def wheel_speeds(twist: ArrayLike) -> NDArray[np.float64]:
     return TWIST_TO_WHEELS @ np.asarray(twist, float)
 
 
+def wheel_torques(wrench: ArrayLike) -> NDArray[np.float64]:
+    """Return the four wheel torques in Nm, shape (4,), that push the body with a wrench (fx, fy, mz) in N, N and Nm.
+
+    By equal power, torque . speed = wrench . twist; of all torques that do it these are the smallest.
+    """
+    return WHEELS_TO_TWIST.T @ np.asarray(wrench, float)
+
+
 def body_twist(speeds: ArrayLike) -> NDArray[np.float64]:
     """Return the body twist (vx, vy, omega), shape (3,), that four wheel speeds in rad/s imply without slip."""
     return WHEELS_TO_TWIST @ np.asarray(speeds, float)

@@ -77,8 +77,9 @@ class Skill(ABC):
         self.outcome = Outcome(reason, self.elapsed_s, detail)
 
     def _check_health(self, now: CarMeasurement) -> None:
-        numbers = (now.x, now.y, now.z, now.heading, now.pitch, now.roll, now.board_m, *now.wheel_speeds)
-        if not all(math.isfinite(v) for v in numbers):
+        pose = (now.x, now.y, now.z, now.heading, now.pitch, now.roll)
+        joints = (now.board_m, now.board_force_n, now.hinge_rad or 0.0, *now.wheel_speeds)
+        if not all(math.isfinite(v) for v in (*pose, *joints)):
             self._fail(Reason.DIVERGED, "a measurement is not finite")
         elif max(abs(now.pitch), abs(now.roll)) > _TIPPED_RAD:
             self._fail(Reason.TIPPED, f"pitch {now.pitch:+.2f} rad, roll {now.roll:+.2f} rad")

@@ -86,11 +86,11 @@ def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.intege
     Args:
         poses: what was measured.
         size: (L, W, H) of the map.
-        walls: (n, 3) cells of fixed obstacles, with z counted from 0 for level 1.
+        walls: (n, 3) cells of fixed obstacles, in the Grid's own coordinates (level 1 is z = 1).
     """
     grid = Grid.empty(size, len(poses.car_positions))
     for x, y, z in walls:
-        grid.kind[x, y, z + 1] = Kind.WALL
+        grid.kind[x, y, z] = Kind.WALL
     problems: list[str] = []
     cars = tuple(_read_car(grid, poses, i, problems) for i in range(grid.n_cars))
     objects = tuple(_read_object(grid, poses, i, problems) for i in range(len(poses.kinds)))

@@ -42,8 +42,10 @@ class SimulationConfig:
 
     def __post_init__(self) -> None:
         for name in ("timestep_s", "control_period_s", "friction_impedance_ratio", "sleep_tolerance_m_s"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"SimulationConfig.{name} must be above 0, not {getattr(self, name)}")
+            if not 0 < getattr(self, name) < float("inf"):
+                raise InputError(
+                    f"SimulationConfig.{name} must be above 0 and finite, not {getattr(self, name)}"
+                )
         if not 0 <= self.settle_s < float("inf"):
             raise InputError(f"SimulationConfig.settle_s must be 0 or more and finite, not {self.settle_s}")
         if self.timestep_s > 0.005:

@@ -49,9 +49,11 @@ class Site:
         self.size = grid.size
         self._placements = placements(grid)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
+        """(n, 3): cells of the fixed obstacles."""
         spec, names = compose(grid, self._placements, self.config, goals)
         self.model: mujoco.MjModel = spec.compile()
         self.data = mujoco.MjData(self.model)
+        self._policies = self.model.tree_sleep_policy.copy()
         self.cars = tuple(Car.find(self.model, name) for name in names["smartcar"])
         self.slopes = tuple(Slope.find(self.model, name) for name in names["slope"])
         self.blocks = tuple(FreeBody.find(self.model, name + "block") for name in names["block"])
@@ -61,6 +63,7 @@ class Site:
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
         mujoco.mj_resetData(self.model, self.data)
+        self.model.tree_sleep_policy[:] = self._policies
         joints: dict[str, list[float]] = {"smartcar": [], "slope": []}
         for placed in self._placements:
             if placed.kind in joints:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.readback import Poses, rotation_matrix
 from craftsim.models.parameters import BLOCK
+from craftsim.models.parts import Drive
 from craftsim.models.site import Site
 
 _DOCKING_RANGE_M = 0.04
@@ -62,10 +63,19 @@ def measure(site: Site, car: int) -> CarMeasurement:
         roll=math.asin(max(-1.0, min(1.0, turn[2, 1]))),
         wheel_speeds=data.qvel[handle.wheel_dofs].copy(),
         board_m=float(data.qpos[handle.board.qpos]),
-        board_force_n=float(data.actuator_force[handle.board.actuator]),
+        board_force_n=_drive_force(site, handle.board),
         slope=slope,
         hinge_rad=None if slope is None else float(data.qpos[site.slopes[slope].hinge.qpos]),
     )
+
+
+def _drive_force(site: Site, drive: Drive) -> float:
+    """Return the force of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps."""
+    model, data, motor = site.model, site.data, drive.actuator
+    gain, (offset, stiffness, damping) = model.actuator_gainprm[motor, 0], model.actuator_biasprm[motor, :3]
+    force = gain * data.act[drive.activation] + offset
+    force += stiffness * data.qpos[drive.qpos] + damping * data.qvel[drive.dof]
+    return float(np.clip(force, *model.actuator_forcerange[motor]))
 
 
 def _docked_slope(site: Site, position: NDArray[np.float64], turn: NDArray[np.float64]) -> int | None:

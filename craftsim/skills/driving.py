@@ -27,6 +27,7 @@ from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
 _AT_REST_RAD_S = 0.03
 _REST_PERIODS = 3
 _BLOCKED_S = 0.25
+_ROLLED_M = 0.01
 
 
 def wrap(angle: float) -> float:
@@ -43,12 +44,12 @@ class DrivingSkill(Skill):
         self.gains = gains
         self._integral = np.zeros(3)
         self._rest_periods = 0
-        self._stuck_s = 0.0
+        self._stuck_s = self._rolled_m = self._moved_m = 0.0
 
-    def start(self, now: CarMeasurement) -> None:
+    def _begin(self, now: CarMeasurement) -> None:
         """Lay the path from the measured pose to the target pose."""
         self._loaded = feels_load(now)
-        self._origin = np.array([now.x, now.y, now.heading])
+        self._origin = self._last = np.array([now.x, now.y, now.heading])
         target = self._target(now)
         self._delta = target - self._origin
         self._delta[2] = wrap(self._delta[2])
@@ -102,13 +103,21 @@ class DrivingSkill(Skill):
         return np.ones(4)
 
     def _check_progress(self, now: CarMeasurement, error: NDArray[np.float64]) -> None:
+        pose = np.array([now.x, now.y, now.heading])
+        step, self._last = pose - self._last, pose
+        step[2] = wrap(step[2])
         behind = float(np.hypot(error[0], error[1]) + SMARTCAR.turn_radius_m * abs(error[2]))
-        self._stuck_s = self._stuck_s + self.period_s if behind > self.gains.blocked_error else 0.0
-        if self._stuck_s <= _BLOCKED_S:
+        if behind <= self.gains.blocked_error:
+            self._stuck_s = self._rolled_m = self._moved_m = 0.0
             return
-        turning = float(np.abs(body_twist(now.wheel_speeds)[:2]).max()) > 0.05
-        reason = Reason.SLIPPED if turning else Reason.BLOCKED
-        self._fail(reason, f"{behind * 1e3:.0f} mm behind the path")
+        lever = np.array([1.0, 1.0, SMARTCAR.turn_radius_m])
+        self._stuck_s += self.period_s
+        self._rolled_m += float(np.linalg.norm(lever * body_twist(now.wheel_speeds))) * self.period_s
+        self._moved_m += float(np.linalg.norm(lever * step))
+        if self._stuck_s > _BLOCKED_S:
+            slipped = self._rolled_m > 2 * self._moved_m + _ROLLED_M
+            reason = Reason.SLIPPED if slipped else Reason.BLOCKED
+            self._fail(reason, f"{behind * 1e3:.0f} mm behind the path")
 
     def _check_arrival(self, now: CarMeasurement, error: NDArray[np.float64]) -> None:
         gains = self.gains

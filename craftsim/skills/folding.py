@@ -23,7 +23,7 @@ class TurnHinge(Skill):
         self.target_rad = target_rad
         self._speed = 0.0
 
-    def start(self, now: CarMeasurement) -> None:
+    def _begin(self, now: CarMeasurement) -> None:
         """Remember where the hinge is; without a docked slope the skill fails at its first step."""
         self._slope = now.slope
         self._last_rad = now.hinge_rad or 0.0

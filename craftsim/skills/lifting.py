@@ -23,7 +23,7 @@ class MoveBoard(Skill):
         self.target_m = target_m
         self._speed = 0.0
 
-    def start(self, now: CarMeasurement) -> None:
+    def _begin(self, now: CarMeasurement) -> None:
         """Remember where the board is."""
         self._last_m = now.board_m
         travel = abs(self.target_m - now.board_m)

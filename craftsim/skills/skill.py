@@ -51,9 +51,15 @@ class Skill(ABC):
         self.outcome: Outcome | None = None
         self._unloaded_s = 0.0
 
-    @abstractmethod
     def start(self, now: CarMeasurement) -> None:
-        """Derive the goal from what the car measures now."""
+        """Derive the goal from what the car measures now; a car in no state to act ends the skill at once."""
+        self._check_health(now)
+        if self.outcome is None:
+            self._begin(now)
+
+    @abstractmethod
+    def _begin(self, now: CarMeasurement) -> None:
+        """Derive the goal from plausible measurements."""
 
     def step(self, now: CarMeasurement) -> Command:
         """Return the command for the next control period; sets :attr:`outcome` when the skill has ended."""

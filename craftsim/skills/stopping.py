@@ -15,7 +15,7 @@ _ALLOWANCE_S = 1.0
 class Stop(Skill):
     """Command all motors to zero until the wheels rest."""
 
-    def start(self, now: CarMeasurement) -> None:
+    def _begin(self, now: CarMeasurement) -> None:
         """Need nothing."""
 
     def _control(self, now: CarMeasurement) -> Command:

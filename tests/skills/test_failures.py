@@ -1,0 +1,255 @@
+"""Every reason for which a skill fails is reached by a physical cause, and no failure raises."""
+
+import math
+from dataclasses import fields, replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.geometry import INCLINE_RAD
+from craftsim.discrete.grid import Kind
+from craftsim.models.sensing import CarMeasurement, measure
+from craftsim.skills.driving import Terrain
+from craftsim.skills.executor import Executor
+from craftsim.skills.gains import load_gains
+from craftsim.skills.library import make_skill
+from craftsim.skills.outcome import Outcome, Reason
+from craftsim.skills.skill import Command
+
+PERIOD_S = 0.02
+RIGHT = Action.MOVE_RIGHT
+PERFORMED = [action for action in Action if action <= Action.STOP]
+CALM = CarMeasurement(0.0, 0.16125, 0.16125, 0.0, 0.0, 0.0, 0.0, np.zeros(4), 0.0, 0.0, 0, math.pi / 2)
+"""At rest in the middle of cell (0, 0), under a half-open slope."""
+
+
+def _run(site, action, terrain=None, observer=None, gains=None) -> Outcome:
+    ground = {0: terrain} if terrain else None
+    return Executor(site, gains, observer).run({0: action}, ground)[0]
+
+
+def _skill(action):
+    return make_skill(action, load_gains(), PERIOD_S)
+
+
+def _limit_force(site, actuator, newtons):
+    site.model.actuator_forcerange[actuator] = [-newtons, newtons]
+
+
+def _weaken_wheels(site, newton_metres):
+    """Give the wheels so little torque that they stall before they lose their grip."""
+    for actuator in site.cars[0].wheel_actuators:
+        _limit_force(site, actuator, newton_metres)
+
+
+def test_a_load_that_meets_a_wall_blocks_the_car(make_site):
+    site = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)], [(Kind.WALL, (1, 0, 1))])
+    _weaken_wheels(site, 0.7)
+    outcome = _run(site, RIGHT)
+    assert outcome.reason is Reason.BLOCKED
+    assert "behind the path" in outcome.detail
+
+
+def test_a_parked_car_blocks_another(make_site):
+    site = make_site((2, 1, 1), [(0, 0, 1, 0), (1, 0, 1, 0)])
+    _weaken_wheels(site, 0.7)
+    assert _run(site, RIGHT).reason is Reason.BLOCKED
+
+
+def test_an_obstacle_ends_a_move_even_if_the_wheels_spin(make_site):
+    site = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)], [(Kind.WALL, (1, 0, 1))])
+    outcome = _run(site, RIGHT)
+    assert outcome.reason in (Reason.BLOCKED, Reason.SLIPPED)
+    assert outcome.duration_s < 1.0
+
+
+def test_rollers_without_grip_slip_on_a_climb(make_site):
+    site = make_site((4, 1, 2), [(0, 0, 1, 0)], [(Kind.BODY, (2, 0, 1), 2), (Kind.BLOCK, (3, 0, 1))])
+    for geom in range(site.model.ngeom):
+        if "/roller" in site.model.geom(geom).name or site.model.geom_contype[geom] == 2:
+            site.model.geom_friction[geom, 0] = 0.02
+            site.model.geom_priority[geom] = 1
+    outcome = _run(site, RIGHT, Terrain(0.0, INCLINE_RAD))
+    assert outcome.reason is Reason.SLIPPED
+
+
+def test_a_car_that_lifts_nothing_feels_no_load(make_site):
+    outcome = _run(make_site((1, 1, 2), [(0, 0, 1, 0)]), Action.LIFT)
+    assert outcome.reason is Reason.LOAD_LOST
+    assert "feels" in outcome.detail
+
+
+def test_a_car_notices_that_its_load_is_taken_away(make_site):
+    site = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
+
+    def hand(site):
+        # A declared disturbance: somebody lifts the block off with half again its weight.
+        site.data.xfrc_applied[site.blocks[0].body, 2] = 1.5 * 0.504 * 9.81
+
+    assert _run(site, RIGHT, observer=hand).reason is Reason.LOAD_LOST
+
+
+@pytest.mark.parametrize("action", [Action.FOLD, Action.UNFOLD])
+def test_a_hinge_needs_a_slope_above_the_car(make_site, action):
+    site = make_site((3, 1, 2), [(0, 0, 1, 0)], [(Kind.FSLOPE, (1, 0, 1), 0)])
+    outcome = _run(site, action)
+    assert outcome.reason is Reason.MISALIGNED
+    assert outcome.duration_s == 0.0
+
+
+def test_a_car_that_rests_off_its_target_is_misaligned(make_site):
+    nominal = load_gains()
+    stiff = replace(nominal.drive, position_gain=0.5, integral_gain=1e-9, position_tolerance=1e-7)
+    outcome = _run(make_site((2, 1, 1), [(0, 0, 1, 0)]), RIGHT, gains=replace(nominal, drive=stiff))
+    assert outcome.reason is Reason.MISALIGNED
+    assert "from the target" in outcome.detail
+
+
+def test_a_board_without_force_times_out(make_site):
+    site = make_site((1, 1, 2), [(0, 0, 1, 0)], [(Kind.BLOCK, (0, 0, 1))])
+    _limit_force(site, site.cars[0].board.actuator, 0.0)
+    assert _run(site, Action.LIFT).reason is Reason.TIMEOUT
+
+
+def test_a_hinge_without_torque_times_out(make_site):
+    site = make_site((3, 1, 2), [(1, 0, 1, 0)], [(Kind.BODY, (1, 0, 1), 2)])
+    _limit_force(site, site.slopes[0].hinge.actuator, 0.0)
+    assert _run(site, Action.FOLD).reason is Reason.TIMEOUT
+
+
+def test_wheels_that_cannot_brake_time_out_a_stop():
+    skill = _skill(Action.STOP)
+    spinning = replace(CALM, wheel_speeds=np.full(4, 5.0))
+    skill.start(spinning)
+    for _ in range(200):
+        skill.step(spinning)
+    assert skill.outcome is not None
+    assert skill.outcome.reason is Reason.TIMEOUT
+
+
+def test_a_car_without_wheel_torque_cannot_keep_to_its_path(make_site):
+    site = make_site((2, 1, 1), [(0, 0, 1, 0)])
+    _weaken_wheels(site, 0.0)
+    assert _run(site, RIGHT).reason is Reason.BLOCKED
+
+
+@pytest.mark.parametrize("action", PERFORMED)
+@pytest.mark.parametrize("changes", [{"roll": 0.6}, {"roll": -0.6}, {"pitch": 0.6}, {"pitch": -0.6}], ids=str)
+def test_a_leaning_car_has_tipped(action, changes):
+    skill = _skill(action)
+    skill.start(CALM)
+    skill.step(replace(CALM, **changes))
+    assert skill.outcome is not None
+    assert skill.outcome.reason is Reason.TIPPED
+
+
+@pytest.mark.parametrize("action", PERFORMED)
+def test_the_incline_is_no_tipping(action):
+    skill = _skill(action)
+    skill.start(CALM)
+    skill.step(replace(CALM, pitch=-INCLINE_RAD))
+    assert skill.outcome is None or skill.outcome.reason is not Reason.TIPPED
+
+
+NUMBERS = [
+    field.name for field in fields(CarMeasurement) if field.name not in ("time_s", "slope", "wheel_speeds")
+]
+
+
+@pytest.mark.parametrize("action", PERFORMED)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_measurement_that_is_not_finite_has_diverged(action, name, value):
+    skill = _skill(action)
+    skill.start(CALM)
+    command = skill.step(replace(CALM, **{name: value}))
+    assert skill.outcome is not None
+    assert skill.outcome.reason is Reason.DIVERGED
+    assert not np.any(command.wheels)
+
+
+@pytest.mark.parametrize("action", PERFORMED)
+def test_a_wheel_speed_that_is_not_finite_has_diverged(action):
+    skill = _skill(action)
+    skill.start(CALM)
+    skill.step(replace(CALM, wheel_speeds=np.array([0, 0, math.nan, 0])))
+    assert skill.outcome is not None
+    assert skill.outcome.reason is Reason.DIVERGED
+
+
+@pytest.mark.parametrize("action", PERFORMED)
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_skill_that_starts_on_nonsense_has_diverged_too(action, name):
+    skill = _skill(action)
+    nonsense = replace(CALM, **{name: math.nan})
+    skill.start(nonsense)
+    skill.step(nonsense)
+    assert skill.outcome is not None
+    assert skill.outcome.reason is Reason.DIVERGED
+
+
+def _is_zero(command: Command) -> bool:
+    return not np.any(command.wheels) and command.board == 0.0 and command.hinge == 0.0
+
+
+@pytest.mark.parametrize("action", PERFORMED)
+def test_a_skill_that_has_ended_commands_zeros_and_keeps_its_outcome(action):
+    skill = _skill(action)
+    skill.start(CALM)
+    assert _is_zero(skill.step(replace(CALM, roll=0.6)))
+    first = skill.outcome
+    for _ in range(3):
+        assert _is_zero(skill.step(replace(CALM, x=1.0, board_m=0.02)))
+    assert skill.outcome is first
+
+
+@pytest.mark.parametrize("action", [a for a in Action if a > Action.STOP])
+def test_no_skill_performs_a_diagonal_move(action):
+    assert action not in MOVE_DIRECTION
+    with pytest.raises(InputError, match=action.name):
+        _skill(action)
+
+
+def _apply(site, command):
+    site.drive(0, command.wheels)
+    site.move_board(0, command.board)
+    slope = measure(site, 0).slope
+    if slope is not None:
+        site.turn_hinge(slope, command.hinge)
+
+
+@pytest.mark.parametrize(
+    ("action", "objects"),
+    [
+        (RIGHT, []),
+        (Action.ROTATE_LEFT, []),
+        (Action.LIFT, [(Kind.BLOCK, (1, 1, 1))]),
+        (Action.UNFOLD, [(Kind.FSLOPE, (1, 1, 1), 2)]),
+    ],
+    ids=["move", "turn", "lift", "unfold"],
+)
+def test_a_skill_that_is_interrupted_goes_on_and_succeeds(make_site, action, objects):
+    site = make_site((3, 3, 2), [(1, 1, 1, 0)], objects)
+    skill = _skill(action)
+    skill.start(measure(site, 0))
+    periods = 0
+    while skill.outcome is None:
+        _apply(site, skill.step(measure(site, 0)))
+        site.advance()
+        periods += 1
+        if periods in (15, 30):
+            for _ in range(50):
+                _apply(site, Command())
+                site.advance()
+    assert skill.outcome.succeeded, str(skill.outcome)
+    assert skill.outcome.duration_s == pytest.approx(periods * PERIOD_S, abs=PERIOD_S * 1.01)
+    assert not np.any(site.data.warning.number[mujoco.mjtWarning.mjWARN_BADQACC])
+
+
+def test_an_outcome_reads_as_a_sentence():
+    assert str(Outcome(None, 1.0)) == "succeeded"
+    assert str(Outcome(Reason.LOAD_LOST, 1.0)) == "load lost"
+    assert str(Outcome(Reason.SLIPPED, 1.0, "far behind")) == "slipped: far behind"

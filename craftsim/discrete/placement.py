@@ -98,7 +98,10 @@ class _Draw:
     def place(self, what: str, slope: bool = False, for_car: bool = False) -> tuple[Cell, int]:
         """Return a free cell and a yaw, and count the cell as used; raise BlueprintError if there is none."""
         yaws = range(4 if self.sane else 3)
-        allowed = np.array([self.allowed(yaw if slope else None, for_car) for yaw in yaws])
+        if slope:
+            allowed = np.array([self.allowed(yaw, for_car) for yaw in yaws])
+        else:
+            allowed = np.repeat(self.allowed(None, for_car)[None], len(yaws), axis=0)
         found = self._sane(allowed) if self.sane else self._published(allowed, slope)
         if found is None:
             self.source.fail(None, f"no room left for {what}")

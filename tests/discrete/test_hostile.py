@@ -1,0 +1,141 @@
+"""Hostile and broken files: refused quickly, in bounded memory, and never with another error than ours."""
+
+import os
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.documents import MAX_BYTES
+from craftsim.discrete.errors import BlueprintError
+from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
+
+BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
+    f"{name}: &{name} [{','.join([f'*{before}'] * 9)}]\n"
+    for before, name in zip("abcdefgh", "bcdefghi", strict=True)
+)
+COUNTS = (
+    "area_length: {0}\narea_width: {0}\narea_height: {0}\nblock_num: {1}\nslope_num: 0\nsmartcar_num: 0\n"
+)
+
+HOSTILE = {
+    "alias bomb": BOMB,
+    "merge bomb": "a: &a {x: 1}\nb: {<<: [*a, *a]}\n",
+    "huge area": COUNTS.format(10**9, 0),
+    "large area that is allowed per side": COUNTS.format(128, 0),
+    "huge count": COUNTS.format(10, 10**9),
+    "deep flow nesting": "block: " + "[" * 100_000,
+    "deep block nesting": "\n".join(" " * i + "- " for i in range(500)),
+    "deep mappings": "".join(" " * i + "a:\n" for i in range(500)),
+    "question marks": "? " * 100_000,
+    "long key": "k" * 200_000 + ": 1",
+    "one long number": COUNTS.format(10, "1" * 200_000),
+    "not finite": COUNTS.format(".inf", ".nan"),
+    "many entries": COUNTS.format(10, 0) + "block:\n" + "  - {x: 1, y: 1, z: 1}\n" * 10_000,
+    "many documents": "---\n" * 60_000,
+    "many keys": "".join(f"k{i}: 1\n" for i in range(20_000)),
+    "python object": "!!python/object/apply:os.system ['true']",
+    "junk": "\x07" * 1000,
+    "colons": ": " * 100_000,
+    "quotes": "'" * 200_001,
+    "ten megabytes": "x" * 10_000_000,
+    "ten megabytes of entries": "block:\n" + "  - {x: 1, y: 1, z: 1}\n" * 420_000,
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_is_refused_within_a_second_in_little_memory(name, tmp_path):
+    path = tmp_path / "hostile.yaml"
+    path.write_text(HOSTILE[name])
+    begun = time.perf_counter()
+    with pytest.raises(BlueprintError, match=r"hostile\.yaml"):
+        read_blueprint(path)
+    assert time.perf_counter() - begun < 1
+    tracemalloc.start()
+    with pytest.raises(BlueprintError):
+        read_blueprint(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 64e6
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(BlueprintError, match="not a regular file"):
+        read_blueprint(tmp_path / "pipe")
+
+
+def test_the_largest_file_that_is_allowed_is_read_within_two_seconds(tmp_path):
+    entries = [f"  - {{x: {x}, y: {y}, z: 1}}\n" for x in range(64) for y in range(60)]
+    text = (
+        COUNTS.format(64, len(entries)).replace("area_height: 64", "area_height: 2")
+        + "block:\n"
+        + "".join(entries)
+    )
+    assert MAX_BYTES / 4 < len(text) < MAX_BYTES
+    (tmp_path / "large.yaml").write_text(text)
+    begun = time.perf_counter()
+    grid = read_blueprint(tmp_path / "large.yaml").grid(np.random.default_rng(0))
+    assert time.perf_counter() - begun < 2
+    assert (grid.kind == 3).sum() == len(entries)
+
+
+PIECES = [
+    "0", "-1", "1", "3", "99", "1e9", ".nan", "~", "''", "\"", "[", "]", "{", "}", ":", ",", "- ", "\n", "  ", "\t",
+    "&a", "*a", "!t", "#", "---\n", "...\n", "x", "yaw: 1", "id: 0", "load: flag", "slope: 2", "snapshot: {}\n",
+    "flag:\n  - {id: 0, x: 1, y: 1, z: 1}\n", "wall:\n", "goal:\n", "null",
+    "\u00e9", "\x00", "\u2028", "\ud7ff", "%YAML 9.9\n",
+]  # fmt: skip
+
+
+def mutate(text, rng):
+    """Return a text with a few pieces cut out, put in, doubled or swapped."""
+    for _ in range(rng.integers(1, 5)):
+        a, b = sorted(rng.integers(0, len(text) + 1, 2))
+        b = min(b, a + int(rng.integers(0, 30)))
+        piece = PIECES[rng.integers(len(PIECES))]
+        kind = rng.integers(5)
+        if kind == 0:
+            text = text[:a] + text[b:]
+        elif kind == 1:
+            text = text[:a] + piece + text[a:]
+        elif kind == 2:
+            text = text[:a] + piece + text[b:]
+        elif kind == 3:
+            text = text[:b] + text[a:]
+        else:
+            digits = [i for i, letter in enumerate(text) if letter.isdigit()]
+            if digits:
+                i = digits[rng.integers(len(digits))]
+                text = text[:i] + str(rng.integers(-2, 12)) + text[i + 1 :]
+    return text
+
+
+SNAPSHOT = """
+snapshot:
+  cells:
+    - {x: 0, y: 0, z: 1, kind: gear, yaw: 1}
+  top:
+    - {x: 0, y: 0, z: 0, mark: -2}
+  back:
+    - {x: 0, y: 0, z: 1, mark: 1}
+"""
+
+
+def test_ten_thousand_mutated_blueprints_give_a_world_or_our_error():
+    rng = np.random.default_rng(20)
+    seeds = [shipped_blueprint(name).read_text() for name in TASK_NAMES]
+    seeds += [seeds[2] + SNAPSHOT, seeds[3].replace("block_num: 6", "block_num: 9")]
+    outcomes, messages = {"world": 0, "refused": 0}, []
+    for i in range(10_000):
+        text = mutate(seeds[i % len(seeds)], rng)
+        try:
+            parse_blueprint(text, "mutated.yaml").grid(np.random.default_rng(i))
+            outcomes["world"] += 1
+        except BlueprintError as error:
+            messages.append(str(error))
+            outcomes["refused"] += 1
+    assert min(outcomes.values()) > 500
+    assert all(message.startswith("mutated.yaml") for message in messages)

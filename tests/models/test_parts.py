@@ -1,0 +1,110 @@
+"""Each part opens alone, has the shape that its comments promise, and survives random control."""
+
+from importlib.resources import as_file, files
+
+import mujoco
+import numpy as np
+import pytest
+
+from craftsim.discrete.blueprint import read_blueprint
+from craftsim.discrete.grid import Grid
+from craftsim.models.parameters import SMARTCAR
+from craftsim.models.site import Site
+
+PARTS = ("ground", "block", "flag", "wall", "slope", "smartcar")
+
+
+def demo_site() -> Site:
+    with as_file(files("craftsim.data")) as data:
+        drawing = read_blueprint(data / "blueprints" / "simple_two_story.yaml")
+    return Site(drawing.grid(np.random.default_rng(0)), goals=[(2, 3, 1)])
+
+
+def control_randomly(model: mujoco.MjModel, data: mujoco.MjData, seed: int) -> None:
+    """Run 1 s; every 20 ms each motor gets a new command from its whole range."""
+    rng = np.random.default_rng(seed)
+    low, high = model.actuator_ctrlrange.T
+    for _ in range(50):
+        data.ctrl[:] = rng.uniform(low, high)
+        mujoco.mj_step(model, data, round(0.02 / model.opt.timestep))
+
+
+def assert_healthy(data: mujoco.MjData, warned) -> None:
+    assert {name: n for name, n in warned(data).items() if n} == {}
+    assert np.isfinite(data.qpos).all()
+    assert np.isfinite(data.qvel).all()
+    assert np.isfinite(data.qacc).all()
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_each_part_opens_alone_and_survives_random_control(open_part, warned, name):
+    model = open_part(name)
+    data = mujoco.MjData(model)
+    control_randomly(model, data, seed=PARTS.index(name))
+    assert_healthy(data, warned)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_demo_scene_survives_random_control(warned, seed):
+    site = demo_site()
+    control_randomly(site.model, site.data, seed)
+    assert_healthy(site.data, warned)
+    assert np.abs(site.data.qvel).max() < 1e3
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_each_part_rests_on_the_floor_where_it_is_drawn(open_part, name):
+    """No part starts in the air or in the floor: within 1 s of rest nothing moves by more than 0.1 mm."""
+    model = open_part(name)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    start = data.xpos.copy()
+    mujoco.mj_step(model, data, 250)
+    assert np.abs(data.xpos - start).max() < 1e-4
+
+
+@pytest.mark.parametrize("wheel", ["fl", "fr", "rl", "rr"])
+def test_ten_rollers_a_wheel_in_x_arrangement(open_part, wheel):
+    """Seen from above the upper rollers point at the car's centre; those on the ground lie across that line."""
+    model = open_part("smartcar")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    rollers = [data.joint(f"roller_{wheel}{i:02}") for i in range(SMARTCAR.rollers_per_wheel)]
+    heights = [r.xanchor[2] for r in rollers]
+    assert len(rollers) == 10
+    corner = np.sign(model.body(f"wheel_{wheel}").pos[:2]) / np.sqrt(2)
+    top, bottom = rollers[int(np.argmax(heights))], rollers[int(np.argmin(heights))]
+    assert abs(top.xaxis[:2] @ corner) == pytest.approx(1, abs=1e-6)
+    assert bottom.xaxis[:2] @ corner == pytest.approx(0, abs=1e-6)
+    assert bottom.xanchor[2] == pytest.approx(SMARTCAR.roller_radius_m, abs=1e-9)
+
+
+@pytest.mark.parametrize("wheel", ["fl", "fr", "rl", "rr"])
+def test_rollers_are_evenly_spaced_and_free(open_part, wheel):
+    model = open_part("smartcar")
+    names = [f"roller_{wheel}{i:02}" for i in range(SMARTCAR.rollers_per_wheel)]
+    angles = np.sort([np.arctan2(p[0], p[2]) % (2 * np.pi) for p in (model.body(n).pos for n in names)])
+    assert np.diff(angles) == pytest.approx(2 * np.pi / len(names), abs=1e-6)
+    for name in names:
+        joint = model.joint(name)
+        assert not joint.limited[0]
+        assert model.dof_frictionloss[joint.dofadr[0]] == 0
+        assert joint.id not in model.actuator_trnid[:, 0]
+
+
+def test_only_rollers_carry_the_car(open_part):
+    """On the floor a resting car touches the ground with one roller of each wheel or two, and with nothing else."""
+    model = open_part("smartcar")
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 100)
+    touching = {model.geom(g).name for c in data.contact for g in (c.geom1, c.geom2)} - {"ground"}
+    assert all(name.startswith("roller") for name in touching)
+    assert {name[:9] for name in touching} == {f"roller_{w}" for w in ("fl", "fr", "rl", "rr")}
+
+
+def test_goal_markers_have_no_contact():
+    """A goal is a site, which MuJoCo draws and never collides: the model has no geom and no body more than without."""
+    grid = Grid.empty((4, 4, 2), 1)
+    bare, marked = Site(grid).model, Site(grid, goals=[(1, 1, 1), (2, 1, 2)]).model
+    assert marked.nsite == bare.nsite + 2
+    assert (marked.ngeom, marked.nbody) == (bare.ngeom, bare.nbody)

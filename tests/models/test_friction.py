@@ -1,0 +1,57 @@
+"""The incline at which a braked car starts to slide.
+
+MuJoCo's friction is regularised: a car that holds still creeps, by up to a few mm/s. It slides when it has passed
+20 mm/s after a second on the incline, which an incline 1 % too steep already makes it do.
+"""
+
+import math
+
+import pytest
+
+MU = (0.8, 0.4)
+SLIDING_M_S = 0.02
+BRAKE_NM = 50.0
+
+
+def brake(car, dofs) -> None:
+    """Hold joints by dry friction far beyond any torque of this test, as stiffly as the wheels' own gear."""
+    gear = car.wheels[0]
+    car.model.dof_frictionloss[dofs] = BRAKE_NM
+    car.model.dof_solref[dofs] = car.model.dof_solref[gear]
+    car.model.dof_solimp[dofs] = car.model.dof_solimp[gear]
+
+
+def sliding_angle(car, threshold, downhill: float) -> float:
+    def slides(angle: float) -> bool:
+        car.rest()
+        car.tilt(angle, downhill)
+        car.run(1.0)
+        return car.speed > SLIDING_M_S
+
+    return threshold(slides, 0.1, 0.9)
+
+
+@pytest.mark.parametrize("mu", MU)
+@pytest.mark.parametrize("downhill", [0.0, math.pi, math.pi / 2])
+def test_with_wheels_and_rollers_braked_the_car_slides_at_the_friction_angle(
+    lone_car, threshold, mu, downhill
+):
+    """Coulomb: m g sin(a) = mu m g cos(a), so a = atan(mu), in every direction. Band: 2 %."""
+    lone_car.model.geom_friction[:, 0] = mu
+    brake(lone_car, lone_car.wheels)
+    brake(lone_car, lone_car.rollers)
+    assert sliding_angle(lone_car, threshold, downhill) == pytest.approx(math.atan(mu), rel=0.02)
+
+
+@pytest.mark.parametrize("mu", MU)
+@pytest.mark.parametrize("downhill", [0.0, math.pi, math.pi / 2])
+def test_with_free_rollers_only_the_force_along_their_axes_holds_the_car(lone_car, threshold, mu, downhill):
+    """The real car's brakes hold the wheels, never the rollers. Band: 2 % of atan(mu cos 45 deg).
+
+    A free roller carries force only along its axis, at most mu N. The axes lie at 45 degrees to the fall line, be it
+    along the car or across, and the parts beside that line cancel in pairs: mu m g cos(a) cos(45 deg) = m g sin(a).
+    """
+    lone_car.model.geom_friction[:, 0] = mu
+    brake(lone_car, lone_car.wheels)
+    expected = math.atan(mu * math.cos(math.pi / 4))
+    assert sliding_angle(lone_car, threshold, downhill) == pytest.approx(expected, rel=0.02)

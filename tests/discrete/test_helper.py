@@ -1,0 +1,113 @@
+"""The action helper: its heap, its plans and its queue."""
+
+import heapq
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.heap import heapify, pop, push
+from craftsim.discrete.planner import Planner, empty_queue
+from craftsim.discrete.rules import Rules
+
+BLOCK = Kind.BLOCK
+RIGHT = Action.MOVE_RIGHT
+
+
+class Ranked:
+    """An item that heapq compares by rank alone."""
+
+    def __init__(self, item, ranks):
+        self.item, self.ranks = item, ranks
+
+    def __lt__(self, other):
+        return self.ranks[self.item] < self.ranks[other.item]
+
+
+def test_the_heap_keeps_ties_in_the_order_of_pythons_heapq():
+    rng = np.random.default_rng(3)
+    ranks = rng.integers(0, 4, 300).astype(np.int32)
+    heap, size, model = np.zeros(300, np.int32), 0, []
+    for item in range(300):
+        size = push(heap, size, item, ranks)
+        heapq.heappush(model, Ranked(item, ranks))
+        if rng.random() < 0.4:
+            assert pop(heap, size, ranks) == heapq.heappop(model).item
+            size -= 1
+        if rng.random() < 0.2 and size:
+            ranks[heap[rng.integers(size)]] -= 1
+            heapify(heap, size, ranks)
+            heapq.heapify(model)
+        assert heap[:size].tolist() == [entry.item for entry in model]
+    while size:
+        assert pop(heap, size, ranks) == heapq.heappop(model).item
+        size -= 1
+
+
+def test_a_move_out_from_under_a_block_sideways_is_planned_with_turns(scene, car):
+    grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
+    planner = Planner(Rules("physical"))
+    assert not planner.rules.legal(grid, 0, RIGHT)
+    assert planner.plan_move(grid, 0, RIGHT) == (Action.ROTATE_RIGHT, RIGHT)
+    assert planner.reachable(grid)[0, RIGHT]
+
+
+@pytest.mark.parametrize(("depth", "found"), [(0, False), (1, True)])
+def test_a_plan_has_at_most_one_step_more_than_the_search_depth(depth, found, scene, car):
+    grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
+    planner = Planner(Rules("physical"), depth)
+    assert (planner.plan_move(grid, 0, RIGHT) is not None) == found
+    assert planner.reachable(grid)[0, RIGHT] == found
+
+
+def test_a_way_to_a_cell_leads_up_a_ramp(scene, car):
+    grid = scene([(Kind.BODY, (3, 3, 1), 2), (BLOCK, (4, 3, 1))], [car(1, 3)])
+    planner = Planner(Rules("physical"))
+    assert planner.plan_to(grid, 0, (4, 3, 2)) == (RIGHT, RIGHT, RIGHT)
+    assert planner.plan_to(grid, 0, (4, 3, 3)) is None
+    assert planner.plan_to(grid, 0, (1, 3, 1)) == ()
+
+
+def test_only_moves_are_planned(scene, car):
+    with pytest.raises(ValueError, match="LIFT"):
+        Planner(Rules("physical")).plan_move(scene([], [car(3, 3)]), 0, Action.LIFT)
+
+
+def test_the_queue_goes_on_whatever_the_car_is_told(scene, car):
+    grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
+    planner, queue = Planner(Rules("physical")), empty_queue(1, 10)
+    grid, queue, applied = planner.tick(grid, queue, [(0, RIGHT)])
+    assert applied.tolist() == [True]
+    assert queue[0, :2].tolist() == [RIGHT, -1]
+    grid, queue, applied = planner.tick(grid, queue, [(0, Action.LIFT)])
+    assert applied.tolist() == [True]
+    assert grid.cars[0, : CarField.YAW + 1].tolist() == [4, 3, 1, 0]
+    assert (queue == -1).all()
+
+
+def test_a_queue_whose_next_step_became_illegal_is_thrown_away(scene, car):
+    grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1), car(4, 4)])
+    planner, queue = Planner(Rules("physical")), empty_queue(2, 10)
+    grid, queue, _ = planner.tick(grid, queue, [(0, RIGHT), (1, Action.MOVE_BACK)])
+    assert queue[0, 0] == RIGHT
+    grid, queue, applied = planner.tick(grid, queue, [(0, RIGHT), (1, Action.STOP)])
+    assert applied.tolist() == [False, True]
+    assert (queue[0] == -1).all()
+    assert grid.cars[0, : CarField.YAW].tolist() == [3, 3, 1]
+
+
+def test_a_move_without_a_plan_is_a_stop(scene, car):
+    grid = scene([], [car(0, 0)])
+    planner, queue = Planner(Rules("physical")), empty_queue(1, 10)
+    after, queue, applied = planner.tick(grid, queue, [(0, Action.MOVE_LEFT)])
+    assert applied.tolist() == [True]
+    assert after.same_visible(grid)
+    assert (queue == -1).all()
+
+
+def test_other_actions_act_at_once(scene, car):
+    grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3)])
+    after, _, applied = Planner(Rules("physical")).tick(grid, empty_queue(1, 10), [(0, Action.LIFT)])
+    assert applied.tolist() == [True]
+    assert after.cars[0, CarField.LOAD] == BLOCK

@@ -1,0 +1,159 @@
+"""Observations: the 13 numbers of each entity, the vectors made of them, the local view, plain arrays."""
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.episodes import Episode
+from craftsim.discrete.errors import CraftsimError
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.local import CONTINUE, LocalRows, choose, local_view
+from craftsim.discrete.observation import Layout, as_arrays, design_rows
+from craftsim.discrete.planner import Planner, empty_queue
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import make_task
+from craftsim.discrete.worlds import Worlds
+
+RULES = Rules("published")
+
+
+def rows_of(grid, layout):
+    return Worlds(RULES, [grid]).entity_rows(layout)[0].tolist()
+
+
+def test_rows_list_carried_things_first_then_the_grid_in_scan_order(scene, car):
+    grid = scene(
+        [(Kind.BLOCK, (5, 1, 1)), (Kind.BLOCK, (1, 5, 1)), (Kind.BODY, (3, 3, 1), 2), (Kind.FLAG, (6, 6, 1))],
+        [car(0, 0, yaw=1, load=Kind.FSLOPE), car(4, 4, yaw=2, load=Kind.BLOCK)],
+    )
+    rows = rows_of(grid, Layout(2, 2, 4, (6, 0, 1), shows_flag=True))
+    assert rows == [
+        [0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 1, 1],
+        [4, 4, 1, 1, 0, 0, 0, 0, 0, 0, 1, 0, 1],
+        [0, 0, 1, 0, 1, 0, 0, 0, 0, 0, 1, 1, 0],
+        [0] * 13,
+        [3, 3, 1, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0],
+        [0] * 13,
+        [2, 3, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0],
+        [0] * 13,
+        [4, 4, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0],
+        [1, 5, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0],
+        [5, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0],
+        [0] * 13,
+        [6, 6, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0],
+        [6, 0, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0],
+    ]
+
+
+def test_where_the_flag_is_not_shown_its_row_repeats_the_goal(scene):
+    rows = rows_of(scene([(Kind.FLAG, (6, 6, 1))]), Layout(0, 0, 0, None, shows_flag=False))
+    assert rows == [[-1, -2, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0]] * 2
+
+
+def test_a_carried_flag_is_where_its_car_is(scene, car):
+    grid = scene([], [car(2, 3, load=Kind.FLAG)])
+    assert rows_of(grid, Layout(1, 0, 0, None, shows_flag=True))[1][:9] == [2, 3, 1, 0, 0, 0, 0, 0, 1]
+
+
+@pytest.mark.parametrize("kind", [Kind.BLOCK, Kind.FSLOPE])
+def test_more_things_than_rows_are_told(scene, kind):
+    with pytest.raises(CraftsimError, match="more than the 0 slopes and 0 blocks announced"):
+        rows_of(scene([(kind, (3, 3, 1), 0)]), Layout(0, 0, 0, None, shows_flag=False))
+
+
+def test_a_cars_vector_is_its_own_row_and_then_all_rows(rng):
+    episode = Episode(make_task("complex_two_story"), rng)
+    vectors, layout = episode.vectors(), episode.batch.layout
+    assert vectors.shape == (4, layout.vector_length) == (4, 13 * (1 + 4 + 3 * 2 + 6 + 2))
+    rows = episode.batch.entity_rows()[0]
+    for car in range(4):
+        assert vectors[car].tolist() == [*rows[car], *rows.ravel()]
+
+
+def test_a_design_lists_bodies_feet_as_bodies_and_blocks():
+    rows = design_rows(make_task("simple_two_story").design).tolist()
+    assert rows == [
+        [2, 2, 1, 0, 0, 1, 0, 0, 0, 0, 1, 1, 0],
+        [2, 1, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0],
+        [2, 3, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0],
+        [2, 3, 2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0],
+    ]
+
+
+def test_plain_arrays_show_the_world_and_share_nothing_with_it(scene, car):
+    grid = scene([(Kind.BLOCK, (1, 2, 1))], [car(3, 4, yaw=1, load=Kind.FSLOPE)])
+    arrays = as_arrays(grid)
+    assert arrays["kind"].shape == (7, 7, 3)
+    assert arrays["kind"][1, 2, 0] == Kind.BLOCK
+    assert [arrays[name].tolist() for name in ("position", "heading", "load", "load_yaw", "slope")] == [
+        [[3, 4, 1]],
+        [1],
+        [Kind.FSLOPE],
+        [3],
+        [0],
+    ]
+    for array in arrays.values():
+        array[:] = 99
+    assert grid.kind[1, 2, 1] == Kind.BLOCK
+    assert grid.cars[0, 0] == 3
+
+
+@pytest.fixture
+def local():
+    """A planner, the layout of the scene below and its row counts."""
+    layout = Layout(1, 1, 2, None, shows_flag=False)
+    return Planner(RULES, 10), layout, LocalRows(blocks=2, slopes=1, free=4)
+
+
+def ramp_scene(scene, car, **kwargs):
+    objects = [(Kind.BODY, (3, 3, 1), 2), (Kind.BLOCK, (4, 3, 1)), (Kind.BLOCK, (9, 9, 1))]
+    return scene(objects, [car(1, 3, **kwargs)], size=(10, 10, 3))
+
+
+def test_the_local_view_lists_what_the_car_could_get_to_nearby(scene, car, local):
+    planner, layout, rows = local
+    grid = ramp_scene(scene, car)
+    view = local_view(grid, 0, empty_queue(1, 10), planner, layout, rows)
+    assert view.places == {1: (4, 3, 1), 3: (3, 3, 1), 4: (3, 3, 2), 5: (4, 3, 2)}
+    listed = view.vector[layout.vector_length :].reshape(-1, 13)
+    assert listed[0].tolist() == [4, 3, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0]
+    assert listed[2].tolist() == [3, 3, 1, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0]
+    assert listed[3].tolist() == [3, 3, 2] + [0] * 10
+    assert not listed[[1, 5, 6]].any()
+    assert np.flatnonzero(view.mask[: -len(Action)]).tolist() == [1, 3, 4, 5]
+    assert np.array_equal(view.mask[-len(Action) :], planner.reachable(grid)[0])
+    assert len(view.mask) == rows.n_actions == 1 + 2 + 1 + 4 + 15
+
+
+def test_a_loaded_car_sees_what_it_could_get_to_without_its_load(scene, car, local):
+    views = [
+        local_view(ramp_scene(scene, car, load=load), 0, empty_queue(1, 10), *local)
+        for load in (Kind.AIR, Kind.FLAG)
+    ]
+    assert views[0].places == views[1].places
+
+
+def test_a_place_is_reached_by_choosing_it_and_then_going_on(scene, car, local):
+    planner = local[0]
+    grid, queue = ramp_scene(scene, car), empty_queue(1, 10)
+    view = local_view(grid, 0, queue, *local)
+    action = choose(view, 5, grid, 0, queue, planner)
+    for _ in range(3):
+        grid, queue, applied = planner.tick(grid, queue, [(0, action)])
+        assert applied.all()
+        view = local_view(grid, 0, queue, *local)
+        if queue[0, 0] >= 0:
+            assert np.flatnonzero(view.mask).tolist() == [CONTINUE]
+            action = choose(view, CONTINUE, grid, 0, queue, planner)
+    assert grid.cars[0, :3].tolist() == [4, 3, 2]
+    assert not view.mask[CONTINUE]
+
+
+def test_the_last_numbers_are_the_primitive_actions_and_no_way_means_stop(scene, car, local):
+    planner, _, rows = local
+    grid, queue = ramp_scene(scene, car), empty_queue(1, 10)
+    view = local_view(grid, 0, queue, *local)
+    first = rows.n_actions - len(Action)
+    assert choose(view, first + Action.ROTATE_LEFT, grid, 0, queue, planner) == Action.ROTATE_LEFT
+    assert choose(view, 2, grid, 0, queue, planner) == Action.STOP
+    assert (queue == -1).all()

@@ -1,18 +1,20 @@
 """What a robot can measure: its own pose, its joints, and the slope that it stands under.
 
-Skills see the world through :class:`CarMeasurement` alone; noise and delay will be added here.
+Skills see the world through :class:`CarMeasurement` alone: exact, or with the noise, delay and lag of a SensorNoise.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.readback import Poses, rotation_matrix
+from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.parameters import BLOCK
 from craftsim.models.parts import Drive
 from craftsim.models.site import Site
@@ -44,6 +46,10 @@ class CarMeasurement:
     """The slope whose plug the car is docked to, if any."""
     hinge_rad: float | None
     """Hinge angle of that slope."""
+    position_std_m: float = 0.0
+    """How unsure the car is of its position: one standard deviation of x and of y."""
+    heading_std_rad: float = 0.0
+    """How unsure the car is of its heading."""
 
 
 def measure(site: Site, car: int) -> CarMeasurement:
@@ -76,6 +82,59 @@ def _drive_force(site: Site, drive: Drive) -> float:
     force = gain * data.act[drive.activation] + offset
     force += stiffness * data.qpos[drive.qpos] + damping * data.qvel[drive.dof]
     return float(np.clip(force, *model.actuator_forcerange[motor]))
+
+
+class Sensors:
+    """The senses of all cars of a Site; :meth:`observe` takes one set of readings each control period."""
+
+    def __init__(
+        self, site: Site, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None
+    ) -> None:
+        """Sense a Site with this noise; ``rng`` draws it and is needed only where there is some."""
+        self.site, self.noise, self._rng = site, noise, rng
+        n = len(site.cars)
+        if noise.silent:
+            return
+        if rng is None:
+            raise ValueError("noisy sensors need a random generator")
+        period = site.config.control_period_s
+        self._delays = rng.uniform(noise.min_delay_s, noise.max_delay_s, n) / period
+        depth = math.ceil(noise.max_delay_s / period) + 1
+        self._past: list[deque[CarMeasurement]] = [deque(maxlen=depth + 1) for _ in range(n)]
+        self._encoder_share = 1.0 if not noise.encoder_lag_s else 1 - math.exp(-period / noise.encoder_lag_s)
+        self._readings: list[CarMeasurement] = []
+        self._speeds = [np.zeros(4) for _ in range(n)]
+        self.observe()
+
+    def observe(self) -> None:
+        """Take the readings of this moment; call it once after each control period."""
+        if self.noise.silent:
+            return
+        self._readings = [self._read(car) for car in range(len(self.site.cars))]
+
+    def measure(self, car: int) -> CarMeasurement:
+        """Return the newest reading of a car."""
+        return measure(self.site, car) if self.noise.silent else self._readings[car]
+
+    def _read(self, car: int) -> CarMeasurement:
+        assert self._rng is not None
+        true = measure(self.site, car)
+        past = self._past[car]
+        past.append(true)
+        back = min(float(self._delays[car]), len(past) - 1)
+        newer, share = math.floor(back), back - math.floor(back)
+        a, b = past[-1 - newer], past[-1 - min(newer + 1, len(past) - 1)]
+        noise = self._rng.normal(size=4)
+        self._speeds[car] = self._speeds[car] + self._encoder_share * (true.wheel_speeds - self._speeds[car])
+        turned = math.remainder(b.heading - a.heading, math.tau)
+        return replace(
+            true,
+            x=a.x + share * (b.x - a.x) + self.noise.position_m * noise[0],
+            y=a.y + share * (b.y - a.y) + self.noise.position_m * noise[1],
+            z=a.z + share * (b.z - a.z) + self.noise.position_m * noise[2],
+            heading=math.remainder(a.heading + share * turned + self.noise.heading_rad * noise[3], math.tau),
+            wheel_speeds=self._speeds[car].copy(),
+        )
 
 
 def _docked_slope(site: Site, position: NDArray[np.float64], turn: NDArray[np.float64]) -> int | None:

@@ -24,7 +24,7 @@ from craftsim.skills.outcome import Reason
 from craftsim.skills.profile import Profile
 from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
 
-_AT_REST_RAD_S = 0.03
+_AT_REST_M_S = 0.0015
 _REST_PERIODS = 3
 _BLOCKED_S = 0.25
 _ROLLED_M = 0.01
@@ -44,6 +44,7 @@ class DrivingSkill(Skill):
         self.gains = gains
         self._integral = np.zeros(3)
         self._rest_periods = 0
+        self._at_rest = False
         self._stuck_s = self._rolled_m = self._moved_m = 0.0
 
     def _begin(self, now: CarMeasurement) -> None:
@@ -106,14 +107,19 @@ class DrivingSkill(Skill):
         pose = np.array([now.x, now.y, now.heading])
         step, self._last = pose - self._last, pose
         step[2] = wrap(step[2])
+        lever = np.array([1.0, 1.0, SMARTCAR.turn_radius_m])
+        moved = float(np.linalg.norm(lever * step))
+        # The four wheels together tell rest: one of them may creep under load on an incline while the car stands,
+        # and localisations jitter.
+        rolled = float(np.linalg.norm(lever * body_twist(now.wheel_speeds)))
+        self._at_rest = rolled < _AT_REST_M_S
         behind = float(np.hypot(error[0], error[1]) + SMARTCAR.turn_radius_m * abs(error[2]))
         if behind <= self.gains.blocked_error:
             self._stuck_s = self._rolled_m = self._moved_m = 0.0
             return
-        lever = np.array([1.0, 1.0, SMARTCAR.turn_radius_m])
         self._stuck_s += self.period_s
-        self._rolled_m += float(np.linalg.norm(lever * body_twist(now.wheel_speeds))) * self.period_s
-        self._moved_m += float(np.linalg.norm(lever * step))
+        self._rolled_m += rolled * self.period_s
+        self._moved_m += moved
         if self._stuck_s > _BLOCKED_S:
             slipped = self._rolled_m > 2 * self._moved_m + _ROLLED_M
             reason = Reason.SLIPPED if slipped else Reason.BLOCKED
@@ -123,12 +129,12 @@ class DrivingSkill(Skill):
         gains = self.gains
         offset, turn = float(np.hypot(error[0], error[1])), abs(float(error[2]))
         there = offset < gains.position_tolerance and turn < gains.heading_tolerance
-        still = float(np.abs(now.wheel_speeds).max()) < _AT_REST_RAD_S
-        self._rest_periods = self._rest_periods + 1 if there and still else 0
+        sure = now.position_std_m < gains.position_certainty and now.heading_std_rad < gains.heading_certainty
+        self._rest_periods = self._rest_periods + 1 if there and sure and self._at_rest else 0
         if self._rest_periods >= _REST_PERIODS:
             self._succeed()
         elif self.elapsed_s > self._profile.duration_s + gains.settle_allowance:
-            reason = Reason.MISALIGNED if still else Reason.TIMEOUT
+            reason = Reason.MISALIGNED if self._at_rest else Reason.TIMEOUT
             self._fail(reason, f"{offset * 1e3:.2f} mm and {turn * 1e3:.1f} mrad from the target")
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
 from craftsim.discrete.actions import Action
-from craftsim.models.sensing import measure
+from craftsim.models.sensing import CarMeasurement, Sensors
 from craftsim.models.site import Site
 from craftsim.skills.driving import Terrain
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import make_skill
+from craftsim.skills.localisation import Localiser
 from craftsim.skills.outcome import Outcome
-from craftsim.skills.skill import Command
+from craftsim.skills.skill import Command, Skill
 
 Observer = Callable[[Site], None]
 
@@ -19,11 +24,27 @@ Observer = Callable[[Site], None]
 class Executor:
     """Performs actions on a Site: all given cars start together and run until each skill has ended."""
 
-    def __init__(self, site: Site, gains: Gains | None = None, observer: Observer | None = None) -> None:
-        """Run on a Site with these gains; ``observer`` is called after every control period."""
+    def __init__(
+        self,
+        site: Site,
+        gains: Gains | None = None,
+        observer: Observer | None = None,
+        sensors: Sensors | None = None,
+    ) -> None:
+        """Run on a Site with these gains and senses (exact ones unless given).
+
+        ``observer`` is called after every control period.
+        """
         self.site = site
         self.gains = gains or load_gains()
         self.observer = observer
+        self.sensors = sensors or Sensors(site)
+        noise, period = self.sensors.noise, site.config.control_period_s
+        self._localisers = [] if noise.silent else [Localiser(noise, period) for _ in site.cars]
+        self._motor_share = 1 - math.exp(-period / noise.motor_lag_s) if noise.motor_lag_s else 1.0
+        self._wheels: NDArray[np.float64] = np.zeros((len(site.cars), 4))
+        self._views: list[CarMeasurement] = []
+        self._look()
 
     def run(
         self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None
@@ -32,29 +53,42 @@ class Executor:
 
         ``terrain`` gives the ground of the moves that are not on the flat, by car.
         """
-        site, period = self.site, self.site.config.control_period_s
-        skills = {
-            car: make_skill(action, self.gains, period, (terrain or {}).get(car))
-            for car, action in actions.items()
-        }
-        for car, skill in skills.items():
-            skill.start(measure(site, car))
+        period = self.site.config.control_period_s
+        skills: dict[int, Skill] = {}
+        for car, action in actions.items():
+            skills[car] = make_skill(action, self.gains, period, (terrain or {}).get(car))
+            skills[car].start(self._view(car))
         outcomes: dict[int, Outcome] = {}
         while len(outcomes) < len(skills):
             for car, skill in skills.items():
                 if car in outcomes:
                     continue
-                now = measure(site, car)
+                now = self._view(car)
                 self._apply(car, skill.step(now), now.slope)
                 if skill.outcome is not None:
                     outcomes[car] = skill.outcome
-            site.advance()
-            if self.observer is not None:
-                self.observer(site)
+            self.advance()
         return outcomes
 
+    def advance(self) -> None:
+        """Let one control period pass under the commands that stand."""
+        self.site.advance()
+        self.sensors.observe()
+        self._look()
+        if self.observer is not None:
+            self.observer(self.site)
+
+    def _look(self) -> None:
+        self._views = [loc.update(self.sensors.measure(car)) for car, loc in enumerate(self._localisers)]
+
+    def _view(self, car: int) -> CarMeasurement:
+        return self._views[car] if self._views else self.sensors.measure(car)
+
     def _apply(self, car: int, command: Command, slope: int | None) -> None:
-        self.site.drive(car, command.wheels)
+        # A stopped drive brakes at once; only a commanded speed is late.
+        share = self._motor_share if command.wheels.any() else 1.0
+        self._wheels[car] += share * (command.wheels - self._wheels[car])
+        self.site.drive(car, self._wheels[car])
         self.site.move_board(car, command.board)
         if slope is not None:
             self.site.turn_hinge(slope, command.hinge)

@@ -42,6 +42,10 @@ class DriveGains:
     position_tolerance: float
     """m: a move is done when it is this close at rest."""
     heading_tolerance: float
+    position_certainty: float
+    """m: a move is not done before the car knows its position to within this standard deviation."""
+    heading_certainty: float
+    """rad: and its heading."""
     settle_allowance: float
     """s: time beyond the profile's end after which a move that is not done has failed."""
     blocked_error: float

@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format meshes libraries clean
+.PHONY: help demo test lint format mutants meshes libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -25,6 +25,9 @@ lint: $(VENV)/installed-dev  ## Check style, formatting and types
 format: $(VENV)/installed-dev  ## Format the code and apply safe lint fixes
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+mutants: $(VENV)/installed-dev  ## Break one grid rule at a time and see which tests notice
+	$(BIN)/python tests/discrete/mutants.py
 
 meshes: $(VENV)/installed  ## Make the visual meshes in craftsim/mjcf/meshes again
 	$(BIN)/python -m craftsim.mjcf.make_meshes

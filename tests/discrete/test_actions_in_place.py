@@ -178,17 +178,19 @@ def test_another_cars_carried_gear_stops_a_turn_unless_it_points_at_the_car(rule
 
 
 @BOTH
-def test_a_carried_slope_needs_the_corner_that_its_gear_sweeps(rules, scene, car):
-    grid = scene([], [car(3, 3, yaw=0, load=FSLOPE)])
-    for turn, corner in ((Action.ROTATE_LEFT, (2, 2, 1)), (Action.ROTATE_RIGHT, (2, 4, 1))):
-        for kind, free in ((BLOCK, False), (GEAR, True)):
+@pytest.mark.parametrize(
+    ("yaw", "left", "right"),
+    [(0, (2, 2), (2, 4)), (1, (4, 2), (2, 2)), (2, (4, 4), (4, 2)), (3, (2, 4), (4, 4))],
+)
+def test_a_carried_slope_needs_the_corner_that_its_gear_sweeps(rules, scene, car, yaw, left, right):
+    grid = scene([], [car(3, 3, yaw=yaw, load=FSLOPE)])
+    for corner, free_turns in ((left, [False, True]), (right, [True, False])):
+        for kind, turns in ((BLOCK, free_turns), (GEAR, [True, True])):
             blocked = grid.copy()
-            blocked.kind[corner] = kind
-            assert rules.legal(blocked, 0, turn) == free
-            other = TURNS[1 - TURNS.index(turn)]
-            assert rules.legal(blocked, 0, other)
-    loaded = scene([], [car(3, 3, yaw=0, load=FSLOPE), car(2, 2, load=BLOCK)])
-    assert [rules.legal(loaded, 0, turn) for turn in TURNS] == [False, True]
+            blocked.kind[(*corner, 1)] = kind
+            assert [rules.legal(blocked, 0, turn) for turn in TURNS] == turns
+        loaded = scene([], [car(3, 3, yaw=yaw, load=FSLOPE), car(*corner, load=BLOCK)])
+        assert [rules.legal(loaded, 0, turn) for turn in TURNS] == free_turns
 
 
 @BOTH

@@ -1,0 +1,145 @@
+"""Change one rule at a time, and see which tests notice. Run by ``make mutants``; takes a few seconds a mutant.
+
+The rules are copied, changed in one place and tested uncompiled, which is slower to run but needs no compiling.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).parents[2]
+TESTS: Final = ("test_actions_in_place.py", "test_moves.py", "test_marks.py", "test_helper.py")
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A rule, and the text of the source that is changed to break it."""
+
+    rule: str
+    file: str
+    old: str
+    new: str
+
+
+MUTANTS: Final = (
+    Mutant(
+        "LIFT needs nothing on top",
+        "legality.py",
+        "return top_at(w, car.x, car.y, car.z, me) == NOTHING",
+        "return top_at(w, car.x, car.y, car.z, me) >= -2",
+    ),
+    Mutant(
+        "FOLD needs no car on the foot",
+        "legality.py",
+        "return top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) < 0",
+        "return True",
+    ),
+    Mutant(
+        "UNFOLD needs support below the foot",
+        "legality.py",
+        " or not standable(kind_at(w, nx, ny, car.z - 1)):",
+        ":",
+    ),
+    Mutant(
+        "UNFOLD builds on no landing",
+        "legality.py",
+        "return not back_at(w, nx, ny, car.z - 1) and not back_at(w, car.x, car.y, car.z - 1)",
+        "return not back_at(w, nx, ny, car.z - 1)",
+    ),
+    Mutant(
+        "a gear beside a turning load must point at it",
+        "legality.py",
+        "if yaw_at(w, nx, ny, car.z) != (d + 2) & 3:",
+        "if yaw_at(w, nx, ny, car.z) == d:",
+    ),
+    Mutant(
+        "a turning slope sweeps the corner on its own side",
+        "legality.py",
+        "corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)",
+        "corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw - turn)",
+    ),
+    Mutant(
+        "a car leaves a block along its yaw",
+        "moves.py",
+        "if own in (BLOCK, FLAG) and not (forward or backward):",
+        "if own in (BLOCK, FLAG) and False:",
+    ),
+    Mutant(
+        "a carried gear needs room beside it",
+        "moves.py",
+        "return not car_in(w, me, sx, sy, car.z, True) and",
+        "return",
+    ),
+    Mutant(
+        "a descent needs its exit free",
+        "moves.py",
+        "return standable(kind_at(w, x3, y3, car.z - 2)) and top_at(w, x3, y3, car.z - 2, me) == NOTHING",
+        "return standable(kind_at(w, x3, y3, car.z - 2))",
+    ),
+    Mutant(
+        "no loaded climb under a block",
+        "moves.py",
+        "(over in (BLOCK, FLAG) and car.load == AIR)",
+        "over in (BLOCK, FLAG)",
+    ),
+    Mutant("a climb goes up one level", "effects.py", "z, slope = car.z + 1, 2", "z, slope = car.z, 2"),
+    Mutant(
+        "a gear left behind is marked as an object",
+        "effects.py",
+        "left_air = kind_at(w, car.x, car.y, car.z) == AIR",
+        "left_air = kind_at(w, car.x, car.y, car.z) in (AIR, GEAR)",
+    ),
+    Mutant(
+        "the helper tries to turn right before it tries to turn left",
+        "search.py",
+        "MOVE_LEFT, ROTATE_RIGHT, ROTATE_LEFT)",
+        "MOVE_LEFT, ROTATE_LEFT, ROTATE_RIGHT)",
+    ),
+)
+
+
+def tests_that_fail(mutant: Mutant) -> list[str]:
+    """Return the names of the tests that fail with a mutant's change."""
+    with tempfile.TemporaryDirectory() as place:
+        copy = Path(place)
+        shutil.copytree(ROOT / "craftsim" / "discrete", copy / "craftsim" / "discrete")
+        shutil.copy(ROOT / "craftsim" / "__init__.py", copy / "craftsim")
+        (copy / "tests").mkdir()
+        shutil.copytree(ROOT / "tests" / "discrete", copy / "tests" / "discrete")
+        source = copy / "craftsim" / "discrete" / mutant.file
+        source.write_text(source.read_text().replace(mutant.old, mutant.new, 1))
+        environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(copy)}
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tb=no", "-rf"]
+        command += ["--import-mode=importlib", "--rootdir", place]
+        command += [f"tests/discrete/{name}" for name in TESTS]
+        run = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=False)
+    if run.returncode not in (0, 1):
+        raise RuntimeError(run.stdout + run.stderr)
+    lines = [line.split(" - ")[0] for line in run.stdout.splitlines() if line.startswith("FAILED ")]
+    return [line.removeprefix("FAILED tests/discrete/") for line in lines]
+
+
+def main() -> int:
+    """Print for each mutant which tests notice it; return 1 if one goes unnoticed, or if the rules alone fail."""
+    if failures := tests_that_fail(Mutant("none", "moves.py", "", "")):
+        print(f"the rules fail without any change: {failures}")
+        return 1
+    survivors = 0
+    for mutant in MUTANTS:
+        failures = tests_that_fail(mutant)
+        survivors += not failures
+        first = f"{failures[0]} and {len(failures) - 1} more" if failures else "UNNOTICED"
+        print(f"{mutant.rule} ({mutant.file}): {first}", flush=True)
+    print(f"{len(MUTANTS)} mutants, {survivors} unnoticed")
+    return 1 if survivors else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""The verdict on an action: agreed, not executed, wrong place, side effect or unreadable, and what differs in words."""
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.readback import Reading
+from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, describe_differences
+
+
+def _before() -> Grid:
+    """Return two cars, a block and a folded slope."""
+    grid = Grid.empty((4, 4, 3), 2)
+    grid.cars[0, :4] = 0, 0, 1, 0
+    grid.cars[1, :4] = 3, 3, 1, 2
+    grid.kind[1, 2, 1] = Kind.BLOCK
+    grid.kind[2, 2, 1], grid.kind[3, 2, 1] = Kind.FSLOPE, Kind.GEAR
+    return grid
+
+
+def _changed(grid: Grid, *, cars=(), cells=()) -> Grid:
+    after = grid.copy()
+    for car, field, value in cars:
+        after.cars[car, field] = value
+    for cell, kind in cells:
+        after.kind[cell] = kind
+    return after
+
+
+def _compare(before: Grid, predicted: Grid, read: Grid, *problems: str) -> Verdict:
+    return compare(before, predicted, Reading(read, (), (), problems))
+
+
+BEFORE = _before()
+STEP = _changed(BEFORE, cars=[(0, CarField.X, 1)])
+
+
+def test_what_is_read_as_predicted_agrees():
+    assert _compare(BEFORE, STEP, STEP.copy()) == Verdict(Finding.AGREES)
+    assert _compare(BEFORE, STEP, STEP.copy()).agrees
+
+
+def test_an_action_that_is_predicted_to_change_nothing_agrees_when_nothing_changes():
+    assert _compare(BEFORE, BEFORE.copy(), BEFORE.copy()).agrees
+
+
+def test_marks_do_not_decide():
+    read = STEP.copy()
+    read.top[:] = 7
+    read.back[:] = True
+    assert _compare(BEFORE, STEP, read).agrees
+
+
+def test_no_change_at_all_is_not_executed():
+    verdict = _compare(BEFORE, STEP, BEFORE.copy())
+    assert verdict.finding is Finding.NOT_EXECUTED
+    assert verdict.differences == ("car 0: predicted 1,0,1 +x, read 0,0,1 +x",)
+    assert not verdict.agrees
+
+
+@pytest.mark.parametrize(
+    "change", [(CarField.Y, 1), (CarField.YAW, 1), (CarField.LOAD, Kind.BLOCK)], ids=["cell", "yaw", "load"]
+)
+def test_the_acting_car_elsewhere_is_a_wrong_place(change):
+    read = _changed(BEFORE, cars=[(0, *change)])
+    assert _compare(BEFORE, STEP, read).finding is Finding.WRONG_PLACE
+
+
+def test_a_load_set_down_wrong_is_a_wrong_place():
+    loaded = _changed(BEFORE, cars=[(0, CarField.LOAD, Kind.FLAG)])
+    dropped = _changed(BEFORE, cells=[((0, 0, 1), Kind.FLAG)])
+    read = _changed(BEFORE, cells=[((0, 0, 1), Kind.BLOCK)])
+    verdict = _compare(loaded, dropped, read)
+    assert verdict.finding is Finding.WRONG_PLACE
+    assert verdict.differences == ("cell (0, 0, 1): predicted flag yaw 0, read block yaw 0",)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        _changed(STEP, cars=[(1, CarField.Y, 2)]),
+        _changed(STEP, cars=[(1, CarField.YAW, 0)]),
+        _changed(STEP, cells=[((1, 2, 1), Kind.AIR), ((1, 3, 1), Kind.BLOCK)]),
+        _changed(STEP, cells=[((2, 2, 1), Kind.BODY), ((3, 2, 1), Kind.FOOT)]),
+        _changed(BEFORE, cells=[((1, 2, 1), Kind.AIR)]),
+    ],
+    ids=["car pushed", "car turned", "block pushed", "slope opened", "block gone and car not moved"],
+)
+def test_a_change_of_what_the_action_leaves_alone_is_a_side_effect(read):
+    verdict = _compare(BEFORE, STEP, read)
+    assert verdict.finding is Finding.SIDE_EFFECT
+    assert verdict.differences
+
+
+def test_a_turned_thing_is_a_side_effect():
+    read = STEP.copy()
+    read.yaw[2, 2, 1] = 1
+    verdict = _compare(BEFORE, STEP, read)
+    assert verdict.finding is Finding.SIDE_EFFECT
+    assert verdict.differences == ("cell (2, 2, 1): predicted fslope yaw 0, read fslope yaw 1",)
+
+
+def test_poses_that_are_no_grid_are_unreadable_whatever_the_grid_says():
+    verdict = _compare(BEFORE, STEP, STEP.copy(), "car 0 leans: pitch +0.30 rad, roll 0.00 rad")
+    assert verdict == Verdict(Finding.UNREADABLE, ("car 0 leans: pitch +0.30 rad, roll 0.00 rad",))
+
+
+def test_every_difference_gets_its_line():
+    read = _changed(STEP, cars=[(0, CarField.X, 2), (1, CarField.YAW, 3)], cells=[((1, 2, 1), Kind.AIR)])
+    assert describe_differences(STEP, read) == [
+        "cell (1, 2, 1): predicted block yaw 0, read air yaw 0",
+        "car 0: predicted 1,0,1 +x, read 2,0,1 +x",
+        "car 1: predicted 3,3,1 -x, read 3,3,1 -y",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("row", "text"),
+    [
+        ((2, 3, 1, 1, Kind.AIR, 0, 0), "2,3,1 +y"),
+        ((2, 3, 1, 1, Kind.BLOCK, 0, 0), "2,3,1 +y block"),
+        ((0, 1, 2, 2, Kind.FSLOPE, 0, 2), "0,1,2 -x fslope+x high"),
+        ((0, 1, 1, 3, Kind.FLAG, 0, 1), "0,1,1 -y flag low"),
+    ],
+)
+def test_a_car_is_described_in_brief(row, text):
+    grid = Grid.empty((4, 4, 3), 1)
+    grid.cars[0] = np.array(row)
+    assert describe_car(grid, 0) == text

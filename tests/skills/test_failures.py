@@ -1,7 +1,7 @@
 """Every reason for which a skill fails is reached by a physical cause, and no failure raises."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -154,9 +154,7 @@ def test_the_incline_is_no_tipping(action):
     assert skill.outcome is None or skill.outcome.reason is not Reason.TIPPED
 
 
-NUMBERS = [
-    field.name for field in fields(CarMeasurement) if field.name not in ("time_s", "slope", "wheel_speeds")
-]
+NUMBERS = ["x", "y", "z", "heading", "pitch", "roll", "board_m", "board_force_n", "hinge_rad"]
 
 
 @pytest.mark.parametrize("action", PERFORMED)

@@ -20,8 +20,9 @@ from craftsim.models.parameters import SMARTCAR
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.mecanum import body_twist
 
-_SLIP = 0.02
-"""Standard deviation of the odometry's error as a fraction of the way."""
+_SLIP = 0.06
+"""Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up, so
+it is several times what the rollers lose."""
 _DRIFT = np.array([2e-5, 2e-5, 6e-5])
 """Standard deviation of what moves a resting car unseen in one period: m, m, rad."""
 
@@ -34,6 +35,8 @@ class Localiser:
         self._period_s = period_s
         self._noise_variance = np.array([noise.position_m, noise.position_m, noise.heading_rad]) ** 2
         self._late = 0.5 * (noise.min_delay_s + noise.max_delay_s) / period_s
+        self._age_std = (noise.max_delay_s - noise.min_delay_s) / math.sqrt(12)
+        self._rate = np.zeros(3)
         self._history: deque[NDArray[np.float64]] = deque(maxlen=math.ceil(self._late) + 1)
         self._pose: NDArray[np.float64] | None = None
         self._variance = np.zeros(3)
@@ -69,12 +72,15 @@ class Localiser:
         length = float(np.hypot(way[0], way[1]))
         slipped = _SLIP * np.array([length, length, abs(turn) + length / SMARTCAR.turn_radius_m])
         self._variance += slipped**2 + _DRIFT**2
+        self._rate = np.array([length, length, abs(turn)]) / self._period_s
 
     def _correct(self, located: NDArray[np.float64]) -> None:
         assert self._pose is not None
         innovation = located - self._remembered()
         innovation[2] = math.remainder(innovation[2], math.tau)
-        gain = self._variance / (self._variance + self._noise_variance)
+        # A localisation of unknown age says little while the car moves.
+        unsure = self._noise_variance + (self._age_std * self._rate) ** 2
+        gain = self._variance / (self._variance + unsure)
         self._pose += gain * innovation
         self._variance *= 1 - gain
         for past in self._history:

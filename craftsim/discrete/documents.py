@@ -16,7 +16,7 @@ import yaml
 from craftsim.discrete.errors import BlueprintError, suggestion
 
 MAX_BYTES: Final = 256 * 1024
-MAX_NODES: Final = 50_000
+MAX_NODES: Final = 30_000
 MAX_DEPTH: Final = 8
 
 _INTEGER: Final = re.compile(r"[-+]?(0|[1-9][0-9]{0,8})")

@@ -1,4 +1,7 @@
-"""Hostile and broken files: refused quickly, in bounded memory, and never with another error than ours."""
+"""Hostile and broken files: refused quickly, in bounded memory, and never with another error than ours.
+
+Times are of this process alone, so that a busy machine does not fail the tests.
+"""
 
 import os
 import time
@@ -49,10 +52,10 @@ HOSTILE = {
 def test_a_hostile_file_is_refused_within_a_second_in_little_memory(name, tmp_path):
     path = tmp_path / "hostile.yaml"
     path.write_text(HOSTILE[name])
-    begun = time.perf_counter()
+    begun = time.process_time()
     with pytest.raises(BlueprintError, match=r"hostile\.yaml"):
         read_blueprint(path)
-    assert time.perf_counter() - begun < 1
+    assert time.process_time() - begun < 1
     tracemalloc.start()
     with pytest.raises(BlueprintError):
         read_blueprint(path)
@@ -76,9 +79,9 @@ def test_the_largest_file_that_is_allowed_is_read_within_two_seconds(tmp_path):
     )
     assert MAX_BYTES / 4 < len(text) < MAX_BYTES
     (tmp_path / "large.yaml").write_text(text)
-    begun = time.perf_counter()
+    begun = time.process_time()
     grid = read_blueprint(tmp_path / "large.yaml").grid(np.random.default_rng(0))
-    assert time.perf_counter() - begun < 2
+    assert time.process_time() - begun < 2
     assert (grid.kind == 3).sum() == len(entries)
 
 

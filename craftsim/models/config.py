@@ -14,6 +14,10 @@ Solver = Literal["newton", "pgs"]
 class SimulationConfig:
     """Settings of the simulation; hashable, and written into every report.
 
+    Not to be set: the Newton solver with elliptic cones, and the Euler integrator. The implicit integrators damp the
+    stiff wheel servos after the contact forces are solved, which then no longer fit: a car that speeds up hops on its
+    rear axle and shakes its load along the board (tests/models/test_kinematics.py, tests/models/test_load.py).
+
     Raises InputError, naming the field, for a value that cannot work.
     """
 

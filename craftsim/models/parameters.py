@@ -101,6 +101,9 @@ class SmartcarParameters:
         4.0,
         "velocity servo: 0.11 rad/s of droop at the gear's friction; stiffer axles fight each other on a crest",
     )
+    wheel_armature_kgm2: float = assumed(
+        0.01, "a motor's rotor seen from the wheel: 4e-6 kg m^2 behind a self-locking gear of 50, squared"
+    )
     gear_friction_nm: float = assumed(
         0.45, "self-locking gear: a car carrying a slope needs 0.39 Nm a wheel to stand on the incline"
     )

@@ -91,3 +91,18 @@ def test_a_free_car_rolls_straight(lone_car):
     way = lone_car.position - start
     assert abs(way[1]) < 0.02 * abs(way[0])
     assert abs(lone_car.heading) < math.radians(1)
+
+
+@pytest.mark.parametrize("name", ["forward", "backward", "left", "right"])
+def test_all_four_wheels_stay_on_the_floor_while_the_car_speeds_up(lone_car, name):
+    """At 25 rad/s^2 (1.2 m/s^2) statics shifts 6 N of an axle's 50 N: no wheel may leave the floor for one step."""
+    signs = np.array(DIRECTIONS[name][0])
+    lone_car.rest()
+    dt = lone_car.model.opt.timestep
+    for i in range(round(0.3 / dt)):
+        lone_car.drive(25.0 * i * dt * signs)
+        lone_car.run(dt)
+        touching = {
+            lone_car.model.geom(g).name[:9] for c in lone_car.data.contact for g in (c.geom1, c.geom2)
+        }
+        assert touching == {"ground", "roller_fl", "roller_fr", "roller_rl", "roller_rr"}

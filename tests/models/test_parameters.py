@@ -106,6 +106,7 @@ SMARTCAR_FIGURES: Figures = {
     "wheel_torque_nm": lambda m: m.actuator("wheel_fl").forcerange[1],
     "wheel_speed_rad_s": lambda m: m.actuator("wheel_fl").ctrlrange[1],
     "wheel_gain_nms_rad": lambda m: m.actuator("wheel_fl").gainprm[0],
+    "wheel_armature_kgm2": lambda m: m.dof_armature[m.joint("wheel_fl").dofadr[0]],
     "gear_friction_nm": lambda m: m.dof_frictionloss[m.joint("wheel_fl").dofadr[0]],
     "roller_friction": lambda m: m.geom("roller_fl00").friction[0],
     "board_friction": lambda m: m.geom("plate").friction[0],

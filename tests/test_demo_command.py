@@ -1,4 +1,4 @@
-"""``craftsim demo``: builds and reports, twice the same; status 1 for a missed goal, 2 and one message for wrong input."""
+"""``craftsim demo``: builds and reports, twice the same; status 1 for a missed goal, 2 for wrong input."""
 
 import json
 import subprocess

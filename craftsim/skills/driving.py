@@ -138,8 +138,10 @@ class DrivingSkill(Skill):
             self._fail(reason, f"{offset * 1e3:.2f} mm and {turn * 1e3:.1f} mrad from the target")
 
 
-_SPIN_MASS_KG = 4 * SMARTCAR.wheel_spin_inertia_kgm2 / SMARTCAR.wheel_radius_m**2
-"""What the spin of the four wheels adds to the car's inertia, as a mass."""
+_SPIN_MASS_KG = (
+    4 * (SMARTCAR.wheel_spin_inertia_kgm2 + SMARTCAR.wheel_armature_kgm2) / SMARTCAR.wheel_radius_m**2
+)
+"""What the spin of the four wheels and their motors adds to the car's inertia, as a mass."""
 _TURN_INERTIA_KGM2 = (
     SMARTCAR.chassis_mass_kg * (SMARTCAR.chassis_length_m**2 + SMARTCAR.chassis_width_m**2) / 12
     + 4 * SMARTCAR.wheel_mass_kg * (SMARTCAR.wheel_x_m**2 + SMARTCAR.wheel_y_m**2)

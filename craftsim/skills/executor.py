@@ -22,7 +22,7 @@ Observer = Callable[[Site], None]
 
 
 class Executor:
-    """Performs actions on a Site: all given cars start together and run until each skill has ended."""
+    """Performs actions on a Site: any number of cars act at the same time, each until its skill has ended."""
 
     def __init__(
         self,
@@ -43,6 +43,7 @@ class Executor:
         self._localisers = [] if noise.silent else [Localiser(noise, period) for _ in site.cars]
         self._motor_share = 1 - math.exp(-period / noise.motor_lag_s) if noise.motor_lag_s else 1.0
         self._wheels: NDArray[np.float64] = np.zeros((len(site.cars), 4))
+        self._skills: dict[int, Skill] = {}
         self._views: list[CarMeasurement] = []
         self._look()
 
@@ -53,30 +54,40 @@ class Executor:
 
         ``terrain`` gives the ground of the moves that are not on the flat, by car.
         """
-        period = self.site.config.control_period_s
-        skills: dict[int, Skill] = {}
         for car, action in actions.items():
-            skills[car] = make_skill(action, self.gains, period, (terrain or {}).get(car))
-            skills[car].start(self._view(car))
+            self.begin(car, action, (terrain or {}).get(car))
         outcomes: dict[int, Outcome] = {}
-        while len(outcomes) < len(skills):
-            for car, skill in skills.items():
-                if car in outcomes:
-                    continue
-                now = self._view(car)
-                self._apply(car, skill.step(now), now.slope)
-                if skill.outcome is not None:
-                    outcomes[car] = skill.outcome
-            self.advance()
+        while self.busy:
+            outcomes |= self.advance()
         return outcomes
 
-    def advance(self) -> None:
-        """Let one control period pass under the commands that stand."""
+    @property
+    def busy(self) -> frozenset[int]:
+        """The cars whose actions have not ended."""
+        return frozenset(self._skills)
+
+    def begin(self, car: int, action: Action, terrain: Terrain | None = None) -> None:
+        """Let an idle car start an action; it runs as :meth:`advance` is called."""
+        assert car not in self._skills, f"car {car} is busy"
+        skill = make_skill(action, self.gains, self.site.config.control_period_s, terrain)
+        skill.start(self._view(car))
+        self._skills[car] = skill
+
+    def advance(self) -> dict[int, Outcome]:
+        """Step every running skill, let one control period pass, and return the outcomes of those that have ended."""
+        ended: dict[int, Outcome] = {}
+        for car, skill in list(self._skills.items()):
+            now = self._view(car)
+            self._apply(car, skill.step(now), now.slope)
+            if skill.outcome is not None:
+                ended[car] = skill.outcome
+                del self._skills[car]
         self.site.advance()
         self.sensors.observe()
         self._look()
         if self.observer is not None:
             self.observer(self.site)
+        return ended
 
     def _look(self) -> None:
         self._views = [loc.update(self.sensors.measure(car)) for car, loc in enumerate(self._localisers)]

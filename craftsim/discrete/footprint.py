@@ -1,0 +1,112 @@
+"""What an action needs of the world while it runs: the cells it sweeps, and the objects it relies on or changes.
+
+Two actions of different cars may run at the same time when neither sweeps space that the other sweeps, neither changes
+an object that the other relies on, and no two loads in motion pass side by side, where 2.5 mm of air are too little
+for two moving machines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import reduce
+
+from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.geometry import DIRECTIONS
+from craftsim.discrete.grid import CarField, Grid, Kind
+
+Cell = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """The cells (x, y, z) that matter to one action."""
+
+    space: frozenset[Cell]
+    """Swept by the car, its load or a flap."""
+    changes: frozenset[Cell]
+    """Whose object the action takes, puts down or turns."""
+    relies: frozenset[Cell]
+    """Whose object must stay as it is: what is stood on, driven under or out of."""
+    loads: frozenset[Cell]
+    """Through which a load moves, sideways play and all."""
+
+    def __or__(self, other: Footprint) -> Footprint:
+        return Footprint(
+            self.space | other.space,
+            self.changes | other.changes,
+            self.relies | other.relies,
+            self.loads | other.loads,
+        )
+
+    def conflicts(self, other: Footprint) -> bool:
+        """Return whether the two actions must not run at the same time."""
+        return bool(
+            self.space & other.space
+            or self.changes & (other.changes | other.relies)
+            or self.relies & other.changes
+            or _beside(self.loads) & other.loads
+        )
+
+
+def footprint(before: Grid, after: Grid, car: int, action: Action) -> Footprint:
+    """Return the footprint of a legal action, given the predicted worlds before and after it."""
+    ends = _standing(before, car) | _standing(after, car)
+    row = before.cars[car]
+    loaded = row[CarField.LOAD] != Kind.AIR
+    x, y, z = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z))
+    here = (x, y, z)
+    if action in MOVE_DIRECTION:
+        return ends | _swept(ends.space if loaded else frozenset())
+    if action in (Action.ROTATE_LEFT, Action.ROTATE_RIGHT) and loaded:
+        around = {(x + dx, y + dy, z) for dx, dy in DIRECTIONS.tolist()}
+        if row[CarField.LOAD] == Kind.FSLOPE:
+            around |= {(x + dx, y + dy, z) for dx in (-1, 1) for dy in (-1, 1)}
+        return ends | _swept(frozenset({here, *around}))
+    if action in (Action.LIFT, Action.DROP):
+        gears = _gear(before, car) | _gear(after, car)
+        changed = frozenset({here}) | gears
+        return ends | Footprint(changed | {(x, y, z + 1)}, changed, frozenset(), frozenset({here}) | gears)
+    if action in (Action.FOLD, Action.UNFOLD):
+        dx, dy = (int(v) for v in DIRECTIONS[(row[CarField.YAW] + 2) % 4])
+        foot, beyond = (x + dx, y + dy, z), (x + 2 * dx, y + 2 * dy, z)
+        # The flap is a third of a metre long: it reaches into the second level above, and 13 mm past the foot's cell.
+        swung = {(cx, cy, z + up) for cx, cy, _ in (here, foot) for up in (0, 1, 2)} | {beyond}
+        held = frozenset({(foot[0], foot[1], z - 1)})
+        return ends | Footprint(frozenset(swung), frozenset({here, foot}), held, frozenset())
+    return ends
+
+
+def _swept(cells: frozenset[Cell]) -> Footprint:
+    """Return the footprint of a load that moves through cells; carried, it is 32 mm into the level above."""
+    above = {(x, y, z + 1) for x, y, z in cells}
+    return Footprint(cells | above, frozenset(), frozenset(), cells)
+
+
+def _standing(grid: Grid, car: int) -> Footprint:
+    """Return what a car needs where it stands."""
+    row = grid.cars[car]
+    x, y, z, slope = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z, CarField.SLOPE))
+    space = frozenset({(x, y, z), *({(x, y, z + 1)} if slope == 1 else set())})
+    relies = frozenset({(x, y, z), (x, y, z - 1)})
+    return Footprint(space | _gear(grid, car), frozenset(), relies, frozenset())
+
+
+def _gear(grid: Grid, car: int) -> frozenset[Cell]:
+    """Return the cell of the gear of a folded slope that a car carries, if it carries one."""
+    row = grid.cars[car]
+    if row[CarField.LOAD] != Kind.FSLOPE:
+        return frozenset()
+    dx, dy = (int(v) for v in DIRECTIONS[row[CarField.LOAD_YAW]])
+    return frozenset({(int(row[CarField.X]) + dx, int(row[CarField.Y]) + dy, int(row[CarField.Z]))})
+
+
+def _beside(cells: frozenset[Cell]) -> frozenset[Cell]:
+    """Return the cells themselves and their four neighbours on the same level."""
+
+    def near(cell: Cell) -> Iterator[Cell]:
+        yield cell
+        for dx, dy in DIRECTIONS.tolist():
+            yield cell[0] + dx, cell[1] + dy, cell[2]
+
+    return reduce(frozenset.union, (frozenset(near(cell)) for cell in cells), frozenset())

@@ -1,0 +1,89 @@
+"""Which action of a plan must wait for which: the action dependency graph.
+
+The rules let cars act one after the other. Real cars act at the same time, so each action waits for exactly those
+earlier ones whose footprints conflict with its own, and for its own car; everything else may run in parallel, and the
+world ends as it does one after the other (Hoenig et al., Persistent and Robust Execution of MAPF Schedules in
+Warehouses, RA-L 2019).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.footprint import Footprint, footprint
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.terrain import incline_under
+
+Order = Literal["sequential", "concurrent", "at-once"]
+"""How the actions of a plan follow each other: one by one; as early as the dependencies allow; or, to see what goes
+wrong, all of a tick together and tick after tick."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One legal action of a schedule."""
+
+    tick: int
+    car: int
+    action: Action
+    before: Grid
+    """The predicted world when its turn comes in the order of the plan."""
+    after: Grid
+    """The predicted world right after it."""
+    footprint: Footprint
+    waits_for: frozenset[int]
+    """Indices of the earlier steps that must have ended."""
+
+    @property
+    def inclines(self) -> tuple[float, float]:
+        """The ground of a move: how far it raises the car's nose at its start and at its end, in radians."""
+        if self.action not in MOVE_DIRECTION:
+            return 0.0, 0.0
+        return (
+            incline_under(self.before, self.before.cars[self.car]),
+            incline_under(self.before, self.after.cars[self.car]),
+        )
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The legal actions of a plan with their dependencies, and those that the rules forbid when their turn comes."""
+
+    steps: tuple[Step, ...]
+    forbidden: tuple[tuple[int, int, Action], ...]
+    """(tick, car, action) of what is left out."""
+    final: Grid
+    """The predicted world at the end."""
+
+
+def make_schedule(
+    grid: Grid, ticks: Iterable[Sequence[tuple[int, Action]]], rules: Rules, order: Order = "concurrent"
+) -> Schedule:
+    """Return the schedule of a plan's ticks, each a sequence of (car, action) in acting order, from a world."""
+    steps: list[Step] = []
+    forbidden = []
+    for tick, joint in enumerate(ticks):
+        for car, action in joint:
+            if not rules.legal(grid, car, action):
+                forbidden.append((tick, car, action))
+                continue
+            after = rules.apply(grid, car, action)
+            needs = footprint(grid, after, car, action)
+            waits = frozenset(_predecessors(steps, tick, car, needs, order))
+            steps.append(Step(tick, car, action, grid, after, needs, waits))
+            grid = after
+    return Schedule(tuple(steps), tuple(forbidden), grid)
+
+
+def _predecessors(steps: list[Step], tick: int, car: int, needs: Footprint, order: Order) -> Iterable[int]:
+    match order:
+        case "sequential":
+            return range(len(steps) - 1, len(steps)) if steps else ()
+        case "at-once":
+            return (i for i, step in enumerate(steps) if step.tick < tick)
+        case "concurrent":
+            return (i for i, s in enumerate(steps) if s.car == car or s.footprint.conflicts(needs))

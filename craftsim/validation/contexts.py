@@ -1,0 +1,297 @@
+"""Every situation in which an action is legal: the contexts, found by walking the product of what can differ.
+
+Nothing is listed by hand. Each combination is drawn as a small world (:mod:`craftsim.validation.context_worlds`); what
+cannot be drawn cannot exist, and what the physical rules forbid there is no context either. Both come with a reason.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from enum import Enum, StrEnum
+from functools import cache
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.errors import CraftsimError
+from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
+from craftsim.discrete.rules import Rules
+from craftsim.validation.context_worlds import (
+    BACK,
+    FORWARD,
+    Drawing,
+    ImpossibleError,
+    check_car,
+    draw,
+    fillable,
+)
+
+DIRECTION_NAMES: Final = ("forward", "left", "back", "right")
+"""Directions and yaws relative to the car's heading, by their number."""
+LEVELS: Final = (1, 2, 3)
+_MOVE_OF: Final = {direction: action for action, direction in MOVE_DIRECTION.items()}
+
+
+class Verb(StrEnum):
+    """An action whatever the map direction."""
+
+    LIFT = "LIFT"
+    DROP = "DROP"
+    FOLD = "FOLD"
+    UNFOLD = "UNFOLD"
+    ROTATE_LEFT = "ROTATE_LEFT"
+    ROTATE_RIGHT = "ROTATE_RIGHT"
+    MOVE = "MOVE"
+    STOP = "STOP"
+
+
+class Ground(Enum):
+    """What the car stands on: its half of a slope (0 none, 1 lower, 2 upper), and where downhill is."""
+
+    FLAT = ("flat", 0, FORWARD)
+    LOW_UP = ("low-up", 1, BACK)
+    HIGH_UP = ("high-up", 2, BACK)
+    LOW_DOWN = ("low-down", 1, FORWARD)
+    HIGH_DOWN = ("high-down", 2, FORWARD)
+
+    def __init__(self, label: str, half: int, downhill: int) -> None:
+        self.label, self.half, self.downhill = label, half, downhill
+
+
+@dataclass(frozen=True)
+class Thing:
+    """What is in a cell, its yaw relative to the car's heading."""
+
+    kind: Kind = Kind.AIR
+    yaw: int = 0
+    below: bool = False
+    """The thing is in the cell below, and this one is free: the body of a slope to drive down."""
+
+    def __str__(self) -> str:
+        name = self.kind.name.lower() + (
+            f"-{DIRECTION_NAMES[self.yaw]}" if self.kind in KINDS_WITH_YAW else ""
+        )
+        return f"above-{name}" if self.below else name
+
+
+NOTHING: Final = Thing()
+
+
+@dataclass(frozen=True)
+class Context:
+    """One situation of one action; directions and yaws are relative to the car's heading."""
+
+    verb: Verb
+    direction: int | None
+    """Of a move, else None."""
+    level: int
+    """The car's level before the action."""
+    ground: Ground
+    own: Thing
+    load: Kind
+    next: Thing | None
+    """In the cell that a move goes to."""
+    over: Thing = NOTHING
+    """In the cell above the own one (lift, fold, unfold); of a move onto a ramp, in the cell above the landing of the
+    climb, above the body or above the foot that comes next."""
+    beyond_taken: bool = False
+    """Whether a thing stands where the lip of a flap reaches: it ends 13 mm past its foot's cell."""
+    tight: bool = False
+    """Whether blocks fill the neighbour cells of the way, as far as the rules let the action be."""
+
+    @property
+    def id(self) -> str:
+        """Stable name, such as ``MOVE-forward/level=1/ground=flat/own=block/load=none/next=air/room=free``."""
+        verb = self.verb if self.direction is None else f"{self.verb}-{DIRECTION_NAMES[self.direction]}"
+        load = "none" if self.load == Kind.AIR else self.load.name.lower()
+        parts = [
+            verb,
+            f"level={self.level}",
+            f"ground={self.ground.label}",
+            f"own={self.own}",
+            f"load={load}",
+        ]
+        parts += [f"next={self.next}"] if self.next is not None else []
+        parts += [f"over={self.over}"] if self.over != NOTHING else []
+        parts += ["beyond=taken"] if self.beyond_taken else []
+        return "/".join([*parts, f"room={'tight' if self.tight else 'free'}"])
+
+    @property
+    def swings(self) -> bool:
+        """Whether the action swings a flap."""
+        return self.verb in (Verb.FOLD, Verb.UNFOLD)
+
+    @property
+    def unsound(self) -> str:
+        """Why physics refuses although the rules allow, in a few words; empty where it should work."""
+        if self.beyond_taken:
+            return "the lip of a flap meets what stands beyond the foot"
+        if self.swings and self.over.kind == Kind.GEAR:
+            return "the flap meets a gear that hangs above"
+        if self.direction is None or self.next is None:
+            return ""
+        loaded, ramp = self.load != Kind.AIR, self.next.below or self.ground.half > 0
+        if loaded and ramp and self.over.kind == Kind.GEAR:
+            return "the load meets a gear that hangs over the ramp"
+        if loaded and self.ground is Ground.HIGH_UP and self.next.below:
+            return "a load does not pass the crest of two ramps without a landing"
+        if self.ground is Ground.HIGH_UP and self.next.kind == Kind.FOOT:
+            return "the rules do not know that a second ramp goes on at once"
+        return ""
+
+    def action(self, heading: int) -> Action:
+        """Return the primitive action for a car of this grid yaw."""
+        if self.direction is None:
+            return Action[self.verb]
+        return _MOVE_OF[(heading + self.direction) % 4]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """All combinations: those that are contexts, and how many are none for which reason."""
+
+    contexts: tuple[Context, ...]
+    impossible: tuple[tuple[str, int], ...]
+    """Reason and count of combinations that no world can show, commonest first."""
+    forbidden: tuple[tuple[str, int], ...]
+    """Reason and count of combinations that the rules forbid, commonest first."""
+
+    @property
+    def n_combinations(self) -> int:
+        """How many combinations were tried."""
+        return len(self.contexts) + sum(n for _, n in (*self.impossible, *self.forbidden))
+
+
+def _things(kinds: tuple[Kind, ...], below: bool = False) -> list[Thing]:
+    return [Thing(k, yaw, below) for k in kinds for yaw in (range(4) if k in KINDS_WITH_YAW else (0,))]
+
+
+_OWN: Final = _things((Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.GEAR, Kind.FOOT))
+_NEXT: Final = [
+    *_things((Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.GEAR, Kind.FOOT, Kind.WALL)),
+    *_things((Kind.BODY,), below=True),
+]
+_OVER: Final = _things((Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.GEAR))
+_LOADS: Final = (Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
+
+
+def _inner(verb: Verb) -> list[tuple[int | None, Thing | None, int, Thing, bool]]:
+    """Return the combinations of direction, next, level, over and beyond that a verb depends on, in a fixed order.
+
+    For a move, what is beyond a foot follows from the rest.
+    """
+    ways: list[tuple[int | None, Thing | None]] = [(None, None)]
+    if verb is Verb.MOVE:
+        ways = [*product(range(4), _NEXT)]
+    swings = verb in (Verb.FOLD, Verb.UNFOLD)
+    found = []
+    for (direction, thing), level in product(ways, LEVELS):
+        ramp = thing is not None and thing.kind in (Kind.FOOT, Kind.BODY)
+        overs = _OVER if ramp or swings or verb is Verb.LIFT else [NOTHING]
+        beyonds = (False, True) if swings or verb is Verb.DROP else (False,)
+        found += [(direction, thing, level, over, beyond) for over, beyond in product(overs, beyonds)]
+    return found
+
+
+@cache
+def survey() -> Survey:
+    """Try every combination and return the contexts; the same in every process."""
+    rules = Rules("physical")
+    found: list[Context] = []
+    illegal: list[Context] = []
+    impossible: Counter[str] = Counter()
+    for verb in Verb:
+        inner = _inner(verb)
+        for ground, own, load in product(Ground, _OWN, _LOADS):
+            try:
+                check_car(ground, own, load)
+            except ImpossibleError as reason:
+                impossible[str(reason)] += len(inner)
+                continue
+            for direction, thing, level, over, beyond in inner:
+                context = Context(verb, direction, level, ground, own, load, thing, over, beyond)
+                try:
+                    drawing = draw(context)
+                except ImpossibleError as reason:
+                    impossible[str(reason)] += 1
+                    continue
+                if drawing.lip_meets_something():
+                    context = replace(context, beyond_taken=True)
+                if not _legal(rules, context, drawing):
+                    illegal.append(context)
+                    continue
+                found.append(context)
+                tight = replace(context, tight=True)
+                if _tighten(rules, tight, drawing):
+                    found.append(tight)
+                else:
+                    impossible["no neighbour cell can be filled"] += 1
+    every = frozenset(found)
+    forbidden = Counter(_why_forbidden(context, every) for context in illegal)
+    return Survey(tuple(found), tuple(impossible.most_common()), tuple(forbidden.most_common()))
+
+
+def _legal(rules: Rules, context: Context, drawing: Drawing) -> bool:
+    grid = drawing.grid(context)
+    return rules.legal(grid, 0, context.action(FORWARD))
+
+
+def _tighten(rules: Rules, context: Context, drawing: Drawing) -> list[Cell]:
+    """Fill the neighbour cells one after the other with blocks while the action stays legal; return the filled ones."""
+    filled: list[Cell] = []
+    for column in fillable(context, drawing):
+        before = dict(drawing.cells)
+        drawing.cells.update((cell, (Kind.BLOCK, 0)) for cell in column)
+        if _legal(rules, context, drawing):
+            filled.append(column[-1])
+        else:
+            drawing.cells = before
+    return filled
+
+
+def _why_forbidden(context: Context, found: frozenset[Context]) -> str:
+    """Say which single property would have to be another one for the action to be legal."""
+    if context.ground.half and context.direction != FORWARD:
+        return f"{context.verb.value}: on a slope only a move forward is legal"
+    culprits = [name for name, others in _variations(context).items() if any(c in found for c in others)]
+    if not culprits:
+        return f"{context.verb.value}: forbidden for more than one reason"
+    return f"{context.verb.value}: forbidden with this {' or '.join(culprits)}"
+
+
+def _variations(context: Context) -> dict[str, list[Context]]:
+    """Return the contexts that differ in one property, by its name."""
+    varied = {
+        "own": [replace(context, own=own) for own in _OWN],
+        "load": [replace(context, load=load) for load in _LOADS],
+        "over": [replace(context, over=over) for over in _OVER],
+    }
+    if context.direction is not None:
+        varied["next"] = [replace(context, next=thing) for thing in _NEXT]
+        varied["direction"] = [replace(context, direction=direction) for direction in range(4)]
+    return varied
+
+
+def make_world(context: Context, rng: np.random.Generator) -> Grid:
+    """Return a world in which the context holds for car 0.
+
+    What does not matter is drawn from ``rng``: the map direction that the car heads in, and its place on the map.
+
+    Raises:
+        CraftsimError: there is no such world.
+    """
+    rules = Rules("physical")
+    try:
+        drawing = draw(context)
+    except ImpossibleError as reason:
+        raise CraftsimError(f"there is no world for {context.id}: {reason}") from reason
+    if context.tight and not _tighten(rules, context, drawing):
+        raise CraftsimError(f"there is no world for {context.id}: no neighbour cell can be filled")
+    turn, before_x, before_y, room = (int(v) for v in rng.integers((0, 1, 1, 1), (4, 4, 4, 4)))
+    grid = drawing.grid(context, turn, (before_x, before_y), room)
+    if not rules.legal(grid, 0, context.action(turn)):
+        raise CraftsimError(f"there is no world for {context.id}: the rules forbid it")
+    return grid

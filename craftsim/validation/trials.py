@@ -1,0 +1,180 @@
+"""Trials: one action in one context in physics, and many of them over worker processes.
+
+Every trial derives its own generators from (seed, index), so that results are equal bit for bit at any number of
+workers, and one trial can be repeated alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from multiprocessing import get_context
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.rules import Rules
+from craftsim.models.config import SimulationConfig
+from craftsim.models.noise import EXACT, NOISY, SensorNoise
+from craftsim.models.sensing import Sensors
+from craftsim.models.site import Site
+from craftsim.models.variation import Spread, Varied
+from craftsim.skills.executor import Executor
+from craftsim.validation.checked_run import ActionRecord, CheckedSite
+from craftsim.validation.contexts import Context, make_world
+
+_BATCH: Final = 4
+"""Trials that a worker takes at once: few, so that results come steadily."""
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """The largest errors with which an action counts as done well."""
+
+    car_m: float = 0.001
+    heading_rad: float = 0.003
+    placed_m: float = 0.002
+    others_m: float = 0.001
+
+
+@dataclass(frozen=True)
+class TrialSettings:
+    """What a trial runs under besides its context; hashable, and written into the report."""
+
+    thresholds: Thresholds = Thresholds()
+    noise: SensorNoise = EXACT
+    """Of the cars' senses and motors."""
+    spread: Spread | None = None
+    """From which each trial draws its own physics; None for the nominal one."""
+    simulation: SimulationConfig = field(default_factory=SimulationConfig)
+
+
+NOMINAL: Final = TrialSettings()
+"""Exact senses, nominal physics."""
+
+WITH_NOISE: Final = TrialSettings(Thresholds(0.003, 0.009, 0.005, 0.002), NOISY, Spread())
+"""Noisy senses and randomised physics. A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
+
+
+@dataclass(frozen=True)
+class TrialRecord:
+    """What came of one trial; errors in metres and radians."""
+
+    index: int
+    context: str
+    seed: int
+    action: str
+    outcome: str
+    """Of the skill, with its reason and detail when it failed."""
+    verdict: str
+    differences: tuple[str, ...]
+    car_error_m: float
+    heading_error_rad: float
+    placed_error_m: float | None
+    others_moved_m: float
+    duration_s: float
+    reasons: tuple[str, ...]
+    """Why the trial counts as failed; empty when it succeeded."""
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the skill succeeded, the verdict agrees, and every error is within its threshold."""
+        return not self.reasons
+
+    def line(self) -> str:
+        """Return the record as one line of JSON."""
+        return json.dumps({**asdict(self), "succeeded": self.succeeded}, sort_keys=True)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What to try: a context under an index, which with the seed decides all that is drawn."""
+
+    index: int
+    context: Context
+
+
+def plan_trials(contexts: Sequence[Context], n: int, seed: int) -> list[Trial]:
+    """Spread ``n`` trials evenly over contexts: pass after pass over all of them, each in an order of its own."""
+    order: list[int] = []
+    for turn in range(-(-n // len(contexts)) if contexts else 0):
+        order += np.random.default_rng([seed, turn, len(contexts)]).permutation(len(contexts)).tolist()
+    return [Trial(index, contexts[which]) for index, which in enumerate(order[:n])]
+
+
+def prepare(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> CheckedSite:
+    """Return the world of a trial before its action, as :func:`run_trial` makes it."""
+    world, physics, senses = (np.random.default_rng(s) for s in _sequence(trial, seed).spawn(3))
+    site = Site(make_world(trial.context, world), settings.simulation)
+    if settings.spread is not None:
+        Varied(site).draw(settings.spread, physics)
+    sensors = Sensors(site, settings.noise, senses)
+    return CheckedSite(site, Rules("physical"), Executor(site, sensors=sensors))
+
+
+def run_trial(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> TrialRecord:
+    """Make the trial's world, perform its action, and judge it."""
+    checked = prepare(trial, seed, settings)
+    drawn = make_world(trial.context, np.random.default_rng(_sequence(trial, seed).spawn(1)[0]))
+    stands = not checked.reading.problems and checked.reading.grid.same_visible(drawn)
+    start = () if stands else ("the world does not stand as drawn", *checked.reading.problems)
+    action = trial.context.action(int(drawn.cars[0, 3]))
+    record = checked.perform(0, 0, action)
+    return TrialRecord(
+        index=trial.index,
+        context=trial.context.id,
+        seed=seed,
+        action=action.name,
+        outcome=str(record.outcome),
+        verdict=str(record.verdict.finding),
+        differences=(*start, *record.verdict.differences),
+        car_error_m=record.car_error_m,
+        heading_error_rad=abs(record.car_heading_error_rad),
+        placed_error_m=record.placed_error_m,
+        others_moved_m=record.others_moved_m,
+        duration_s=record.outcome.duration_s,
+        reasons=tuple(_reasons(record, settings.thresholds, stands)),
+    )
+
+
+def run_trials(
+    trials: Sequence[Trial], seed: int, settings: TrialSettings = NOMINAL, workers: int = 1
+) -> Iterator[TrialRecord]:
+    """Yield the records of trials in their order, as soon as each is known.
+
+    One worker is this process; more are spawned, so that nothing of this process leaks into their results.
+    """
+    work = partial(run_trial, seed=seed, settings=settings)
+    if workers <= 1:
+        yield from map(work, trials)
+        return
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    try:
+        yield from pool.map(work, trials, chunksize=_BATCH)
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _sequence(trial: Trial, seed: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence([seed, trial.index])
+
+
+def _reasons(record: ActionRecord, limits: Thresholds, stands: bool) -> Iterator[str]:
+    """Name what is wrong with a trial, the cause before its consequences."""
+    if not stands:
+        yield "start"
+    if record.outcome.reason is not None:
+        yield str(record.outcome.reason)
+    if not record.verdict.agrees:
+        yield str(record.verdict.finding)
+    if not record.car_error_m <= limits.car_m:
+        yield "car error"
+    if not abs(record.car_heading_error_rad) <= limits.heading_rad:
+        yield "heading error"
+    if record.placed_error_m is not None and not record.placed_error_m <= limits.placed_m:
+        yield "placed error"
+    if not record.others_moved_m <= limits.others_m:
+        yield "others moved"

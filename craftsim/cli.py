@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from typing import Final
 
 COMMANDS: Final[dict[str, str]] = {
-    "demo": "Build the simple two-story building in physics, and check every action.",
+    "demo": "Build the paper's tasks in physics, and check every action.",
+    "trials": "Try every action in every situation where it is legal, in physics.",
     "doctor": "Say what works on this machine, and the command that mends what does not.",
     "show": "Show a blueprint as coloured text, and as a picture with --out.",
     "conformance": "Compare the rules with recordings of CraftEnv.",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -28,6 +29,12 @@ class Plan:
     path: Path
     ticks: tuple[tuple[tuple[int, Action], ...], ...]
     """For each tick the (car, action) pairs in acting order; a tick may be empty."""
+
+
+def shipped_plan(name: str) -> Path:
+    """Return the path of a shipped plan, named as the task that it builds."""
+    with as_file(files("craftsim") / "data" / "plans" / f"{name}.plan") as path:
+        return path
 
 
 def read_plan(path: str | Path, n_cars: int) -> Plan:

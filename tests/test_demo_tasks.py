@@ -1,0 +1,84 @@
+"""``craftsim demo --task``: any of the six tasks, or all with one summary and one report."""
+
+import json
+
+import pytest
+
+from craftsim import cli
+from craftsim.commands import demo as demo_module
+
+
+def _figures(out):
+    return json.loads((out / "report.json").read_text(encoding="utf-8"))["figures"]
+
+
+@pytest.fixture(autouse=True)
+def _a_screen_of_80_columns(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+def test_a_task_is_built_by_its_name(tmp_path, capsys):
+    assert cli.main(["demo", "--task", "breaking_barrier", "--no-video", "--out", str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "20 of 20 actions agree with the rules; the flag is at the goal."
+    assert _figures(tmp_path)["matches_goal"] is True
+
+
+def test_a_plan_that_leaves_blocks_apart_misses_the_goal(tmp_path, capsys):
+    plan = tmp_path / "short.plan"
+    plan.write_text("0 0 MOVE_RIGHT\n", encoding="utf-8")
+    words = ["--task", "free_building", "--plan", str(plan), "--no-video", "--out", str(tmp_path)]
+    assert cli.main(["demo", *words]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "1 of 1 actions agree with the rules; the blocks do NOT form one platform."
+
+
+def test_all_tasks_give_one_summary_and_one_report(tmp_path, capsys, monkeypatch):
+    names = ("block", "breaking_barrier")
+    monkeypatch.setattr(demo_module, "TASK_NAMES", names)
+    assert cli.main(["demo", "--task", "all", "--no-video", "--out", str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "40 of 40 actions agree with the rules; 2 of 2 goals are reached."
+    rows = [line.split() for line in lines if "reached" in line and line.startswith(names)]
+    assert [row[0] for row in rows] == list(names)
+    assert max(map(len, (line for line in lines if "Report:" not in line))) <= 80
+    figures = _figures(tmp_path)
+    assert list(figures["tasks"]) == sorted(names)
+    assert (figures["agree"], figures["total"], figures["good"]) == (40, 40, 2)
+    assert all(task["matches_goal"] for task in figures["tasks"].values())
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_one_failure_among_all_tasks_is_named_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
+    from craftsim.validation import job
+
+    plan = tmp_path / "wrong.plan"
+    plan.write_text("0 0 DROP\n", encoding="utf-8")
+    monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
+    monkeypatch.setattr(job, "shipped_plan", lambda name: plan)
+    assert cli.main(["demo", "--task", "all", "--no-video", "--out", str(tmp_path / "out")]) == 1
+    output = capsys.readouterr().out
+    assert "strip, tick 0, car 0 DROP: the rules forbid DROP to car 0 here" in output
+    assert output.splitlines()[-1] == "0 of 2 actions agree with the rules; 0 of 2 goals are reached."
+    assert _figures(tmp_path / "out")["good"] == 0
+
+
+@pytest.mark.usefixtures("rendering")
+def test_each_task_has_its_own_film(tmp_path, capsys, monkeypatch):
+    from craftsim.validation import job
+
+    plan = tmp_path / "short.plan"
+    plan.write_text("0 0 STOP\n", encoding="utf-8")
+    monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
+    monkeypatch.setattr(job, "shipped_plan", lambda name: plan)
+    cli.main(["demo", "--task", "all", "--out", str(tmp_path / "out")])
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json", "strip.mp4", "block.mp4"}
+    assert capsys.readouterr().out.count("Film:") == 2
+
+
+def test_files_of_ones_own_do_not_go_with_all_tasks(tmp_path, capsys):
+    assert cli.main(["demo", "--task", "all", "--plan", "my.plan", "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "files of your own go with a single task" in error
+    assert not (tmp_path / "out").exists()

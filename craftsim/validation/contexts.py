@@ -136,8 +136,8 @@ class Context:
         loaded, ramp = self.load != Kind.AIR, self.next.below or self.ground.half > 0
         if loaded and ramp and self.over.kind == Kind.GEAR:
             return "the load meets a gear that hangs over the ramp"
-        if loaded and self.ground is Ground.HIGH_UP and self.next.below:
-            return "a load does not pass the crest of two ramps without a landing"
+        if self.ground is Ground.HIGH_UP and self.next.below:
+            return "the chassis grounds on the crest of two ramps without a landing"
         if self.ground is Ground.HIGH_UP and self.next.kind == Kind.FOOT:
             return "the rules do not know that a second ramp goes on at once"
         return ""

@@ -1,0 +1,188 @@
+"""``craftsim trials``: every action in every context, in physics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from craftsim.discrete.errors import InputError
+from craftsim.report import output_directory, write_report
+
+if TYPE_CHECKING:
+    from craftsim.validation.contexts import Context, Survey
+    from craftsim.validation.trial_figures import Quantiles, Summary
+    from craftsim.validation.trials import TrialRecord
+
+ActionName = Literal["LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP"]
+
+BAR: Final = {False: 0.999, True: 0.99}
+"""The success rate that is asked for, without and with noise."""
+_SHOWN_FAILURES: Final = 20
+
+
+def trials(
+    trials: int = 2000,
+    seed: int = 0,
+    workers: int = 1,
+    noise: bool = False,
+    actions: tuple[ActionName, ...] = (),
+    contexts: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",
+    at_least: float | None = None,
+    out: Path = Path("out/trials"),
+) -> int:
+    """Try each action in physics in every situation where the rules allow it.
+
+    Exit status 0 when the success rate reaches the bar, 1 when not, 2 for wrong input. Situations in which the
+    rules are known to allow what physics refuses are tried too, but told apart.
+
+    Args:
+        trials: how many trials to spread over the contexts.
+        seed: decides the places, and with noise the physics and the noise, of all trials.
+        workers: processes to share the work; results do not depend on it.
+        noise: randomise the physics, and give the cars noisy senses.
+        actions: only these actions.
+        contexts: only contexts whose name matches, such as '*load=block*room=tight'.
+        at_least: the success rate to reach; 0.999, or 0.99 with noise, unless given.
+        out: folder for report.json and trials.jsonl.
+    """
+    if trials < 1 or workers < 1:
+        raise InputError("--trials and --workers must be at least 1")
+    bar = BAR[noise] if at_least is None else at_least
+    if not 0 <= bar <= 1:
+        raise InputError(f"--at-least is a share from 0 to 1, not {bar}")
+    started = time.perf_counter()
+    output_directory(out)
+    console = Console()
+
+    from craftsim.skills.gains import load_gains
+    from craftsim.validation.contexts import survey
+    from craftsim.validation.trial_figures import campaign_figures
+    from craftsim.validation.trials import NOMINAL, WITH_NOISE, plan_trials, run_trials
+
+    found = survey()
+    _print_survey(console, found)
+    chosen = [c for c in found.contexts if (not actions or c.verb in actions) and fnmatchcase(c.id, contexts)]
+    if not chosen:
+        raise InputError(
+            f"no context matches '{contexts}'; 'craftsim trials' writes their names to trials.jsonl"
+        )
+    settings = WITH_NOISE if noise else NOMINAL
+    planned = plan_trials(chosen, trials, seed)
+    records: list[TrialRecord] = []
+    failed = 0
+    with (out / "trials.jsonl").open("w", encoding="utf-8") as lines, _progress(console) as progress:
+        task = progress.add_task("trials", total=len(planned), rate=0.0, failed=0)
+        begun = time.perf_counter()
+        for record in run_trials(planned, seed, settings, workers):
+            records.append(record)
+            failed += not record.succeeded
+            lines.write(record.line() + "\n")
+            lines.flush()
+            rate = len(records) / (time.perf_counter() - begun)
+            progress.update(task, advance=1, rate=rate, failed=failed)
+    by_id = {context.id: context for context in chosen}
+    figures: dict[str, Any] = campaign_figures(records, by_id, found)
+    config = {
+        "settings": settings,
+        "gains": load_gains(),
+        "trials": trials,
+        "noise": noise,
+        "actions": actions,
+        "contexts": contexts,
+        "at_least": bar,
+    }
+    wall = {"total_s": time.perf_counter() - started, "workers": workers}
+    _print_figures(console, figures)
+    _print_failures(console, records, by_id)
+    report = write_report(out, figures, command="trials", seed=seed, config=config, wall=wall)
+    console.print(f"Report: {report}", soft_wrap=True)
+    return _conclude(console, figures["all"], bar)
+
+
+def _print_survey(console: Console, survey: Survey) -> None:
+    impossible, forbidden = (sum(n for _, n in part) for part in (survey.impossible, survey.forbidden))
+    unsound = sum(bool(context.unsound) for context in survey.contexts)
+    console.print(
+        f"{len(survey.contexts)} contexts, {unsound} of them known to be unsound. Of {survey.n_combinations} "
+        f"combinations, {impossible} cannot exist and {forbidden} are forbidden by the rules:",
+        soft_wrap=True,
+    )
+    for reason, count in [*survey.impossible[:6], *survey.forbidden[:6]]:
+        console.print(f"  {count:>7}  {reason}", highlight=False)
+    console.print("  the other reasons are in report.json")
+
+
+def _print_figures(console: Console, figures: dict[str, Any]) -> None:
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("", no_wrap=True)
+    for heading in ("trials", "good", "Wilson", "car mm", "mrad", "placed mm", "s"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for group, rows in (figures["by"] | {"all": {"": figures["all"]}}).items():
+        table.add_row(f"[bold]{group}[/]")
+        for name, row in rows.items():
+            table.add_row(
+                name,
+                str(row.trials),
+                str(row.successes),
+                f"{row.wilson_low:.4f}",
+                _pair(row.car_error_mm),
+                _pair(row.heading_error_mrad),
+                _pair(row.placed_error_mm),
+                _pair(row.duration_s),
+            )
+    console.print(table)
+    console.print("Wilson: lower bound of the 95 % interval. Others: median and 99th percentile.")
+    for why, entry in figures["unsound"].items():
+        done: Summary = entry["figures"]
+        console.print(
+            f"Unsound: {why}: {done.trials - done.successes} of {done.trials} failed.", soft_wrap=True
+        )
+
+
+def _pair(quantiles: Quantiles | None) -> str:
+    return "-" if quantiles is None else f"{quantiles.p50:.2f} {quantiles.p99:.2f}"
+
+
+def _print_failures(console: Console, records: Sequence[TrialRecord], contexts: dict[str, Context]) -> None:
+    failures = [r for r in records if not r.succeeded and not contexts[r.context].unsound]
+    for record in failures[:_SHOWN_FAILURES]:
+        details = "; ".join((record.outcome, *record.differences))
+        console.print(
+            f"trial {record.index} {record.context}: {', '.join(record.reasons)} ({details})",
+            soft_wrap=True,
+            markup=False,
+            highlight=False,
+        )
+    if len(failures) > _SHOWN_FAILURES:
+        console.print(f"and {len(failures) - _SHOWN_FAILURES} more failures in trials.jsonl")
+
+
+def _conclude(console: Console, summary: Summary, bar: float) -> int:
+    enough = summary.trials == 0 or summary.rate >= bar
+    verdict = "reaches" if enough else "does NOT reach"
+    console.print(
+        f"{summary.successes} of {summary.trials} trials succeeded ({100 * summary.rate:.2f} %, at least "
+        f"{100 * summary.wilson_low:.2f} % with 95 % confidence): {verdict} the bar of {100 * bar:.2f} %.",
+        soft_wrap=True,
+    )
+    return 0 if enough else 1
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]:.1f}/s, {task.fields[failed]} failed,"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    )

@@ -93,13 +93,13 @@ def kind_at(w: World, x: int, y: int, z: int) -> int:
         return WALL
     if z >= w.kind.shape[2]:
         return AIR
-    return int(w.kind[x, y, z])
+    return int(np.int64(w.kind[x, y, z]))
 
 
 @compiled
 def yaw_at(w: World, x: int, y: int, z: int) -> int:
     """Return the yaw of the object in a stored cell."""
-    return int(w.yaw[x, y, z])
+    return int(np.int64(w.yaw[x, y, z]))
 
 
 @compiled
@@ -160,7 +160,7 @@ def top_at(w: World, x: int, y: int, z: int, me: int) -> int:
         return NOTHING
     if w.law.derived_marks:
         return derived_top(w, x, y, z, me)
-    return int(w.top[x, y, z])
+    return int(np.int64(w.top[x, y, z]))
 
 
 @compiled

@@ -40,7 +40,7 @@ def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
 @compiled
 def advance(queue: NDArray[np.int8]) -> int:
     """Take the first action from one car's queue."""
-    action = int(queue[0])
+    action = int(np.int64(queue[0]))
     for i in range(len(queue) - 1):
         queue[i] = queue[i + 1]
     queue[-1] = -1
@@ -55,19 +55,21 @@ def act_with_helper(
 
     Returns whether the primitive that was due was legal; if a queued one was not, the queue is thrown away.
     """
-    if queue[0] >= 0:
-        applied = act(w, car, advance(queue))
-        if not applied:
-            queue[:] = -1
-        return applied
-    if action < FIRST_MOVE or action > LAST_MOVE:
-        return act(w, car, action)
-    forget_ways(space)
-    node = plan_move(w, car, space, action, limit)
-    if node < 0:
-        return act(w, car, STOP)
-    write_plan(space, node, queue)
-    return act(w, car, advance(queue))
+    queued = queue[0] >= 0
+    due = action
+    if queued:
+        due = advance(queue)
+    elif FIRST_MOVE <= action <= LAST_MOVE:
+        forget_ways(space)
+        node = plan_move(w, car, space, action, limit)
+        due = STOP
+        if node >= 0:
+            write_plan(space, node, queue)
+            due = advance(queue)
+    applied = act(w, car, due)
+    if queued and not applied:
+        queue[:] = -1
+    return applied
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Writing a world as a blueprint, such that reading it back gives the same world, marks included."""
+"""Writing worlds as blueprints, such that reading one back gives the same world, and buildings as goal files."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.blueprint import LOADS, NO_CELL, OBJECT_KEYS, parse_blueprint
+from craftsim.discrete.design import TARGET_KEYS
 from craftsim.discrete.errors import BlueprintError
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
 
@@ -112,3 +113,13 @@ def blueprint_text(grid: Grid, goal: Cell | None = None) -> str:
     n_blocks = int((grid.kind == Kind.BLOCK).sum()) + carried[0]
     n_slopes = int(np.isin(grid.kind, (Kind.FSLOPE, Kind.BODY)).sum()) + carried[1]
     return _text(grid, goal, n_blocks, n_slopes, snapshot)
+
+
+def design_text(grid: Grid) -> str:
+    """Return the text of a goal file whose design is what stands in a world: blocks and slopes, not cars and flags."""
+    cells = {key: np.argwhere(grid.kind == kind).tolist() for key, kind in TARGET_KEYS.items()}
+    lists = {
+        key: [_entry(id=i, x=x, y=y, z=z) for i, (x, y, z) in enumerate(found)]
+        for key, found in cells.items()
+    }
+    return "".join(f"{line}\n" for key, entries in lists.items() for line in _list(key, entries))

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.design import read_design
 from craftsim.discrete.episodes import Episode
 from craftsim.discrete.errors import BlueprintError
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.recording import Recording, read_published_actions, read_recording
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.saving import blueprint_text
+from craftsim.discrete.saving import blueprint_text, design_text
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.discrete.traces import read_records, recorded_grid
 
@@ -58,6 +59,16 @@ def test_the_start_of_a_task_needs_no_snapshot_and_keeps_its_goal(name, rng):
     again = parse_blueprint(text, "again.yaml")
     assert again.goal == task.starts[0].goal
     assert_same(again.grid(rng), task.draw(rng))
+
+
+def test_a_building_is_saved_as_a_goal_file_that_it_satisfies(scene, tmp_path):
+    blocks = [(Kind.BLOCK, (0, 0, 1)), (Kind.BLOCK, (0, 0, 2))]
+    grid = scene([*blocks, (Kind.BODY, (2, 2, 1), 1), (Kind.FSLOPE, (4, 4, 1), 0)])
+    (tmp_path / "goal.yaml").write_text(design_text(grid))
+    design = read_design(tmp_path / "goal.yaml")
+    assert len(design.targets) == 5
+    assert design.satisfied(grid)
+    assert not design.satisfied(scene(blocks))
 
 
 @pytest.mark.parametrize("depth", [None, 10])

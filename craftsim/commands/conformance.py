@@ -29,8 +29,11 @@ def conformance(
     The exit status is 1 when anything differs. With the physical rule set, records are left out in which
     something happened that only the published rules follow.
 
-    Args: files: recordings, gzip-compressed JSON lines. rules: the rule set to compare. show: how many of the
-    first mismatches to draw. out: directory for report.json.
+    Args:
+        files: recordings, gzip-compressed JSON lines.
+        rules: the rule set to compare.
+        show: how many of the first mismatches to draw.
+        out: directory for report.json.
     """
     from rich.console import Console
     from rich.table import Table

@@ -16,7 +16,7 @@ from craftsim.discrete.cells import AIR, World, derive_marks, pose_of
 from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.legality import FIRST_MOVE, LAST_MOVE, STOP
-from craftsim.discrete.rules import Rules, act, world_of
+from craftsim.discrete.rules import Rules, act, acting_order, check_car, world_of
 from craftsim.discrete.search import (
     Space,
     fill_reachable,
@@ -33,7 +33,12 @@ DEFAULT_DEPTH = 10
 
 
 def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
-    """Return queues of n cars, shape (n_cars, depth + 1), with nothing in them (-1)."""
+    """Return queues of n cars, shape (n_cars, depth + 1), with nothing in them (-1).
+
+    Raises ValueError for a negative search depth.
+    """
+    if depth < 0:
+        raise ValueError(f"the search depth is {depth}; allowed: 0 or more")
     return np.full((n_cars, depth + 1), -1, np.int8)
 
 
@@ -91,7 +96,10 @@ def run_helper_tick(
 
 
 class Planner:
-    """The action helper with a search depth, for single worlds under a rule set."""
+    """The action helper with a search depth, for single worlds under a rule set.
+
+    Methods raise ValueError for a car that a world does not have.
+    """
 
     def __init__(self, rules: Rules, depth: int = DEFAULT_DEPTH) -> None:
         self.rules = rules
@@ -114,12 +122,14 @@ class Planner:
         """Return the primitives that a MOVE stands for now, or None if the helper finds no way."""
         if action not in MOVE_DIRECTION:
             raise ValueError(f"{action!r} is not one of the four moves")
+        check_car(grid, car)
         space = self._space(grid)
         world = world_of(grid, self.rules.law)
         return self._read(space, plan_move(world, car, space, int(action), self.depth))
 
     def plan_to(self, grid: Grid, car: int, cell: Cell) -> tuple[Action, ...] | None:
         """Return the primitives that bring a car to a cell, or None if the helper finds no way."""
+        check_car(grid, car)
         space = self._space(grid)
         return self._read(space, search(world_of(grid, self.rules.law), car, space, *cell, self.depth))
 
@@ -131,6 +141,7 @@ class Planner:
 
     def surroundings(self, grid: Grid, car: int, view: int) -> NDArray[np.bool_]:
         """Return (L, W, H + 2): the cells a car could get to without its load, at most ``view`` columns away."""
+        check_car(grid, car)
         length, width, height = grid.size
         out = np.zeros((length, width, height + 2), np.bool_)
         world = world_of(grid, self.rules.law)
@@ -146,9 +157,11 @@ class Planner:
         A car whose queue is not empty ignores the action it is given. ``queue`` has shape (n_cars, depth + 1)
         with -1 where nothing is queued.
         """
+        if queue.shape != (grid.n_cars, self.depth + 1):
+            raise ValueError(f"queue has shape {queue.shape}; it must be {(grid.n_cars, self.depth + 1)}")
         grid, queue = grid.copy(), queue.copy()
-        order = np.array([(car, int(action)) for car, action in joint], np.int64).reshape(-1, 2)
-        applied = np.zeros(len(order), np.bool_)
+        cars, actions = acting_order(grid, joint)
+        applied = np.zeros(len(cars), np.bool_)
         world, space = world_of(grid, self.rules.law), self._space(grid)
-        run_helper_tick(world, order[:, 0].copy(), order[:, 1].copy(), applied, queue, space, self.depth)
+        run_helper_tick(world, cars, actions, applied, queue, space, self.depth)
         return grid, queue, applied

@@ -58,8 +58,24 @@ def run_tick(
         derive_marks(w)
 
 
+def check_car(grid: Grid, car: int) -> None:
+    """Raise ValueError if a world has no such car: compiled code would read past its arrays."""
+    if not 0 <= car < grid.n_cars:
+        raise ValueError(f"no car {car}; the world has {grid.n_cars}, counted from 0")
+
+
+def acting_order(grid: Grid, joint: Sequence[tuple[int, int]]) -> NDArray[np.int64]:
+    """Return (2, len(joint)): the cars as they act, and what each does. Raises ValueError for a car there is not."""
+    for car, _ in joint:
+        check_car(grid, car)
+    return np.array([(car, int(action)) for car, action in joint], np.int64).reshape(-1, 2).T.copy()
+
+
 class Rules:
-    """A rule set at work on single worlds; grids passed in are never changed."""
+    """A rule set at work on single worlds; grids passed in are never changed.
+
+    Methods raise ValueError for a car that a world does not have.
+    """
 
     def __init__(self, rule_set: RuleSet) -> None:
         if rule_set not in LAWS:
@@ -76,6 +92,7 @@ class Rules:
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
         """Return whether one car could do one action now."""
+        check_car(grid, car)
         world = world_of(grid, self.law)
         return bool(legal(world, car, pose_of(world, car), int(action)))
 
@@ -90,7 +107,7 @@ class Rules:
         world after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
         """
         after = grid.copy()
-        order = np.array([(car, int(action)) for car, action in joint], np.int64).reshape(-1, 2)
-        applied = np.zeros(len(order), np.bool_)
-        run_tick(world_of(after, self.law), order[:, 0].copy(), order[:, 1].copy(), applied)
+        cars, actions = acting_order(grid, joint)
+        applied = np.zeros(len(cars), np.bool_)
+        run_tick(world_of(after, self.law), cars, actions, applied)
         return after, applied

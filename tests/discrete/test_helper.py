@@ -111,3 +111,10 @@ def test_other_actions_act_at_once(scene, car):
     after, _, applied = Planner(Rules("physical")).tick(grid, empty_queue(1, 10), [(0, Action.LIFT)])
     assert applied.tolist() == [True]
     assert after.cars[0, CarField.LOAD] == BLOCK
+
+
+def test_a_queue_of_another_depth_and_a_negative_depth_are_refused(scene, car):
+    with pytest.raises(ValueError, match=r"queue has shape \(1, 6\); it must be \(1, 11\)"):
+        Planner(Rules("physical"), 10).tick(scene([], [car(3, 3)]), empty_queue(1, 5), [(0, RIGHT)])
+    with pytest.raises(ValueError, match="search depth is -1"):
+        empty_queue(1, -1)

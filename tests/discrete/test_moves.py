@@ -4,6 +4,7 @@ import pytest
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.planner import Planner, empty_queue
 from craftsim.discrete.rules import Rules
 
 BOTH = pytest.mark.parametrize(
@@ -232,3 +233,27 @@ def test_a_tick_leaves_the_world_it_was_given_alone(rules, scene, car):
     rules.tick(grid, [(0, Action.LIFT)])
     assert grid.same_visible(kept)
     assert grid.same_marks(kept)
+
+
+@BOTH
+@pytest.mark.parametrize("number", [-1, 1, 99])
+def test_a_car_that_is_not_there_is_refused(rules, scene, car, number):
+    grid, planner = scene([], [car(3, 3)]), Planner(rules)
+    calls = [
+        lambda: rules.legal(grid, number, Action.STOP),
+        lambda: rules.tick(grid, [(number, Action.STOP)]),
+        lambda: planner.plan_move(grid, number, RIGHT),
+        lambda: planner.plan_to(grid, number, (1, 1, 1)),
+        lambda: planner.tick(grid, empty_queue(1, 10), [(number, Action.STOP)]),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match=f"no car {number}; the world has 1"):
+            call()
+
+
+@BOTH
+@pytest.mark.parametrize("action", [-1, 15, 10**6])
+def test_an_action_that_does_not_exist_is_never_legal(rules, scene, car, action):
+    grid = scene([], [car(3, 3)])
+    assert not rules.legal(grid, 0, action)
+    assert rules.apply(grid, 0, action).same_visible(grid)

@@ -272,3 +272,15 @@ def test_orders_are_fresh_and_uniform(rng):
     orders, counts = np.unique(episodes.draw_order(), axis=0, return_counts=True)
     assert len(orders) == 24
     assert counts.min() > 50
+
+
+def test_wrong_shapes_and_orders_are_refused(rng):
+    episodes = Episodes(make_task("strip"), rng, 3)
+    good, order = np.zeros((3, 2), int), np.tile([1, 0], (3, 1))
+    episodes.step(good, order)
+    for actions, turns in ((good[:2], order), (good[:, :1], order), (good, order[:2])):
+        with pytest.raises(ValueError, match=r"must have shape \(3, 2\)"):
+            episodes.step(actions, turns)
+    for turns in (order * 0, order - 1, order + 1):
+        with pytest.raises(ValueError, match="each of the cars 0 to 1 once"):
+            episodes.step(good, turns)

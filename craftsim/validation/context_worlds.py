@@ -63,15 +63,6 @@ class Drawing:
             if kind in STANDS_ON:
                 self.support(cell)
 
-    def lips(self) -> set[Cell]:
-        """Return the cells into which the lip of an unfolded flap reaches."""
-        return {beside(cell, yaw) for cell, (kind, yaw) in self.cells.items() if kind == Kind.FOOT}
-
-    def lip_meets_something(self) -> bool:
-        """Return whether a thing stands where the lip of an unfolded flap reaches."""
-        air = (Kind.AIR, 0)
-        return any(self.cells.get(cell, air)[0] not in (Kind.AIR, Kind.GEAR) for cell in self.lips())
-
     def grid(self, context: Context, turn: int = 0, margin: tuple[int, int] = (1, 1), room: int = 1) -> Grid:
         """Return the world turned by quarters, with margins in cells before it and ``room`` cells behind it."""
         cells = {_turned(cell, turn): (kind, yaw) for cell, (kind, yaw) in self.cells.items()}
@@ -114,8 +105,8 @@ def draw(context: Context) -> Drawing:
         _draw_next(drawing, context, own)
     if context.over.kind != Kind.AIR:
         _put_thing(drawing, context.over, _over(context, own))
-    if context.beyond_taken and context.direction is None:
-        _draw_beyond(drawing, context, own)
+    if context.beyond_taken:
+        drawing.put(Kind.BLOCK, beside(beside(own, BACK), BACK))
     drawing.support_all()
     return drawing
 
@@ -182,8 +173,11 @@ def _draw_next(drawing: Drawing, context: Context, own: Cell) -> None:
         drawing.put(Kind.AIR, landing)
         drawing.support(landing)
         return
-    if thing.kind == Kind.GEAR and context.ground.half == 2 and context.load != Kind.AIR:
+    loaded, half = context.load != Kind.AIR, context.ground.half
+    if loaded and thing.kind == Kind.GEAR and half == 2:
         raise ImpossibleError("a load on an incline would be where a gear is")
+    if loaded and thing.kind == Kind.BODY and half == 1 and context.ground.downhill == FORWARD:
+        raise ImpossibleError("a load on an incline would be where a slope is")
     _put_thing(drawing, thing, cell)
     if thing.kind == Kind.FOOT and context.ground.half == 0:
         drawing.put(Kind.BLOCK, beside(beside(cell, thing.yaw + 2), thing.yaw + 2))
@@ -213,14 +207,6 @@ def _over(context: Context, own: Cell) -> Cell:
     raise ImpossibleError("what is overhead does not concern this move")
 
 
-def _draw_beyond(drawing: Drawing, context: Context, own: Cell) -> None:
-    """Put a block where the lip of the flap would be, or let another slope's lip reach under the load."""
-    if context.swings:
-        drawing.put(Kind.BLOCK, beside(beside(own, BACK), BACK))
-    else:
-        drawing.put_by_foot(beside(own, FORWARD), BACK)
-
-
 def fillable(context: Context, drawing: Drawing) -> list[tuple[Cell, ...]]:
     """Return the columns of blocks, one a neighbour cell, that would leave only the clearance beside the way.
 
@@ -233,7 +219,7 @@ def fillable(context: Context, drawing: Drawing) -> list[tuple[Cell, ...]]:
         climbs = context.ground.half == 1 and context.ground.downhill == (context.direction + 2) % 4
         falls = context.ground.half == 2 and context.ground.downhill == context.direction
         ways.append((x, y, z + climbs - falls))
-    taken = drawing.lips() | set(ways) | ({beside(own, BACK)} if context.load == Kind.FSLOPE else set())
+    taken = set(ways)
     if context.swings:
         taken |= {beside(own, BACK), beside(beside(own, BACK), BACK)}
     columns: list[tuple[Cell, ...]] = []

@@ -22,6 +22,8 @@ from craftsim.discrete.rules import Rules
 from craftsim.validation.context_worlds import (
     BACK,
     FORWARD,
+    LEFT,
+    RIGHT,
     Drawing,
     ImpossibleError,
     check_car,
@@ -98,7 +100,8 @@ class Context:
     """In the cell above the own one (lift, fold, unfold); of a move onto a ramp, in the cell above the landing of the
     climb, above the body or above the foot that comes next."""
     beyond_taken: bool = False
-    """Whether a thing stands where the lip of a flap reaches: it ends 13 mm past its foot's cell."""
+    """Whether a block stands beyond the foot of a slope that is folded or unfolded. The lip of the flap swings 13 mm
+    into that cell, though at rest it does not reach there."""
     tight: bool = False
     """Whether blocks fill the neighbour cells of the way, as far as the rules let the action be."""
 
@@ -127,19 +130,21 @@ class Context:
     @property
     def unsound(self) -> str:
         """Why physics refuses although the rules allow, in a few words; empty where it should work."""
+        beside = self.over.kind == Kind.GEAR and self.over.yaw in (LEFT, RIGHT)
         if self.beyond_taken:
-            return "the lip of a flap meets what stands beyond the foot"
-        if self.swings and self.over.kind == Kind.GEAR:
-            return "the flap meets a gear that hangs above"
-        if self.direction is None or self.next is None:
+            return "the lip of the swinging flap meets what stands beyond the foot"
+        if self.swings and beside:
+            return "the flap meets a gear that hangs above from the side"
+        if self.next is None:
             return ""
-        loaded, ramp = self.load != Kind.AIR, self.next.below or self.ground.half > 0
-        if loaded and ramp and self.over.kind == Kind.GEAR:
-            return "the load meets a gear that hangs over the ramp"
         if self.ground is Ground.HIGH_UP and self.next.below:
             return "the chassis grounds on the crest of two ramps without a landing"
+        if self.load != Kind.AIR and beside and (self.next.below or self.ground.half):
+            return "the load meets a gear that hangs over the ramp from the side"
         if self.ground is Ground.HIGH_UP and self.next.kind == Kind.FOOT:
             return "the rules do not know that a second ramp goes on at once"
+        if self.ground is Ground.LOW_DOWN and self.next.kind == Kind.BODY:
+            return "the rules take the body of another slope for the car's own ramp"
         return ""
 
     def action(self, heading: int) -> Action:
@@ -179,10 +184,7 @@ _LOADS: Final = (Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
 
 
 def _inner(verb: Verb) -> list[tuple[int | None, Thing | None, int, Thing, bool]]:
-    """Return the combinations of direction, next, level, over and beyond that a verb depends on, in a fixed order.
-
-    For a move, what is beyond a foot follows from the rest.
-    """
+    """Return the combinations of direction, next, level, over and beyond that a verb depends on, in a fixed order."""
     ways: list[tuple[int | None, Thing | None]] = [(None, None)]
     if verb is Verb.MOVE:
         ways = [*product(range(4), _NEXT)]
@@ -191,7 +193,7 @@ def _inner(verb: Verb) -> list[tuple[int | None, Thing | None, int, Thing, bool]
     for (direction, thing), level in product(ways, LEVELS):
         ramp = thing is not None and thing.kind in (Kind.FOOT, Kind.BODY)
         overs = _OVER if ramp or swings or verb is Verb.LIFT else [NOTHING]
-        beyonds = (False, True) if swings or verb is Verb.DROP else (False,)
+        beyonds = (False, True) if swings else (False,)
         found += [(direction, thing, level, over, beyond) for over, beyond in product(overs, beyonds)]
     return found
 
@@ -218,8 +220,6 @@ def survey() -> Survey:
                 except ImpossibleError as reason:
                     impossible[str(reason)] += 1
                     continue
-                if drawing.lip_meets_something():
-                    context = replace(context, beyond_taken=True)
                 if not _legal(rules, context, drawing):
                     illegal.append(context)
                     continue

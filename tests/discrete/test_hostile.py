@@ -9,6 +9,8 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from craftsim.discrete.blueprint import parse_blueprint, read_blueprint
 from craftsim.discrete.documents import MAX_BYTES
@@ -128,17 +130,20 @@ snapshot:
 
 
 def test_ten_thousand_mutated_blueprints_give_a_world_or_our_error():
-    rng = np.random.default_rng(20)
     seeds = [shipped_blueprint(name).read_text() for name in TASK_NAMES]
     seeds += [seeds[2] + SNAPSHOT, seeds[3].replace("block_num: 6", "block_num: 9")]
-    outcomes, messages = {"world": 0, "refused": 0}, []
-    for i in range(10_000):
-        text = mutate(seeds[i % len(seeds)], rng)
+    worlds, messages = [], []
+
+    @settings(max_examples=10_000, deadline=None, database=None, derandomize=True)
+    @given(st.sampled_from(seeds), st.integers(0, 2**32 - 1))
+    def read(text, seed):
+        rng = np.random.default_rng(seed)
         try:
-            parse_blueprint(text, "mutated.yaml").grid(np.random.default_rng(i))
-            outcomes["world"] += 1
+            worlds.append(parse_blueprint(mutate(text, rng), "mutated.yaml").grid(rng).size)
         except BlueprintError as error:
             messages.append(str(error))
-            outcomes["refused"] += 1
-    assert min(outcomes.values()) > 500
+
+    read()
+    assert len(worlds) + len(messages) >= 10_000
+    assert min(len(worlds), len(messages)) > 500
     assert all(message.startswith("mutated.yaml") for message in messages)

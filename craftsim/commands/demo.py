@@ -108,7 +108,7 @@ def _perform(console: Console, job: Job, seed: int, out: Path, films: list[str] 
 
         def observe(site: Site) -> None:
             if film is not None and film.due(site.time_s):
-                film.capture(site.data, [_caption(car, doing) for car in range(job.drawing.n_cars)])
+                film.capture(site.data, _captions(job.drawing.n_cars, doing))
 
         def begin(tick: int, car: int, action: Action) -> None:
             doing.clear()
@@ -155,6 +155,10 @@ def _progress(console: Console, title: str) -> Progress:
     )
 
 
-def _caption(car: int, doing: dict[int, Action]) -> str:
-    action = doing.get(car)
-    return f"car {car}: {action.name.replace('_', ' ').lower() if action is not None else 'waits'}"
+def _captions(n_cars: int, doing: dict[int, Action]) -> list[str]:
+    """Return what each car does, two cars a line: more lines would hide the building."""
+    words = [
+        f"car {car}: {doing[car].name.replace('_', ' ').lower() if car in doing else 'waits'}"
+        for car in range(n_cars)
+    ]
+    return ["   ".join(words[i : i + 2]) for i in range(0, n_cars, 2)]

@@ -41,6 +41,15 @@ def test_a_quick_sample_of_the_contexts_succeeds(index):
     assert record.succeeded, record
 
 
+UNSOUND = {context.unsound: context for context in reversed(CONTEXTS) if context.unsound}
+
+
+@pytest.mark.parametrize("why", UNSOUND)
+def test_what_is_called_unsound_fails_in_physics(why):
+    record = run_trial(Trial(0, UNSOUND[why]), seed=1)
+    assert not record.succeeded, record
+
+
 def test_records_are_equal_at_any_number_of_workers():
     trials = plan_trials([context for context in SOUND if context.level == 1], 6, seed=4)
     alone = [record.line() for record in run_trials(trials, 4, WITH_NOISE, workers=1)]
@@ -82,7 +91,9 @@ def test_wilson_interval_of_known_cases():
 
 
 def test_figures_group_trials_and_tell_unsound_ones_apart():
-    unsound = next(context for context in CONTEXTS if context.unsound)
+    fold = next(context for context in SOUND if context.verb is Verb.FOLD)
+    unsound = replace(fold, beyond_taken=True)
+    assert "lip" in unsound.unsound
     good = run_trial(Trial(0, SOUND[0]), 0)
     bad = replace(good, index=1, reasons=("blocked", "not executed"))
     apart = replace(bad, index=2, context=unsound.id)

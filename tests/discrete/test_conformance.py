@@ -122,7 +122,11 @@ def test_command_draws_the_first_mismatch_and_exits_one(records, tmp_path, capsy
     assert out.splitlines()[-1].endswith("1 mismatches")
 
 
-@pytest.mark.parametrize("content", [b"not gzip", gzip.compress(b"{\n"), gzip.compress(b'{"a": 1}\n')])
+@pytest.mark.parametrize(
+    "content",
+    [b"not gzip", gzip.compress(b"{\n"), gzip.compress(b'{"a": 1}\n')],
+    ids=["not gzip", "not JSON", "not a record"],
+)
 def test_command_refuses_what_is_no_recording(tmp_path, capsys, content):
     from craftsim.cli import main
 

@@ -68,8 +68,7 @@ def footprint(before: Grid, after: Grid, car: int, action: Action) -> Footprint:
         changed = frozenset({here}) | gears
         return ends | Footprint(changed | {(x, y, z + 1)}, changed, frozenset(), frozenset({here}) | gears)
     if action in (Action.FOLD, Action.UNFOLD):
-        dx, dy = (int(v) for v in DIRECTIONS[(row[CarField.YAW] + 2) % 4])
-        foot, beyond = (x + dx, y + dy, z), (x + 2 * dx, y + 2 * dy, z)
+        _, foot, beyond = _along_slope(before, car)
         # The flap is a third of a metre long: it reaches into the second level above, and 13 mm past the foot's cell.
         swung = {(cx, cy, z + up) for cx, cy, _ in (here, foot) for up in (0, 1, 2)} | {beyond}
         held = frozenset({(foot[0], foot[1], z - 1)})
@@ -83,13 +82,60 @@ def _swept(cells: frozenset[Cell]) -> Footprint:
     return Footprint(cells | above, frozenset(), frozenset(), cells)
 
 
+def is_clear(before: Grid, after: Grid, car: int, action: Action) -> bool:
+    """Return whether nothing stands in the way of what a legal action swings through the air.
+
+    The rules look at cells and ignore some of what reaches a little further: the legs of a turning load hit an
+    unloaded car in the next cell, a flap's lip a load beyond the foot's cell, and a load that climbs leans back over
+    the cell behind.
+    """
+    swept = footprint(before, after, car, action)
+    here, _, beyond = _along_slope(before, car)
+    folding = action in (Action.FOLD, Action.UNFOLD)
+    turning = action in (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
+    reach = (swept.space if folding else _standing(after, car).loads) - swept.changes - {here}
+    for other in range(before.n_cars):
+        if other == car:
+            continue
+        standing = _standing(before, other)
+        blocked_by_car = (folding and standing.space & (reach - {beyond})) or (
+            turning and standing.space & swept.loads
+        )
+        if blocked_by_car or standing.loads & (swept.loads | reach):
+            return False
+    return not any(_inside(before, cell) and before.kind[cell] in _SOLID for cell in reach)
+
+
+_SOLID = (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.WALL)
+
+
+def _along_slope(grid: Grid, car: int) -> tuple[Cell, Cell, Cell]:
+    """Return the cell of a car, the cell of the foot of a slope above it, and the cell beyond that."""
+    row = grid.cars[car]
+    x, y, z = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z))
+    dx, dy = (int(v) for v in DIRECTIONS[(row[CarField.YAW] + 2) % 4])
+    return (x, y, z), (x + dx, y + dy, z), (x + 2 * dx, y + 2 * dy, z)
+
+
+def _inside(grid: Grid, cell: Cell) -> bool:
+    return all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))
+
+
 def _standing(grid: Grid, car: int) -> Footprint:
     """Return what a car needs where it stands."""
     row = grid.cars[car]
     x, y, z, slope = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z, CarField.SLOPE))
+    loads: frozenset[Cell] = frozenset()
+    if row[CarField.LOAD] != Kind.AIR:
+        loads = frozenset({(x, y, z)}) | _gear(grid, car)
+        if slope:
+            # A load leans downhill with its car, by 40 to 60 mm at its height: into the next cell.
+            downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])
+            dx, dy = (int(v) for v in DIRECTIONS[downhill])
+            loads |= {(cx + dx, cy + dy, cz) for cx, cy, cz in loads}
     space = frozenset({(x, y, z), *({(x, y, z + 1)} if slope == 1 else set())})
     relies = frozenset({(x, y, z), (x, y, z - 1)})
-    return Footprint(space | _gear(grid, car), frozenset(), relies, frozenset())
+    return Footprint(space | loads, frozenset(), relies, loads)
 
 
 def _gear(grid: Grid, car: int) -> frozenset[Cell]:

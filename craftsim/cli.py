@@ -14,6 +14,8 @@ from typing import Final
 COMMANDS: Final[dict[str, str]] = {
     "demo": "Build the paper's tasks in physics, and check every action.",
     "trials": "Try every action in every situation where it is legal, in physics.",
+    "tasks": "Build the paper's tasks again and again, all cars at work at once.",
+    "episodes": "Run long random episodes with many cars, to see whether anything drifts.",
     "doctor": "Say what works on this machine, and the command that mends what does not.",
     "show": "Show a blueprint as coloured text, and as a picture with --out.",
     "conformance": "Compare the rules with recordings of CraftEnv.",

@@ -1,0 +1,162 @@
+"""Long episodes of random legal actions with many cars at once: does anything drift or fail in the long run?
+
+Each tick every car draws one of the actions that the rules allow it on the predicted world and that swing into nothing
+that stands near (:func:`craftsim.discrete.footprint.is_clear`); how many legal actions the latter leaves out is
+counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.footprint import is_clear
+from craftsim.discrete.geometry import DIRECTIONS
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.readback import Reading, read_grid
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import make_schedule
+from craftsim.models.noise import EXACT, NOISY
+from craftsim.models.sensing import Sensors, read_poses
+from craftsim.models.site import Site
+from craftsim.models.variation import Spread, Varied
+from craftsim.skills.executor import Executor
+from craftsim.validation.scheduled_run import run_schedule
+
+SIZE: Final = (6, 6, 4)
+N_SLOPES: Final = 2
+N_BLOCKS: Final = 10
+EARLY: Final = 30
+"""Actions after which the placement error is noted, to be compared with the end."""
+_WEIGHTS: Final = {
+    Action.STOP: 0.0,
+    Action.ROTATE_LEFT: 0.3,
+    Action.ROTATE_RIGHT: 0.3,
+    Action.FOLD: 0.15,
+    Action.UNFOLD: 0.15,
+    Action.LIFT: 2.0,
+    Action.DROP: 0.6,
+}
+"""How much likelier an action is drawn than a move: so that cars do not turn on the spot all the time."""
+
+
+@dataclass(frozen=True)
+class EpisodeTrial:
+    """One random episode."""
+
+    seed: int
+    n_actions: int = 300
+    n_cars: int = 4
+    noise: bool = False
+
+
+@dataclass(frozen=True)
+class EpisodeRecord:
+    """What came of an episode; errors in metres."""
+
+    trial: EpisodeTrial
+    n_actions: int
+    """Actions until the end, or until the first disagreement."""
+    disagreement: tuple[str, ...]
+    """What differed then; empty when all went as predicted."""
+    early_error_m: float
+    """The furthest that any object was from its place, carried ones from their car, in the first EARLY actions."""
+    error_m: float
+    """The same at the end."""
+    worst_error_m: float
+    """The same over the whole episode."""
+    car_error_m: float
+    """The furthest that any car was from its cell's centre, over the whole episode."""
+    n_legal: int
+    n_unclear: int
+    """Of all the legal actions from which the cars drew: those that would have swung into something."""
+
+
+def random_world(trial: EpisodeTrial, rng: np.random.Generator) -> Grid:
+    """Return a level world of scattered blocks, two slopes, each with a block at its top, and cars."""
+    grid = Grid.empty(SIZE, trial.n_cars)
+    length, width, _ = SIZE
+    cells = [(int(i) // width, int(i) % width) for i in rng.permutation(length * width)]
+    used: set[tuple[int, int]] = set()
+    placed = 0
+    for x, y in cells:
+        yaw = int(rng.integers(4))
+        dx, dy = (int(v) for v in DIRECTIONS[yaw])
+        three = {(x, y), (x + dx, y + dy), (x - dx, y - dy)}
+        if placed == N_SLOPES or three & used or not three <= set(cells):
+            continue
+        folded = bool(rng.integers(2))
+        grid.kind[x, y, 1] = Kind.FSLOPE if folded else Kind.BODY
+        grid.kind[x + dx, y + dy, 1] = Kind.GEAR if folded else Kind.FOOT
+        grid.yaw[x, y, 1] = grid.yaw[x + dx, y + dy, 1] = yaw
+        grid.kind[x - dx, y - dy, 1] = Kind.BLOCK
+        used |= three
+        placed += 1
+    free = [cell for cell in cells if cell not in used]
+    for car in range(trial.n_cars):
+        grid.cars[car, [CarField.X, CarField.Y]] = free[car]
+        grid.cars[car, CarField.YAW] = int(rng.integers(4))
+    for x, y in free[trial.n_cars : trial.n_cars + N_BLOCKS]:
+        grid.kind[x, y, 1] = Kind.BLOCK
+    grid.derive_marks()
+    return grid
+
+
+def run_episode(trial: EpisodeTrial) -> EpisodeRecord:
+    """Run a random episode in physics until its end or its first disagreement."""
+    world, senses, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(trial.seed).spawn(3))
+    grid, rules = random_world(trial, world), Rules("physical")
+    site = Site(grid)
+    if trial.noise:
+        Varied(site).draw(Spread(), physics)
+    executor = Executor(site, sensors=Sensors(site, NOISY if trial.noise else EXACT, senses))
+    reading = read_grid(read_poses(site), site.size, site.walls)
+    n = n_legal = n_unclear = 0
+    early = worst = worst_car = 0.0
+    disagreement: tuple[str, ...] = reading.problems
+    while n < trial.n_actions and not disagreement:
+        joint, legal, unclear = _draw_tick(reading.grid, rules, world)
+        if not joint:
+            disagreement = ("no car has anything to do",)
+            break
+        run = run_schedule(executor, make_schedule(reading.grid, [joint], rules))
+        n, n_legal, n_unclear = n + len(joint), n_legal + legal, n_unclear + unclear
+        if not run.agrees:
+            disagreement = (
+                *run.verdict.differences,
+                *(
+                    f"{r.outcome} {r.difference}"
+                    for r in run.records
+                    if not r.outcome.succeeded or not r.in_place
+                ),
+            )
+        reading = run.final
+        worst, worst_car = max(worst, _worst(reading)), max(worst_car, *(c.offset_m for c in reading.cars))
+        early = worst if n <= EARLY else early
+    return EpisodeRecord(trial, n, disagreement, early, _worst(reading), worst, worst_car, n_legal, n_unclear)
+
+
+def _worst(reading: Reading) -> float:
+    return max(placed.offset_m for placed in reading.objects)
+
+
+def _draw_tick(
+    grid: Grid, rules: Rules, rng: np.random.Generator
+) -> tuple[list[tuple[int, Action]], int, int]:
+    """Draw an action for each car in a random order; also return how many actions were legal and not clear."""
+    joint: list[tuple[int, Action]] = []
+    n_legal = n_unclear = 0
+    for car in (int(c) for c in rng.permutation(grid.n_cars)):
+        legal = [action for action in Action if rules.legal(grid, car, action)]
+        clear = [a for a in legal if is_clear(grid, rules.apply(grid, car, a), car, a)]
+        n_legal, n_unclear = n_legal + len(legal), n_unclear + len(legal) - len(clear)
+        weights = np.array([_WEIGHTS.get(action, 1.0) for action in clear])
+        if not weights.any():
+            continue
+        action = clear[int(rng.choice(len(clear), p=weights / weights.sum()))]
+        joint.append((car, action))
+        grid = rules.apply(grid, car, action)
+    return joint, n_legal, n_unclear

@@ -1,6 +1,7 @@
 """What the documents say can be typed exists, and what they point to is there."""
 
 import re
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,13 @@ import pytest
 from craftsim.cli import COMMANDS
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "craftsim/mjcf/README.md")
+DOCUMENTS = (
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "craftsim/mjcf/README.md",
+    *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
+)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
@@ -19,6 +26,13 @@ def test_commands_targets_and_files_exist(document):
     assert set(re.findall(r"\bmake ([a-z]+)", code)) <= targets
     assert set(re.findall(r"\bcraftsim ([a-z]+)", code)) <= set(COMMANDS)
     for path in re.findall(r"\b(?:tests|scripts|craftsim)/[\w/]+\.\w+", code) + re.findall(
-        r"\]\((?!http)(.+?)\)", text
+        r"\]\((?!http)([^)#]+)", text
     ):
         assert ((ROOT / document).parent / path).exists() or (ROOT / path).exists(), path
+
+
+def test_the_example_of_the_readme_runs_and_builds(capsys):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    example = text.split("From Python:", 1)[1].split("\n## ", 1)[0]
+    exec(compile(textwrap.dedent(example), "README.md", "exec"), {})
+    assert capsys.readouterr().out == "24 of 24 actions agree; built: True\n"

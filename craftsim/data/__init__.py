@@ -1,0 +1,1 @@
+"""Blueprints, plans and gains that ship with craftsim."""

@@ -86,14 +86,15 @@ def is_clear(before: Grid, after: Grid, car: int, action: Action) -> bool:
     """Return whether nothing stands in the way of what a legal action swings through the air.
 
     The rules look at cells and ignore some of what reaches a little further: the legs of a turning load hit an
-    unloaded car in the next cell, a flap's lip a load beyond the foot's cell, and a load that climbs leans back over
-    the cell behind.
+    unloaded car in the next cell, a flap a car in the foot's cell and its lip a load beyond it, and a load that climbs
+    leans back over the cell behind.
     """
     swept = footprint(before, after, car, action)
     here, _, beyond = _along_slope(before, car)
     folding = action in (Action.FOLD, Action.UNFOLD)
     turning = action in (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
-    reach = (swept.space if folding else _standing(after, car).loads) - swept.changes - {here}
+    # A flap changes the foot's cell, and hits a car that stands in it.
+    reach = (swept.space if folding else _standing(after, car).loads - swept.changes) - {here}
     for other in range(before.n_cars):
         if other == car:
             continue

@@ -42,9 +42,20 @@ class Site:
     """
 
     def __init__(
-        self, grid: Grid, config: SimulationConfig | None = None, goals: Sequence[Cell] = ()
+        self,
+        grid: Grid,
+        config: SimulationConfig | None = None,
+        goals: Sequence[Cell] = (),
+        reset: bool = True,
     ) -> None:
-        """Compose, compile and reset the world of a grid; ``goals`` are cells that get a marker without contact."""
+        """Compose, compile and reset the world of a grid.
+
+        Args:
+            grid: what stands where.
+            config: how the physics is computed.
+            goals: cells that get a marker without contact.
+            reset: False leaves the first reset to the caller, who is about to change the physics.
+        """
         self.config = config or SimulationConfig()
         self.size = grid.size
         self._placements = placements(grid)
@@ -58,7 +69,8 @@ class Site:
         self.slopes = tuple(Slope.find(self.model, name) for name in names["slope"])
         self.blocks = tuple(FreeBody.find(self.model, name + "block") for name in names["block"])
         self.flags = tuple(FreeBody.find(self.model, name + "flag") for name in names["flag"])
-        self.reset()
+        if reset:
+            self.reset()
 
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""

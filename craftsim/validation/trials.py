@@ -108,7 +108,7 @@ def plan_trials(contexts: Sequence[Context], n: int, seed: int) -> list[Trial]:
 def prepare(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> CheckedSite:
     """Return the world of a trial before its action, as :func:`run_trial` makes it."""
     world, physics, senses = (np.random.default_rng(s) for s in _sequence(trial, seed).spawn(3))
-    site = Site(make_world(trial.context, world), settings.simulation)
+    site = Site(make_world(trial.context, world), settings.simulation, reset=settings.spread is None)
     if settings.spread is not None:
         Varied(site).draw(settings.spread, physics)
     sensors = Sensors(site, settings.noise, senses)

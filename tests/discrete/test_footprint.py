@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import footprint, is_clear
+from craftsim.discrete.footprint import Footprint, footprint, is_clear
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
@@ -64,6 +64,30 @@ def test_a_footprint_stays_within_two_cells_of_its_car(seed):
         parts = step.footprint
         cells = parts.space | parts.changes | parts.relies | parts.loads
         assert max(np.abs(np.array(list(cells)) - own).max(axis=1)) <= 2, step
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "expected"),
+    [
+        ({"space": (1, 1, 1)}, {"space": (1, 1, 1)}, True),
+        ({"changes": (1, 1, 1)}, {"changes": (1, 1, 1)}, True),
+        ({"changes": (1, 1, 1)}, {"relies": (1, 1, 1)}, True),
+        ({"relies": (1, 1, 1)}, {"relies": (1, 1, 1)}, False),
+        ({"loads": (1, 1, 1)}, {"loads": (1, 2, 1)}, True),
+        ({"loads": (1, 1, 1)}, {"loads": (2, 2, 1)}, False),
+        ({"loads": (1, 1, 1)}, {"loads": (1, 2, 2)}, False),
+        ({"space": (1, 1, 1)}, {"space": (1, 2, 1)}, False),
+        ({"space": (1, 1, 1)}, {"changes": (1, 1, 1)}, False),
+    ],
+)
+def test_each_reason_for_a_conflict_is_enough_alone(mine, theirs, expected):
+    def only(**part):
+        return Footprint(
+            *(frozenset([part[f]] if f in part else []) for f in ("space", "changes", "relies", "loads"))
+        )
+
+    assert only(**mine).conflicts(only(**theirs)) is expected
+    assert only(**theirs).conflicts(only(**mine)) is expected
 
 
 SITUATIONS = {

@@ -1,0 +1,196 @@
+"""Randomised physics stays within what is declared, is drawn in place, equals itself, and can be taken back."""
+
+import math
+from dataclasses import fields, replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.site import Site
+from craftsim.models.variation import Spread, Varied
+
+SPREAD = Spread()
+NONE = Spread(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def _grid() -> Grid:
+    """Return two cars, one of them loaded, with a block, a flag and a slope."""
+    grid = Grid.empty((4, 3, 2), 2)
+    grid.cars[:, :5] = [(0, 0, 1, 0, Kind.AIR), (3, 0, 1, 1, Kind.BLOCK)]
+    grid.kind[0, 2, 1], grid.kind[3, 2, 1] = Kind.BLOCK, Kind.FLAG
+    grid.kind[1, 1, 1], grid.kind[2, 1, 1] = Kind.FSLOPE, Kind.GEAR
+    grid.derive_marks()
+    return grid
+
+
+def _figures(model) -> dict[str, np.ndarray]:
+    """Return copies of every array of a model and of its options."""
+    arrays = {name: getattr(model, name) for name in dir(model) if not name.startswith("_")}
+    arrays |= {f"opt.{name}": getattr(model.opt, name) for name in dir(model.opt) if not name.startswith("_")}
+    return {name: np.array(a) for name, a in arrays.items() if isinstance(a, np.ndarray | int | float)}
+
+
+@pytest.fixture
+def varied() -> Varied:
+    return Varied(Site(_grid()))
+
+
+def _ratios(varied: Varied, name: str, seeds=range(12), spread=SPREAD) -> np.ndarray:
+    """Return (seeds, ...): the drawn figures over the nominal ones, where those are not 0."""
+    nominal = getattr(varied.site.model, name).copy()
+    drawn = []
+    for seed in seeds:
+        varied.draw(spread, np.random.default_rng(seed))
+        drawn.append(getattr(varied.site.model, name).copy())
+    return np.array(drawn)[:, nominal != 0] / nominal[nominal != 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "width"),
+    [
+        ("geom_friction", SPREAD.friction),
+        ("body_mass", SPREAD.mass),
+        ("body_inertia", SPREAD.mass),
+        ("actuator_forcerange", SPREAD.motor),
+        ("actuator_gainprm", SPREAD.motor),
+        ("actuator_biasprm", SPREAD.motor),
+        ("dof_frictionloss", SPREAD.joint_friction),
+        ("dof_damping", SPREAD.joint_friction),
+    ],
+)
+def test_every_kind_of_figure_stays_within_its_range_and_uses_it(varied, name, width):
+    off = _ratios(varied, name) - 1
+    assert abs(off).max() <= width + 1e-12
+    assert off.max() > 0.6 * width
+    assert off.min() < -0.6 * width
+
+
+def test_one_material_of_one_machine_has_one_friction_and_others_have_their_own(varied):
+    model = varied.site.model
+    nominal = model.geom_friction[:, 0].copy()
+    machine = model.body_rootid[model.geom_bodyid]
+    varied.draw(SPREAD, np.random.default_rng(4))
+    factor = model.geom_friction[:, 0] / nominal
+    materials = {(m, f): set() for m, f in zip(machine.tolist(), nominal.tolist(), strict=True)}
+    for key, value in zip(zip(machine.tolist(), nominal.tolist(), strict=True), factor.tolist(), strict=True):
+        materials[key].add(round(value, 12))
+    assert all(len(values) == 1 for values in materials.values())
+    assert len({next(iter(values)) for values in materials.values()}) == len(materials) > 5
+    # Only sliding friction is drawn.
+    np.testing.assert_array_equal(_ratios(varied, "geom_friction")[0] != 1, _sliding(model))
+
+
+def _sliding(model) -> np.ndarray:
+    """Return which of the friction figures that are not 0 are those of sliding."""
+    column = np.broadcast_to(np.arange(3), model.geom_friction.shape)
+    return column[model.geom_friction != 0] == 0
+
+
+def test_mass_and_inertia_of_all_parts_of_a_machine_scale_alike(varied):
+    model = varied.site.model
+    mass, inertia, whole = model.body_mass.copy(), model.body_inertia.copy(), model.body_subtreemass.copy()
+    varied.draw(SPREAD, np.random.default_rng(1))
+    heavy = mass > 0
+    factor = model.body_mass[heavy] / mass[heavy]
+    np.testing.assert_allclose(model.body_inertia[heavy], inertia[heavy] * factor[:, None], rtol=1e-12)
+    roots = model.body_rootid[heavy]
+    for root in set(roots.tolist()):
+        np.testing.assert_allclose(factor[roots == root], factor[roots == root][0], rtol=1e-12)
+    assert len({round(float(f), 9) for f in factor}) == len(set(roots.tolist())) == 6
+    # What MuJoCo derives from masses follows.
+    machines = [b for b in range(1, model.nbody) if model.body_rootid[b] == b and whole[b] > 0]
+    for body in machines:
+        own = model.body_rootid == body
+        assert model.body_subtreemass[body] == pytest.approx(model.body_mass[own].sum(), rel=1e-12)
+    assert model.body_subtreemass[0] == pytest.approx(model.body_mass.sum(), rel=1e-12)
+    assert model.body_subtreemass[0] != pytest.approx(whole[0], rel=1e-4)
+
+
+def test_gravity_keeps_its_length_and_the_floor_tilts_by_less_than_half_a_degree_in_any_direction(varied):
+    nominal = varied.site.model.opt.gravity.copy()
+    tilts, directions = [], []
+    for seed in range(40):
+        varied.draw(SPREAD, np.random.default_rng(seed))
+        gravity = varied.site.model.opt.gravity
+        assert np.linalg.norm(gravity) == pytest.approx(np.linalg.norm(nominal), rel=1e-12)
+        tilts.append(math.degrees(math.atan2(np.hypot(gravity[0], gravity[1]), -gravity[2])))
+        directions.append(math.atan2(gravity[1], gravity[0]) // (math.pi / 2))
+    assert 0.4 < max(tilts) <= 0.5 + 1e-9
+    assert set(directions) == {-2, -1, 0, 1}
+
+
+def test_a_spread_of_nothing_is_the_nominal_physics(varied):
+    nominal = _figures(varied.site.model)
+    varied.draw(NONE, np.random.default_rng(0))
+    for name, value in _figures(varied.site.model).items():
+        np.testing.assert_allclose(value, nominal[name], rtol=1e-12, atol=1e-15, err_msg=name)
+
+
+def test_restoring_gives_back_every_figure_of_the_model_exactly(varied):
+    site = varied.site
+    before, state = _figures(site.model), site.data.qpos.copy()
+    varied.draw(SPREAD, np.random.default_rng(0))
+    changed = {
+        name for name, value in _figures(site.model).items() if not np.array_equal(value, before[name])
+    }
+    assert {"body_mass", "geom_friction", "opt.gravity", "dof_damping", "body_subtreemass"} <= changed
+    varied.restore()
+    for name, value in _figures(site.model).items():
+        np.testing.assert_array_equal(value, before[name], err_msg=name)
+    np.testing.assert_array_equal(site.data.qpos, state)
+
+
+def test_draws_do_not_add_up(varied):
+    model = varied.site.model
+    varied.draw(SPREAD, np.random.default_rng(3))
+    once = _figures(model)
+    for seed in (8, 9, 3):
+        varied.draw(SPREAD, np.random.default_rng(seed))
+    for name, value in _figures(model).items():
+        np.testing.assert_array_equal(value, once[name], err_msg=name)
+
+
+def _after_a_second(seed) -> np.ndarray:
+    varied = Varied(Site(_grid()))
+    site, model, data = varied.site, varied.site.model, varied.site.data
+    varied.draw(SPREAD, np.random.default_rng(seed))
+    assert site.model is model
+    assert site.data is data
+    site.drive(0, [3.0, 3.0, 3.0, 3.0])
+    site.drive(1, [-2.0, 2.0, -2.0, 2.0])
+    for _ in range(50):
+        site.advance()
+    assert not data.warning.number[: mujoco.mjtWarning.mjNWARNING].any()
+    return np.concatenate([data.qpos, data.qvel, data.act])
+
+
+def test_equal_seeds_are_equal_bit_for_bit_after_a_second_and_other_seeds_are_not():
+    first, again, other = (_after_a_second(seed) for seed in (7, 7, 8))
+    np.testing.assert_array_equal(first, again)
+    assert abs(first - other).max() > 1e-5
+
+
+def test_after_a_draw_everything_stands_where_it_was(varied):
+    site = varied.site
+    nominal = site.data.qpos.copy()
+    for seed in range(4):
+        varied.draw(SPREAD, np.random.default_rng(seed))
+        assert site.time_s == pytest.approx(site.config.settle_s)
+        for body in (
+            *(car.base for car in site.cars),
+            *site.blocks,
+            *site.flags,
+            *(s.base for s in site.slopes),
+        ):
+            at = slice(body.qpos, body.qpos + 3)
+            assert np.linalg.norm(site.data.qpos[at] - nominal[at]) < 1e-3
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Spread)])
+@pytest.mark.parametrize("value", [-1e-9, 1.0, math.nan, math.inf])
+def test_a_width_that_cannot_be_is_refused_by_its_name(name, value):
+    with pytest.raises(InputError, match=f"Spread.{name} must be"):
+        replace(SPREAD, **{name: value})

@@ -1,0 +1,180 @@
+"""A car believes to be where it is, as surely as it says, from slipping wheels and noisy, late localisations."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.rules import Rules
+from craftsim.models.noise import NOISY, SensorNoise
+from craftsim.models.sensing import CarMeasurement, Sensors, measure
+from craftsim.models.site import Site
+from craftsim.models.variation import Spread, Varied
+from craftsim.skills.executor import Executor
+from craftsim.skills.localisation import Localiser
+from craftsim.skills.mecanum import wheel_speeds
+from craftsim.skills.profile import Profile
+from craftsim.validation.checked_run import CheckedSite
+
+PERIOD_S = 0.02
+LATE = SensorNoise(position_m=0.001, heading_rad=0.003, min_delay_s=0.03, max_delay_s=0.03)
+STILL = CarMeasurement(0.0, 0, 0, 0.0, 0, 0.0, 0.0, np.zeros(4), 0.0, 0.0, None, None)
+DRIVE = np.array([1.0, 0.0, 0.0]), Profile.within(0.3225, 0.8, 3.0)
+SIDEWAYS = np.array([0.0, 1.0, 0.0]), Profile.within(0.3225, 0.8, 3.0)
+TURN = np.array([0.0, 0.0, 1.0]), Profile.within(math.pi / 2, 5.0, 22.0)
+
+
+def _truth(direction, profile, rest_s, heading=0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return poses (n, 3) at the period's ends and body twists (n, 3) over the periods before them."""
+    times = np.arange(0, profile.duration_s + rest_s, PERIOD_S)
+    way = np.array([profile.distance(float(t)) for t in times])
+    c, s = math.cos(heading), math.sin(heading)
+    world = np.array([c * direction[0] - s * direction[1], s * direction[0] + c * direction[1], direction[2]])
+    twists = np.outer(np.diff(way, prepend=0.0) / PERIOD_S, direction)
+    return np.array([0.5, 0.5, heading]) + np.outer(way, world), twists
+
+
+def _feed(noise, poses, twists, rng, slip=0.02) -> tuple[np.ndarray, np.ndarray]:
+    """Feed a synthetic motion to a Localiser; return its errors (n, 3) and standard deviations (n, 2)."""
+    localiser = Localiser(noise, PERIOD_S)
+    delay = rng.uniform(noise.min_delay_s, noise.max_delay_s) / PERIOD_S
+    sigma = np.array([noise.position_m, noise.position_m, noise.heading_rad])
+    errors, stds = [], []
+    for i, (pose, twist) in enumerate(zip(poses, twists, strict=True)):
+        located = [np.interp(i - delay, np.arange(len(poses)), poses[:, k]) for k in range(3)]
+        located += sigma * rng.normal(size=3)
+        # Wheels that slip turn more than the car moves.
+        now = replace(
+            STILL,
+            x=located[0],
+            y=located[1],
+            heading=math.remainder(located[2], math.tau),
+            wheel_speeds=wheel_speeds((1 + slip) * twist),
+        )
+        view = localiser.update(now)
+        error = np.array([view.x, view.y, view.heading]) - pose
+        error[2] = math.remainder(error[2], math.tau)
+        errors.append(error)
+        stds.append((view.position_std_m, view.heading_std_rad))
+    return np.array(errors), np.array(stds)
+
+
+@pytest.mark.parametrize("motion", [DRIVE, SIDEWAYS, TURN], ids=["drive", "sideways", "turn"])
+@pytest.mark.parametrize("heading", [0.0, 3.0], ids=["east", "past west"])
+def test_after_a_motion_with_slip_the_estimate_is_off_by_few_of_its_own_deviations(motion, heading):
+    poses, twists = _truth(*motion, rest_s=0.3, heading=heading)
+    scaled = []
+    for seed in range(60):
+        errors, stds = _feed(LATE, poses, twists, np.random.default_rng(seed))
+        scaled.append(errors[-1] / stds[-1, [0, 0, 1]])
+    assert np.abs(scaled).max() < 4.0
+    assert np.sqrt(np.square(scaled).mean(axis=0)).max() < 1.6
+
+
+def test_while_it_moves_the_estimate_is_much_better_than_late_localisations_are():
+    poses, twists = _truth(*DRIVE, rest_s=0.0)
+    worst = max(
+        np.abs(_feed(LATE, poses, twists, np.random.default_rng(seed))[0][:, 0]).max() for seed in range(30)
+    )
+    behind = np.linalg.norm(twists, axis=1).max() * LATE.max_delay_s
+    assert behind > 0.015
+    assert worst < 0.006
+
+
+def _at_rest(seeds, n, noise=NOISY) -> tuple[np.ndarray, np.ndarray]:
+    poses, twists = np.tile([0.5, 0.5, 1.0], (n, 1)), np.zeros((n, 3))
+    both = [_feed(noise, poses, twists, np.random.default_rng(seed)) for seed in range(seeds)]
+    return np.array([errors for errors, _ in both]), both[0][1]
+
+
+def test_at_rest_the_error_falls_as_one_over_the_root_of_the_number_of_localisations():
+    errors, stds = _at_rest(200, 16)
+    declared = np.array([NOISY.position_m, NOISY.position_m, NOISY.heading_rad])
+    for n in (1, 4, 16):
+        # Of 200 seeds the deviation is known to 5 %; the filter's own unrest adds a little.
+        found = np.sqrt(np.square(errors[:, n - 1]).mean(axis=0))
+        np.testing.assert_allclose(found, declared / math.sqrt(n), rtol=0.16)
+        np.testing.assert_allclose(stds[n - 1], declared[[0, 2]] / math.sqrt(n), rtol=0.06)
+
+
+@pytest.mark.parametrize("n", [5, 40, 200])
+def test_at_rest_what_a_car_says_of_its_own_error_covers_the_truth(n):
+    errors, stds = _at_rest(200, n)
+    covered = (np.abs(errors[:, -1]) < 1.96 * stds[-1, [0, 0, 1]]).mean(axis=0)
+    # 95 %, give or take three deviations of a share of 200. Overcaution would show as more than 99 %.
+    assert covered.min() > 0.95 - 3 * math.sqrt(0.95 * 0.05 / 200)
+    assert covered.min() <= 0.995
+
+
+def test_a_car_that_rests_for_long_never_gets_overconfident():
+    _, stds = _at_rest(1, 3000)
+    assert stds[-1, 0] > 5e-5
+    assert stds[-1, 1] > 1e-4
+    assert (np.diff(stds[:, 0]) <= 1e-12).all()
+
+
+def test_driving_makes_a_car_unsure_and_resting_makes_it_sure_again():
+    poses, twists = _truth(*DRIVE, rest_s=1.0)
+    rest = np.tile(poses[0], (50, 1))
+    _, stds = _feed(
+        NOISY,
+        np.vstack([rest, poses]),
+        np.vstack([np.zeros((50, 3)), twists]),
+        np.random.default_rng(0),
+    )
+    before, after = stds[49, 0], stds[-1, 0]
+    assert stds[50:, 0].max() > 2 * before
+    assert after == pytest.approx(before, rel=0.3)
+
+
+def _yard() -> Grid:
+    grid = Grid.empty((3, 3, 2), 1)
+    grid.cars[0, :4] = 0, 1, 1, 0
+    grid.kind[1, 1, 1] = Kind.BLOCK
+    grid.derive_marks()
+    return grid
+
+
+def test_with_exact_senses_the_executor_takes_measurements_as_they_are():
+    site = Site(_yard())
+    executor = Executor(site)
+    executor.begin(0, Action.MOVE_RIGHT)
+    for _ in range(10):
+        executor.advance()
+        view, true = executor._view(0), measure(site, 0)
+        assert (view.x, view.y, view.heading) == (true.x, true.y, true.heading)
+        assert view.position_std_m == view.heading_std_rad == 0.0
+
+
+def test_with_noisy_senses_skills_see_the_estimate_and_not_the_truth():
+    site = Site(_yard())
+    executor = Executor(site, sensors=Sensors(site, NOISY, np.random.default_rng(0)))
+    view, true = executor._view(0), measure(site, 0)
+    assert view.x != true.x
+    assert view.position_std_m > 0.0
+
+
+PLANS = (
+    [Action.MOVE_RIGHT, Action.LIFT, Action.MOVE_FORWARD, Action.DROP],
+    [Action.ROTATE_RIGHT, Action.MOVE_FORWARD, Action.MOVE_RIGHT, Action.ROTATE_LEFT],
+    [Action.MOVE_RIGHT, Action.LIFT, Action.ROTATE_LEFT, Action.DROP],
+)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_under_noise_and_randomised_physics_actions_succeed_within_three_deviations(seed):
+    site = Site(_yard())
+    physics, senses = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    Varied(site).draw(Spread(), physics)
+    checked = CheckedSite(site, Rules("physical"), Executor(site, sensors=Sensors(site, NOISY, senses)))
+    for tick, action in enumerate(PLANS[seed % 3]):
+        record = checked.perform(tick, 0, action)
+        assert record.legal
+        assert record.outcome.succeeded, f"{action.name}: {record.outcome}"
+        assert record.verdict.agrees, f"{action.name}: {record.verdict}"
+        assert record.car_error_m < 3e-3
+        assert abs(record.car_heading_error_rad) < 9e-3
+        assert (record.placed_error_m or 0.0) < 5e-3

@@ -26,9 +26,16 @@ CAR_COLOURS = (
 
 
 def load_part(name: str) -> mujoco.MjSpec:
-    """Return the editable spec of a part: smartcar, block, slope, flag, wall or ground."""
+    """Return the editable spec of a part: smartcar, block, slope, flag, wall or ground.
+
+    All but the ground come without the floor that their files show them on: attaching a part would copy its textures.
+    """
     with as_file(files("craftsim.mjcf")) as folder:
-        return mujoco.MjSpec.from_file(str(folder / f"{name}.xml"))
+        spec = mujoco.MjSpec.from_file(str(folder / f"{name}.xml"))
+    if name != "ground":
+        for scenery in (spec.geom("ground"), *spec.materials, *spec.textures):
+            spec.delete(scenery)
+    return spec
 
 
 def load_car(car: int) -> mujoco.MjSpec:

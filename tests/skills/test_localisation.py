@@ -100,6 +100,15 @@ def test_at_rest_the_error_falls_as_one_over_the_root_of_the_number_of_localisat
         np.testing.assert_allclose(stds[n - 1], declared[[0, 2]] / math.sqrt(n), rtol=0.06)
 
 
+def test_at_rest_every_localisation_counts_once_however_late_it_comes():
+    localiser = Localiser(SensorNoise(0.001, 0.003, 0.04, 0.04), PERIOD_S)
+    first = 0.001
+    for n in range(1, 17):
+        view = localiser.update(replace(STILL, x=first if n == 1 else 0.0))
+        # The mean of n localisations of which the first alone is off; the filter's unrest forgets a little.
+        assert view.x == pytest.approx(first / n, rel=0.10)
+
+
 @pytest.mark.parametrize("n", [5, 40, 200])
 def test_at_rest_what_a_car_says_of_its_own_error_covers_the_truth(n):
     errors, stds = _at_rest(200, n)

@@ -41,10 +41,10 @@ def trials(
     """Try each action in physics in every situation where the rules allow it.
 
     Exit status 0 when the success rate reaches the bar, 1 when not, 2 for wrong input. Situations in which the
-    rules are known to allow what physics refuses are tried too, but told apart.
+    rules are known to allow what physics refuses are tried once each besides, and told apart.
 
     Args:
-        trials: how many trials to spread over the contexts.
+        trials: how many trials to spread over the sound contexts.
         seed: decides the places, and with noise the physics and the noise, of all trials.
         workers: processes to share the work; results do not depend on it.
         noise: randomise the physics, and give the cars noisy senses.
@@ -65,7 +65,7 @@ def trials(
     from craftsim.skills.gains import load_gains
     from craftsim.validation.contexts import survey
     from craftsim.validation.trial_figures import campaign_figures
-    from craftsim.validation.trials import NOMINAL, WITH_NOISE, plan_trials, run_trials
+    from craftsim.validation.trials import NOMINAL, WITH_NOISE, Trial, plan_trials, run_trials
 
     found = survey()
     _print_survey(console, found)
@@ -75,7 +75,9 @@ def trials(
             f"no context matches '{contexts}'; 'craftsim trials' writes their names to trials.jsonl"
         )
     settings = WITH_NOISE if noise else NOMINAL
-    planned = plan_trials(chosen, trials, seed)
+    unsound = [context for context in chosen if context.unsound]
+    planned = plan_trials([context for context in chosen if not context.unsound], trials, seed)
+    planned += [Trial(len(planned) + i, context) for i, context in enumerate(unsound)]
     records: list[TrialRecord] = []
     failed = 0
     with (out / "trials.jsonl").open("w", encoding="utf-8") as lines, _progress(console) as progress:

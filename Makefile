@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format mutants meshes libraries clean
+.PHONY: help demo test lint format mutants campaigns meshes libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -28,6 +28,12 @@ format: $(VENV)/installed-dev  ## Format the code and apply safe lint fixes
 
 mutants: $(VENV)/installed-dev  ## Break one grid rule at a time and see which tests notice
 	$(BIN)/python tests/discrete/mutants.py
+
+campaigns: $(VENV)/installed  ## Measure the skills at length (about an hour on two cores): every context with and without noise, the six tasks, long episodes
+	$(BIN)/craftsim trials --trials 10000 --workers 2 --out out/trials
+	$(BIN)/craftsim trials --trials 10000 --workers 2 --noise --out out/trials-noise
+	$(BIN)/craftsim tasks --workers 2 --out out/tasks
+	$(BIN)/craftsim episodes --workers 2 --out out/episodes
 
 meshes: $(VENV)/installed  ## Make the visual meshes in craftsim/mjcf/meshes again
 	$(BIN)/python -m craftsim.mjcf.make_meshes

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from craftsim.commands.progress import counting
 from craftsim.discrete.errors import InputError
 from craftsim.report import output_directory, write_report
 
@@ -79,17 +79,15 @@ def trials(
     planned = plan_trials([context for context in chosen if not context.unsound], trials, seed)
     planned += [Trial(len(planned) + i, context) for i, context in enumerate(unsound)]
     records: list[TrialRecord] = []
-    failed = 0
-    with (out / "trials.jsonl").open("w", encoding="utf-8") as lines, _progress(console) as progress:
-        task = progress.add_task("trials", total=len(planned), rate=0.0, failed=0)
-        begun = time.perf_counter()
+    with (
+        (out / "trials.jsonl").open("w", encoding="utf-8") as lines,
+        counting(console, "trials", len(planned)) as tell,
+    ):
         for record in run_trials(planned, seed, settings, workers):
             records.append(record)
-            failed += not record.succeeded
             lines.write(record.line() + "\n")
             lines.flush()
-            rate = len(records) / (time.perf_counter() - begun)
-            progress.update(task, advance=1, rate=rate, failed=failed)
+            tell(record.succeeded)
     by_id = {context.id: context for context in chosen}
     figures: dict[str, Any] = campaign_figures(records, by_id, found)
     config = {
@@ -176,15 +174,3 @@ def _conclude(console: Console, summary: Summary, bar: float) -> int:
         soft_wrap=True,
     )
     return 0 if enough else 1
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]:.1f}/s, {task.fields[failed]} failed,"),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-    )

@@ -33,6 +33,8 @@ TILT_TOLERANCE_RAD: Final = 0.05
 """How far from level, or from the incline, a thing may lean and still count as standing."""
 HINGE_TOLERANCE_RAD: Final = 0.05
 """How far from fully open or closed a hinge may be; the flap's lip is then 16 mm from its place."""
+SEAT_TOLERANCE_M: Final = 0.005
+"""How far a carried thing may be from its car's centre line: ten times what the boss leaves it to play."""
 LIFT_RANGE_M: Final = (0.016, 0.050)
 """Height of a load above its car that counts as carried; a board lifts blocks by 0.032, slopes by 0.042."""
 
@@ -200,8 +202,13 @@ def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> P
             problems.append(f"{name} is a second load on car {car}")
         grid.cars[car, CarField.LOAD] = kind
         grid.cars[car, CarField.LOAD_YAW] = yaw if kind == Kind.FSLOPE else 0
+        offset = float(np.hypot(*relative[:2]))
+        if offset > SEAT_TOLERANCE_M:
+            problems.append(f"{name} sits {offset * 1e3:.0f} mm off its seat on car {car}")
+        if abs(excess) > HEADING_TOLERANCE_RAD:
+            problems.append(f"{name} is turned by {excess:+.2f} rad on car {car}")
         x, y, z = (int(grid.cars[car, f]) for f in (CarField.X, CarField.Y, CarField.Z))
-        return Placed((x, y, z), float(np.hypot(*relative[:2])), excess, car)
+        return Placed((x, y, z), offset, excess, car)
     x, y, offset = _place(grid, name, position, problems)
     level = _level(grid, name, float(position[2]), problems)
     tilt = math.acos(max(-1.0, min(1.0, turn[2, 2])))

@@ -12,11 +12,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.actions import Action
 from craftsim.discrete.footprint import Footprint, footprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.terrain import incline_under
+from craftsim.discrete.terrain import inclines_of
 
 Order = Literal["sequential", "concurrent", "at-once"]
 """How the actions of a plan follow each other: one by one; as early as the dependencies allow; or, to see what goes
@@ -40,13 +40,8 @@ class Step:
 
     @property
     def inclines(self) -> tuple[float, float]:
-        """The ground of a move: how far it raises the car's nose at its start and at its end, in radians."""
-        if self.action not in MOVE_DIRECTION:
-            return 0.0, 0.0
-        return (
-            incline_under(self.before, self.before.cars[self.car]),
-            incline_under(self.before, self.after.cars[self.car]),
-        )
+        """How far the ground raises the car's nose at the start and at the end of the step, in radians."""
+        return inclines_of(self.before, self.after, self.car)
 
 
 @dataclass(frozen=True)

@@ -23,3 +23,8 @@ def incline_under(grid: Grid, car: NDArray[np.int64]) -> float:
         return 0.0
     downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])
     return -INCLINE_RAD if yaw == downhill else INCLINE_RAD
+
+
+def inclines_of(before: Grid, after: Grid, car: int) -> tuple[float, float]:
+    """Return how far the ground raises a car's nose where it stands before and where it stands after an action."""
+    return incline_under(before, before.cars[car]), incline_under(before, after.cars[car])

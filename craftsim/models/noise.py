@@ -11,7 +11,8 @@ from craftsim.discrete.errors import InputError
 class SensorNoise:
     """Noise, delay and lag of one car's senses and motors; hashable. Raises InputError for a negative figure.
 
-    The nominal figures are those of a good overhead camera or lidar localisation at the control rate of 50 Hz.
+    They concern localisation (at the control rate of 50 Hz), wheel encoders and wheel motors. Pitch and roll, board and
+    hinge are read as they are: good inclinometers and encoders err far less than localisation does.
     """
 
     position_m: float = 0.0

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.plan import Plan
 from craftsim.discrete.readback import Poses, Reading, read_grid
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.terrain import incline_under
+from craftsim.discrete.terrain import inclines_of
 from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car
 from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
@@ -74,11 +74,8 @@ class CheckedSite:
         legal = self.rules.legal(before, car, action)
         predicted = self.rules.apply(before, car, action) if legal else before
         if legal:
-            ground = Terrain(
-                incline_under(before, before.cars[car]), incline_under(before, predicted.cars[car])
-            )
-            terrain = {car: ground} if action in MOVE_DIRECTION else {}
-            outcome = self.executor.run({car: action}, terrain)[car]
+            ground = Terrain(*inclines_of(before, predicted, car))
+            outcome = self.executor.run({car: action}, {car: ground})[car]
         else:
             outcome = Outcome(None, 0.0)
         self.poses = read_poses(self.site)

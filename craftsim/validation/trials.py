@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from multiprocessing import get_context
 from typing import Final
 
 import numpy as np
@@ -25,6 +23,7 @@ from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
 from craftsim.validation.checked_run import ActionRecord, CheckedSite
 from craftsim.validation.contexts import Context, make_world
+from craftsim.validation.workers import in_order
 
 _BATCH: Final = 4
 """Trials that a worker takes at once: few, so that results come steadily."""
@@ -143,19 +142,8 @@ def run_trial(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> Tri
 def run_trials(
     trials: Sequence[Trial], seed: int, settings: TrialSettings = NOMINAL, workers: int = 1
 ) -> Iterator[TrialRecord]:
-    """Yield the records of trials in their order, as soon as each is known.
-
-    One worker is this process; more are spawned, so that nothing of this process leaks into their results.
-    """
-    work = partial(run_trial, seed=seed, settings=settings)
-    if workers <= 1:
-        yield from map(work, trials)
-        return
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-    try:
-        yield from pool.map(work, trials, chunksize=_BATCH)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    """Yield the records of trials in their order, as soon as each is known."""
+    yield from in_order(partial(run_trial, seed=seed, settings=settings), trials, workers, _BATCH)
 
 
 def _sequence(trial: Trial, seed: int) -> np.random.SeedSequence:

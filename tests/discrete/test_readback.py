@@ -255,3 +255,10 @@ def test_marks_follow_from_what_was_read():
     expected.derive_marks()
     assert reading.grid.same_marks(expected)
     assert reading.grid.top[0, 0, 1] == 0
+
+
+def test_a_load_off_its_seat_is_a_problem():
+    slid = _thing(Kind.BLOCK, (1, 1, 1), shift=(0.012, 0, LIFT_M))
+    assert _problems([_car((1, 1, 1))], [slid]) == ("block 0 sits 12 mm off its seat on car 0",)
+    seated = _thing(Kind.BLOCK, (1, 1, 1), shift=(0.001, 0, LIFT_M))
+    assert _problems([_car((1, 1, 1))], [seated]) == ()

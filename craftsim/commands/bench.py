@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from craftsim.discrete.episodes import Episode, Episodes
+    from craftsim.discrete.tasks.episodes import Episode, Episodes
 
 REFERENCE: Final = {
     "simple_two_story": (5270.0, 225.0),
@@ -56,8 +56,8 @@ def bench(
     from rich.console import Console
     from rich.table import Table
 
-    from craftsim.discrete.episodes import Episode, Episodes
     from craftsim.discrete.tasks import make_task
+    from craftsim.discrete.tasks.episodes import Episode, Episodes
 
     table = Table("task", "cars", "work", "worlds", "steps/s", "CraftEnv", "times")
     rates: dict[str, dict[str, float]] = {}
@@ -151,8 +151,8 @@ def _memory(n: int, rules: RuleSet, seed: int) -> dict[str, Any]:
     """
     import numpy as np
 
-    from craftsim.discrete.episodes import Episodes
     from craftsim.discrete.tasks import make_task
+    from craftsim.discrete.tasks.episodes import Episodes
 
     task = make_task("complex_two_story")
     peaks = []

@@ -15,7 +15,7 @@ from craftsim.discrete.rules import RuleSet
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from craftsim.discrete.conformance import Mismatch
+    from craftsim.discrete.records.conformance import Mismatch
 
 
 def conformance(
@@ -38,11 +38,11 @@ def conformance(
     from rich.console import Console
     from rich.table import Table
 
-    from craftsim.discrete.conformance import Checker
     from craftsim.discrete.drawing import LEGEND
     from craftsim.discrete.errors import InputError
+    from craftsim.discrete.records.conformance import Checker
+    from craftsim.discrete.records.traces import read_records
     from craftsim.discrete.rules import Rules
-    from craftsim.discrete.traces import read_records
 
     if not files:
         raise InputError("no recordings given; name one or more .jsonl.gz files")

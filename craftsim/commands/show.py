@@ -23,8 +23,8 @@ def show(
     import numpy as np
     from rich.console import Console
 
-    from craftsim.discrete.blueprint import read_blueprint
     from craftsim.discrete.drawing import LEGEND, world_image, world_text
+    from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
 
     path = shipped_blueprint(str(blueprint)) if str(blueprint) in TASK_NAMES else blueprint

@@ -103,7 +103,7 @@ class Grid:
 
     def derive_marks(self) -> None:
         """Overwrite both marks with what follows from the visible state."""
-        from craftsim.discrete import cells
+        from craftsim.discrete.rules import cells
 
         cells.derive_marks(cells.World(self.kind, self.yaw, self.top, self.back, self.cars, cells.Law(True)))
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from craftsim.discrete.actions import Action
+from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.plan import Plan
 from craftsim.discrete.readback import Poses, Reading, read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.terrain import inclines_of

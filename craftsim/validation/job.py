@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.blueprint import Blueprint, read_blueprint
-from craftsim.discrete.design import Design, read_design
+from craftsim.discrete.files.blueprint import Blueprint, read_blueprint
+from craftsim.discrete.files.design import Design, read_design
+from craftsim.discrete.files.plan import Plan, read_plan, shipped_plan
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.plan import Plan, read_plan, shipped_plan
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.models.config import SimulationConfig

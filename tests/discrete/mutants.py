@@ -31,74 +31,74 @@ class Mutant:
 MUTANTS: Final = (
     Mutant(
         "LIFT needs nothing on top",
-        "legality.py",
+        "rules/legality.py",
         "return top_at(w, car.x, car.y, car.z, me) == NOTHING",
         "return top_at(w, car.x, car.y, car.z, me) >= -2",
     ),
     Mutant(
         "FOLD needs no car on the foot",
-        "legality.py",
+        "rules/legality.py",
         "return top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) < 0",
         "return True",
     ),
     Mutant(
         "UNFOLD needs support below the foot",
-        "legality.py",
+        "rules/legality.py",
         " or not standable(kind_at(w, nx, ny, car.z - 1)):",
         ":",
     ),
     Mutant(
         "UNFOLD builds on no landing",
-        "legality.py",
+        "rules/legality.py",
         "return not back_at(w, nx, ny, car.z - 1) and not back_at(w, car.x, car.y, car.z - 1)",
         "return not back_at(w, nx, ny, car.z - 1)",
     ),
     Mutant(
         "a gear beside a turning load must point at it",
-        "legality.py",
+        "rules/legality.py",
         "if yaw_at(w, nx, ny, car.z) != (d + 2) & 3:",
         "if yaw_at(w, nx, ny, car.z) == d:",
     ),
     Mutant(
         "a turning slope sweeps the corner on its own side",
-        "legality.py",
+        "rules/legality.py",
         "corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)",
         "corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw - turn)",
     ),
     Mutant(
         "a car leaves a block along its yaw",
-        "moves.py",
+        "rules/moves.py",
         "if own in (BLOCK, FLAG) and not (forward or backward):",
         "if own in (BLOCK, FLAG) and False:",
     ),
     Mutant(
         "a carried gear needs room beside it",
-        "moves.py",
+        "rules/moves.py",
         "return not car_in(w, me, sx, sy, car.z, True) and",
         "return",
     ),
     Mutant(
         "a descent needs its exit free",
-        "moves.py",
+        "rules/moves.py",
         "return standable(kind_at(w, x3, y3, car.z - 2)) and top_at(w, x3, y3, car.z - 2, me) == NOTHING",
         "return standable(kind_at(w, x3, y3, car.z - 2))",
     ),
     Mutant(
         "no loaded climb under a block",
-        "moves.py",
+        "rules/moves.py",
         "(over in (BLOCK, FLAG) and car.load == AIR)",
         "over in (BLOCK, FLAG)",
     ),
-    Mutant("a climb goes up one level", "effects.py", "z, slope = car.z + 1, 2", "z, slope = car.z, 2"),
+    Mutant("a climb goes up one level", "rules/effects.py", "z, slope = car.z + 1, 2", "z, slope = car.z, 2"),
     Mutant(
         "a gear left behind is marked as an object",
-        "effects.py",
+        "rules/effects.py",
         "left_air = kind_at(w, car.x, car.y, car.z) == AIR",
         "left_air = kind_at(w, car.x, car.y, car.z) in (AIR, GEAR)",
     ),
     Mutant(
         "the helper tries to turn right before it tries to turn left",
-        "search.py",
+        "planning/search.py",
         "MOVE_LEFT, ROTATE_RIGHT, ROTATE_LEFT)",
         "MOVE_LEFT, ROTATE_LEFT, ROTATE_RIGHT)",
     ),
@@ -128,7 +128,7 @@ def tests_that_fail(mutant: Mutant) -> list[str]:
 
 def main() -> int:
     """Print for each mutant which tests notice it; return 1 if one goes unnoticed, or if the rules alone fail."""
-    if failures := tests_that_fail(Mutant("none", "moves.py", "", "")):
+    if failures := tests_that_fail(Mutant("none", "rules/moves.py", "", "")):
         print(f"the rules fail without any change: {failures}")
         return 1
     survivors = 0

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.discrete.blueprint import parse_blueprint, read_blueprint
-from craftsim.discrete.design import read_design
 from craftsim.discrete.errors import BlueprintError
+from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.files.design import read_design
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.discrete.conformance import QUIRK_TAGS, Checker
+from craftsim.discrete.records.conformance import QUIRK_TAGS, Checker
+from craftsim.discrete.records.traces import read_records
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.traces import read_records
 
 DATA = Path(__file__).parents[1] / "data"
 FILES = (DATA / "traces.jsonl.gz", DATA / "plans.jsonl.gz")

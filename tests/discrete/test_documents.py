@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.discrete.blueprint import KEYS, parse_blueprint
+from craftsim.discrete.files.blueprint import KEYS, parse_blueprint
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = re.compile(r"docs/([a-z]+\.md)#([a-z-]+)")

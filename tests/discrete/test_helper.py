@@ -7,8 +7,8 @@ import pytest
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.heap import heapify, pop, push
-from craftsim.discrete.planner import Planner, empty_queue
+from craftsim.discrete.planning.heap import heapify, pop, push
+from craftsim.discrete.planning.planner import Planner, empty_queue
 from craftsim.discrete.rules import Rules
 
 BLOCK = Kind.BLOCK

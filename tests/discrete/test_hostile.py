@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from craftsim.discrete.blueprint import parse_blueprint, read_blueprint
-from craftsim.discrete.documents import MAX_BYTES
 from craftsim.discrete.errors import BlueprintError
+from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.files.documents import MAX_BYTES
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
 
 BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(

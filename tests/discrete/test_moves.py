@@ -4,7 +4,7 @@ import pytest
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.planner import Planner, empty_queue
+from craftsim.discrete.planning.planner import Planner, empty_queue
 from craftsim.discrete.rules import Rules
 
 BOTH = pytest.mark.parametrize(

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.episodes import Episode
 from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.local import CONTINUE, LocalRows, choose, local_view
-from craftsim.discrete.observation import Layout, as_arrays, design_rows
-from craftsim.discrete.planner import Planner, empty_queue
+from craftsim.discrete.planning.planner import Planner, empty_queue
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
-from craftsim.discrete.worlds import Worlds
+from craftsim.discrete.tasks.episodes import Episode
+from craftsim.discrete.tasks.local import CONTINUE, LocalRows, choose, local_view
+from craftsim.discrete.tasks.observation import Layout, as_arrays, design_rows
+from craftsim.discrete.tasks.worlds import Worlds
 
 RULES = Rules("published")
 

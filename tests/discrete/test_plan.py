@@ -6,7 +6,7 @@ import pytest
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import PlanError
-from craftsim.discrete.plan import read_plan
+from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 

@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.grid import SECOND_PART, CarField, Kind, beside
-from craftsim.discrete.planner import Planner
+from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.rules import Rules
 
 from .worldgen import MIRRORED_ACTIONS, TURNED_ACTIONS, mirrored, play, random_world, turned

@@ -8,16 +8,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.blueprint import parse_blueprint, read_blueprint
-from craftsim.discrete.design import read_design
-from craftsim.discrete.episodes import Episode
 from craftsim.discrete.errors import BlueprintError
+from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.files.design import read_design
+from craftsim.discrete.files.saving import blueprint_text, design_text
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.recording import Recording, read_published_actions, read_recording
+from craftsim.discrete.records.recording import Recording, read_published_actions, read_recording
+from craftsim.discrete.records.traces import read_records, recorded_grid
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.saving import blueprint_text, design_text
 from craftsim.discrete.tasks import TASK_NAMES, make_task
-from craftsim.discrete.traces import read_records, recorded_grid
+from craftsim.discrete.tasks.episodes import Episode
 
 from .worldgen import play, random_world
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.blueprint import parse_blueprint
+from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Grid, Kind
 
 MOVE_BY_DIRECTION = (Action.MOVE_RIGHT, Action.MOVE_FORWARD, Action.MOVE_LEFT, Action.MOVE_BACK)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import craftsim
-from craftsim.discrete.blueprint import read_blueprint
+from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.models.site import Site
 
 PARTS = ("ground", "block", "flag", "wall", "slope", "smartcar")

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from craftsim.discrete.blueprint import read_blueprint
+from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid
 from craftsim.models.parameters import SMARTCAR
 from craftsim.models.site import Site

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.blueprint import read_blueprint
-from craftsim.discrete.design import Design, read_design
-from craftsim.discrete.plan import read_plan
+from craftsim.discrete.files.blueprint import read_blueprint
+from craftsim.discrete.files.design import Design, read_design
+from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.readback import Poses
 from craftsim.discrete.rules import Rules
 from craftsim.models.config import SimulationConfig

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import Action
+from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.plan import Plan
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.verdict import Finding
 from craftsim.models.site import Site

@@ -12,8 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.blueprint import NO_CELL, Blueprint
-from craftsim.discrete.cells import (
+from craftsim.discrete.files.blueprint import NO_CELL, Blueprint
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.rules.cells import (
     AIR,
     BLOCK,
     BODY,
@@ -28,9 +30,7 @@ from craftsim.discrete.cells import (
     FSLOPE,
     World,
 )
-from craftsim.discrete.compiled import compiled
-from craftsim.discrete.design import Design
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.rules.compiled import compiled
 
 ROW: Final = 13
 IS_CAR, IS_FSLOPE, IS_BODY, IS_FOOT, IS_BLOCK, IS_FLAG, IS_GOAL = range(3, 10)

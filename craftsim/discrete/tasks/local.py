@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid, Kind
-from craftsim.discrete.observation import ROW, Layout, car_vectors, type_flag, write_row
-from craftsim.discrete.planner import Planner
-from craftsim.discrete.worlds import Worlds
+from craftsim.discrete.planning.planner import Planner
+from craftsim.discrete.tasks.observation import ROW, Layout, car_vectors, type_flag, write_row
+from craftsim.discrete.tasks.worlds import Worlds
 
 VIEW: Final = 3
 """How many columns a car looks in each direction; its window is 7 cells wide."""

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.documents import Source
+from craftsim.discrete.files.documents import Source
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
 
 if TYPE_CHECKING:
-    from craftsim.discrete.blueprint import Blueprint, ListedObject
+    from craftsim.discrete.files.blueprint import Blueprint, ListedObject
 
 Placement = Literal["sane", "published"]
 """How unlisted things are drawn.
@@ -129,7 +129,7 @@ class _Draw:
 
 
 def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placement) -> Grid:
-    """Return the start of a world as :meth:`craftsim.discrete.blueprint.Blueprint.grid` describes it."""
+    """Return the start of a world as :meth:`craftsim.discrete.files.blueprint.Blueprint.grid` describes it."""
     grid = Grid.empty(blueprint.size, blueprint.n_cars)
     blocks = [item for item in blueprint.objects if item.kind == Kind.BLOCK]
     others = [item for item in blueprint.objects if item.kind != Kind.BLOCK]

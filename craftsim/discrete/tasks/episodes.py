@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.observation import car_vectors
-from craftsim.discrete.planner import DEFAULT_DEPTH
-from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.discrete.tasks import Task
-from craftsim.discrete.worlds import Worlds
+from craftsim.discrete.planning.planner import DEFAULT_DEPTH
+from craftsim.discrete.rules.sets import Rules, RuleSet
+from craftsim.discrete.tasks.observation import car_vectors
+from craftsim.discrete.tasks.task import Task
+from craftsim.discrete.tasks.worlds import Worlds
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Episodes:
         return self.worlds.reachable(DEFAULT_DEPTH if depth is None else depth)
 
     def entity_rows(self) -> NDArray[np.int32]:
-        """Return (B, n_rows, 13): what is where, as :mod:`craftsim.discrete.observation` lays it out."""
+        """Return (B, n_rows, 13): what is where, as :mod:`craftsim.discrete.tasks.observation` lays it out."""
         return self.worlds.entity_rows(self.layout)
 
     def vectors(self) -> NDArray[np.int32]:

@@ -8,12 +8,12 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import Law, World, derive_marks, pose_of
-from craftsim.discrete.compiled import compiled
-from craftsim.discrete.effects import apply
 from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.legality import N_ACTIONS, legal
+from craftsim.discrete.rules.cells import Law, World, derive_marks, pose_of
+from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.rules.effects import apply
+from craftsim.discrete.rules.legality import N_ACTIONS, legal
 
 RuleSet = Literal["published", "physical"]
 

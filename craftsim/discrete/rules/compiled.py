@@ -2,7 +2,7 @@
 
 Numba stamps a cached function with the time of the one file that defines it, so a function that calls into
 another of our files would go on using a stale copy after that file changes. All our compiled functions are
-therefore stamped with a digest of every source file in this folder; where numba does not let us, nothing is
+therefore stamped with a digest of every source file of the grid world; where numba does not let us, nothing is
 cached.
 
 Compiled functions may not make arrays; they work on those they are given. So numba needs no reference counting in
@@ -27,7 +27,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 @cache
 def _source_digest() -> str:
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from craftsim.discrete.blueprint import MAX_SIDE
-from craftsim.discrete.documents import Source, parse_keys, read_text
+from craftsim.discrete.files.blueprint import MAX_SIDE
+from craftsim.discrete.files.documents import Source, parse_keys, read_text
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
 
 TARGET_KEYS: Final = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.rules.cells import (
     AIR,
     BLOCK,
     BODY,
@@ -28,8 +28,8 @@ from craftsim.discrete.cells import (
     pose_of,
     yaw_at,
 )
-from craftsim.discrete.compiled import compiled
-from craftsim.discrete.legality import (
+from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.rules.legality import (
     DROP,
     FIRST_MOVE,
     FOLD,

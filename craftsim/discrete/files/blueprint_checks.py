@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from craftsim.discrete.documents import Source
+from craftsim.discrete.files.documents import Source
 from craftsim.discrete.grid import SECOND_PART, Cell, Kind, beside
 
 if TYPE_CHECKING:
-    from craftsim.discrete.blueprint import Blueprint, ListedCar, ListedObject
+    from craftsim.discrete.files.blueprint import Blueprint, ListedCar, ListedObject
 
 NAMES: Final = {
     Kind.WALL: "a wall",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.rules.cells import (
     AIR,
     BLOCK,
     BODY,
@@ -26,7 +26,7 @@ from craftsim.discrete.cells import (
     top_at,
     yaw_at,
 )
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.rules.compiled import compiled
 
 
 @compiled

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
-from craftsim.discrete.compiled import compiled
-from craftsim.discrete.effects import moved, turned
-from craftsim.discrete.heap import heapify, pop, push
-from craftsim.discrete.legality import FIRST_MOVE, ROTATE_LEFT, ROTATE_RIGHT, legal, move_direction
+from craftsim.discrete.planning.heap import heapify, pop, push
+from craftsim.discrete.rules.cells import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
+from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.rules.effects import moved, turned
+from craftsim.discrete.rules.legality import FIRST_MOVE, ROTATE_LEFT, ROTATE_RIGHT, legal, move_direction
 
 MOVE_FORWARD = int(Action.MOVE_FORWARD)
 MOVE_BACK = int(Action.MOVE_BACK)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.measures import Custom, Measure
+from craftsim.discrete.tasks.measures import Custom, Measure
 
 ALPHA: Final = 10.0
 """What a tick that ends with the flag on the goal pays, by the paper."""

@@ -10,13 +10,13 @@ from typing import Final, get_args
 import numpy as np
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.blueprint import parse_blueprint
-from craftsim.discrete.documents import Scalar, Source, parse_keys, read_text
-from craftsim.discrete.documents import Sequence as ListNode
+from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.files.documents import Scalar, Source, parse_keys, read_text
+from craftsim.discrete.files.documents import Sequence as ListNode
+from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.planner import Planner, empty_queue
-from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.discrete.saving import blueprint_text
+from craftsim.discrete.planning.planner import Planner, empty_queue
+from craftsim.discrete.rules.sets import Rules, RuleSet
 
 Joint = tuple[tuple[int, Action], ...]
 """(car, action) pairs of one tick in acting order."""

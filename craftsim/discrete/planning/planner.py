@@ -12,12 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
-from craftsim.discrete.cells import AIR, World, derive_marks, pose_of
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.legality import FIRST_MOVE, LAST_MOVE, STOP
-from craftsim.discrete.rules import Rules, act, acting_order, check_car, world_of
-from craftsim.discrete.search import (
+from craftsim.discrete.planning.search import (
     Space,
     fill_reachable,
     forget_ways,
@@ -27,6 +23,10 @@ from craftsim.discrete.search import (
     visit_near,
     write_plan,
 )
+from craftsim.discrete.rules.cells import AIR, World, derive_marks, pose_of
+from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.rules.legality import FIRST_MOVE, LAST_MOVE, STOP
+from craftsim.discrete.rules.sets import Rules, act, acting_order, check_car, world_of
 
 DEFAULT_DEPTH = 10
 """Search depth of CraftEnv's environment; its published training settings use 20."""

@@ -12,11 +12,12 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.blueprint import NO_CELL, Blueprint, read_blueprint
-from craftsim.discrete.design import Design, read_design
 from craftsim.discrete.errors import BlueprintError, InputError, suggestion
+from craftsim.discrete.files.blueprint import NO_CELL, Blueprint, read_blueprint
+from craftsim.discrete.files.design import Design, read_design
+from craftsim.discrete.files.placement import Placement
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.measures import (
+from craftsim.discrete.tasks.measures import (
     CodeBuilding,
     CodePlatform,
     Complexity,
@@ -29,9 +30,8 @@ from craftsim.discrete.measures import (
     PaperBuilding,
     PaperPlatform,
 )
-from craftsim.discrete.observation import Layout
-from craftsim.discrete.placement import Placement
-from craftsim.discrete.rewards import CodeBarrier, CodeReward, PaperBarrier, Reward
+from craftsim.discrete.tasks.observation import Layout
+from craftsim.discrete.tasks.rewards import CodeBarrier, CodeReward, PaperBarrier, Reward
 
 TaskName = Literal[
     "strip", "block", "simple_two_story", "complex_two_story", "free_building", "breaking_barrier"

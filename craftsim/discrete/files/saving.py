@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.blueprint import LOADS, NO_CELL, OBJECT_KEYS, parse_blueprint
-from craftsim.discrete.design import TARGET_KEYS
 from craftsim.discrete.errors import BlueprintError
+from craftsim.discrete.files.blueprint import LOADS, NO_CELL, OBJECT_KEYS, parse_blueprint
+from craftsim.discrete.files.design import TARGET_KEYS
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
 
 _LOAD_NAMES: Final = {kind: name for name, kind in LOADS.items()}

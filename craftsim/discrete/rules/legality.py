@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import (
+from craftsim.discrete.rules.cells import (
     AIR,
     BLOCK,
     BODY,
@@ -27,8 +27,8 @@ from craftsim.discrete.cells import (
     top_at,
     yaw_at,
 )
-from craftsim.discrete.compiled import compiled
-from craftsim.discrete.moves import move_legal
+from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.rules.moves import move_legal
 
 LIFT = int(Action.LIFT)
 DROP = int(Action.DROP)

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.measures import FlagNearness
-from craftsim.discrete.observation import Layout
-from craftsim.discrete.planner import Planner
-from craftsim.discrete.rewards import CodeBarrier
-from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import Task, make_task
-from craftsim.discrete.traces import Record, recorded_grid
-from craftsim.discrete.worlds import Worlds
+from craftsim.discrete.planning.planner import Planner
+from craftsim.discrete.records.traces import Record, recorded_grid
+from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.tasks.measures import FlagNearness
+from craftsim.discrete.tasks.observation import Layout
+from craftsim.discrete.tasks.rewards import CodeBarrier
+from craftsim.discrete.tasks.task import Task, make_task
+from craftsim.discrete.tasks.worlds import Worlds
 
 TASKS: Final = {
     "strip_shaped": "strip",

@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.blueprint_checks import check_blueprint
-from craftsim.discrete.documents import Mapping, Scalar, Sequence, Source, parse_keys, read_text
+from craftsim.discrete.files.blueprint_checks import check_blueprint
+from craftsim.discrete.files.documents import Mapping, Scalar, Sequence, Source, parse_keys, read_text
+from craftsim.discrete.files.placement import Placement, build_grid
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
-from craftsim.discrete.placement import Placement, build_grid
 
 NO_CELL: Final[Cell] = (-1, -2, 1)
 """The coordinates with which CraftEnv's files say that there is no flag or no goal."""

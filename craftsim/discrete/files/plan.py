@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final, NoReturn
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.documents import read_text
 from craftsim.discrete.errors import BlueprintError, PlanError, suggestion
+from craftsim.discrete.files.documents import read_text
 
 MAX_TICK: Final = 100_000
 

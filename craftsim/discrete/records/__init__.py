@@ -1,0 +1,1 @@
+"""Recorded episodes: our own, CraftEnv's, and comparing the rules with them."""

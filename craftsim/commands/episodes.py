@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from craftsim.commands.progress import counting
 from craftsim.discrete.errors import InputError
 from craftsim.report import output_directory, write_report
+
+if TYPE_CHECKING:
+    from craftsim.validation.episodes import EpisodeRecord
 
 
 def episodes(
@@ -71,9 +77,24 @@ def episodes(
             "; ".join(record.disagreement) or "nothing",
         )
     console.print(table)
+    thirds = _by_thirds(records, actions)
+    for name, errors in thirds.items():
+        console.print(
+            f"Set down in the {name} third: {len(errors)} things, median {np.median(errors or [0]):.2f} mm, "
+            f"worst {max(errors, default=0.0):.2f} mm off their cells' centres."
+        )
     good = sum(not record.disagreement for record in records)
     n_legal, n_unclear = (sum(getattr(r, key) for r in records) for key in ("n_legal", "n_unclear"))
-    figures = {"records": records, "good": good, "n_legal": n_legal, "n_unclear": n_unclear}
+    figures = {
+        "set_down_mm": {
+            name: {"n": len(errors), "p50": np.median(errors or [0]), "max": max(errors, default=0.0)}
+            for name, errors in thirds.items()
+        },
+        "records": records,
+        "good": good,
+        "n_legal": n_legal,
+        "n_unclear": n_unclear,
+    }
     config = {"gains": load_gains(), "noise": noise, "actions": actions, "cars": cars, "episodes": episodes}
     wall = {"total_s": time.perf_counter() - started, "workers": workers}
     report = write_report(out, figures, command="episodes", seed=seed, config=config, wall=wall)
@@ -84,3 +105,12 @@ def episodes(
     )
     console.print(f"{good} of {episodes} episodes went as predicted to the end.")
     return 0 if good == episodes else 1
+
+
+def _by_thirds(records: Sequence[EpisodeRecord], actions: int) -> dict[str, list[float]]:
+    """Return the errors in mm of what was set down in the first, middle and last third of all episodes."""
+    thirds: dict[str, list[float]] = {"first": [], "middle": [], "last": []}
+    for record in records:
+        for n, error in record.set_down:
+            thirds[list(thirds)[min(2, 3 * n // (actions + 1))]].append(1e3 * error)
+    return thirds

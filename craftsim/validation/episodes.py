@@ -70,6 +70,8 @@ class EpisodeRecord:
     """The same over the whole episode."""
     car_error_m: float
     """The furthest that any car was from its cell's centre, over the whole episode."""
+    set_down: tuple[tuple[int, float], ...]
+    """(actions so far, error) of everything that was set down, in order."""
     n_legal: int
     n_unclear: int
     """Of all the legal actions from which the cars drew: those that would have swung into something."""
@@ -116,6 +118,7 @@ def run_episode(trial: EpisodeTrial) -> EpisodeRecord:
     reading = read_grid(read_poses(site), site.size, site.walls)
     n = n_legal = n_unclear = 0
     early = worst = worst_car = 0.0
+    set_down: list[tuple[int, float]] = []
     disagreement: tuple[str, ...] = reading.problems
     while n < trial.n_actions and not disagreement:
         joint, legal, unclear = _draw_tick(reading.grid, rules, world)
@@ -133,10 +136,17 @@ def run_episode(trial: EpisodeTrial) -> EpisodeRecord:
                     if not r.outcome.succeeded or not r.in_place
                 ),
             )
-        reading = run.final
+        before, reading = reading, run.final
+        set_down += [
+            (n, now.offset_m)
+            for was, now in zip(before.objects, reading.objects, strict=True)
+            if was.carrier is not None and now.carrier is None
+        ]
         worst, worst_car = max(worst, _worst(reading)), max(worst_car, *(c.offset_m for c in reading.cars))
         early = worst if n <= EARLY else early
-    return EpisodeRecord(trial, n, disagreement, early, _worst(reading), worst, worst_car, n_legal, n_unclear)
+    return EpisodeRecord(
+        trial, n, disagreement, early, _worst(reading), worst, worst_car, tuple(set_down), n_legal, n_unclear
+    )
 
 
 def _worst(reading: Reading) -> float:

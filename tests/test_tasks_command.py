@@ -95,7 +95,7 @@ def test_episodes_writes_its_figures_equal_at_one_and_two_workers(tmp_path, caps
     assert {key: one[key] for key in one if key != "wall"} == {key: two[key] for key in two if key != "wall"}
     assert one["command"] == "episodes"
     assert one["seed"] == 2
-    assert set(one["figures"]) == {"records", "good", "n_legal", "n_unclear"}
+    assert set(one["figures"]) == {"set_down_mm", "records", "good", "n_legal", "n_unclear"}
     assert one["figures"]["good"] == 2
     assert [record["trial"]["seed"] for record in one["figures"]["records"]] == [2, 3]
     assert set(one["figures"]["records"][0]) == {
@@ -106,20 +106,25 @@ def test_episodes_writes_its_figures_equal_at_one_and_two_workers(tmp_path, caps
         "error_m",
         "worst_error_m",
         "car_error_m",
+        "set_down",
         "n_legal",
         "n_unclear",
     }
+    assert set(one["figures"]["set_down_mm"]) == {"first", "middle", "last"}
     assert "2 of 2 episodes went as predicted to the end." in capsys.readouterr().out
 
 
 def test_an_episode_that_goes_wrong_is_explained_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
     def broken(trial):
-        return episodes_module.EpisodeRecord(trial, 7, ("it fell",), 0.0, 0.0, 0.0, 0.0, 9, 1)
+        return episodes_module.EpisodeRecord(
+            trial, 7, ("it fell",), 0.0, 0.0, 0.0, 0.0, ((4, 0.0003), (7, 0.0005)), 9, 1
+        )
 
     monkeypatch.setattr(episodes_module, "run_episode", broken)
     assert cli.main(["episodes", "--episodes", "1", "--out", str(tmp_path)]) == 1
     output = capsys.readouterr().out
     assert "it fell" in output
+    assert "first third: 2 things, median 0.40 mm, worst 0.50 mm" in " ".join(output.split())
     assert "1 of 9 legal actions would have swung into something" in output
     assert output.splitlines()[-1] == "0 of 1 episodes went as predicted to the end."
 

@@ -81,7 +81,8 @@ def episodes(
     for name, errors in thirds.items():
         console.print(
             f"Set down in the {name} third: {len(errors)} things, median {np.median(errors or [0]):.2f} mm, "
-            f"worst {max(errors, default=0.0):.2f} mm off their cells' centres."
+            f"worst {max(errors, default=0.0):.2f} mm off their cells' centres.",
+            soft_wrap=True,
         )
     good = sum(not record.disagreement for record in records)
     n_legal, n_unclear = (sum(getattr(r, key) for r in records) for key in ("n_legal", "n_unclear"))

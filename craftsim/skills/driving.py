@@ -25,7 +25,7 @@ from craftsim.skills.profile import Profile
 from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
 
 _AT_REST_RAD_S = 0.03
-_REST_PERIODS = 3
+_REST_PERIODS = 2
 _BLOCKED_S = 0.25
 _ROLLED_M = 0.01
 

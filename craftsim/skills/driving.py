@@ -25,7 +25,8 @@ from craftsim.skills.profile import Profile
 from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
 
 _AT_REST_RAD_S = 0.03
-_REST_PERIODS = 2
+_AT_REST_M_S = 0.0015
+_REST_PERIODS = 3
 _BLOCKED_S = 0.25
 _ROLLED_M = 0.01
 
@@ -109,9 +110,11 @@ class DrivingSkill(Skill):
         step[2] = wrap(step[2])
         lever = np.array([1.0, 1.0, SMARTCAR.turn_radius_m])
         moved = float(np.linalg.norm(lever * step))
-        # Three resting wheels hold the car; the fourth may slip on the spot. Localisations jitter, so they do not tell.
-        self._at_rest = float(np.sort(np.abs(now.wheel_speeds))[2]) < _AT_REST_RAD_S
+        # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
+        # Localisations jitter, so they do not tell.
         rolled = float(np.linalg.norm(lever * body_twist(now.wheel_speeds)))
+        third = float(np.sort(np.abs(now.wheel_speeds))[2])
+        self._at_rest = rolled < _AT_REST_M_S or third < _AT_REST_RAD_S
         behind = float(np.hypot(error[0], error[1]) + SMARTCAR.turn_radius_m * abs(error[2]))
         if behind <= self.gains.blocked_error:
             self._stuck_s = self._rolled_m = self._moved_m = 0.0

@@ -24,7 +24,7 @@ from craftsim.models.sensing import Sensors, read_poses
 from craftsim.models.site import Site
 from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
-from craftsim.validation.scheduled_run import run_schedule
+from craftsim.skills.scheduled_run import run_schedule
 
 SIZE: Final = (6, 6, 4)
 N_SLOPES: Final = 2

@@ -12,8 +12,8 @@ from craftsim.models.noise import EXACT, NOISY
 from craftsim.models.sensing import Sensors
 from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
+from craftsim.skills.scheduled_run import run_schedule
 from craftsim.validation.job import read_job
-from craftsim.validation.scheduled_run import run_schedule
 
 
 @dataclass(frozen=True)

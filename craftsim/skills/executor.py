@@ -33,11 +33,11 @@ class Executor:
     ) -> None:
         """Run on a Site with these gains and senses (exact ones unless given).
 
-        ``observer`` is called after every control period.
+        ``observer`` is called after every control period; :attr:`observers` takes more of them.
         """
         self.site = site
         self.gains = gains or load_gains()
-        self.observer = observer
+        self.observers: list[Observer] = [] if observer is None else [observer]
         self.sensors = sensors or Sensors(site)
         noise, period = self.sensors.noise, site.config.control_period_s
         self._localisers = [] if noise.silent else [Localiser(noise, period) for _ in site.cars]
@@ -85,8 +85,8 @@ class Executor:
         self.site.advance()
         self.sensors.observe()
         self._look()
-        if self.observer is not None:
-            self.observer(self.site)
+        for observer in self.observers:
+            observer(self.site)
         return ended
 
     def _look(self) -> None:

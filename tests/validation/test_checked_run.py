@@ -87,7 +87,7 @@ def test_a_thing_that_somebody_else_moves_is_a_side_effect_and_measured():
         pushing = site.free_body_state(block)[0][0] < 3.4 * 0.3225
         site.data.xfrc_applied[block.body, 0] = 6.0 if pushing else 0.0
 
-    checked.executor.observer = hand
+    checked.executor.observers.append(hand)
     record = checked.perform(0, 0, Action.MOVE_RIGHT)
     assert record.verdict.finding in (Finding.SIDE_EFFECT, Finding.UNREADABLE)
     assert record.others_moved_m > 0.025

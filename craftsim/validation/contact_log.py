@@ -1,0 +1,164 @@
+"""What touches what while an action runs, how hard, and how far things lean and how fast they fall.
+
+The log looks between control periods, at 50 Hz: a blow that is over within 20 ms shows only by what comes after it.
+A fall is seen all the same, for a thing that falls by 25 mm or more is faster than 0.5 m/s when it is looked at.
+"""
+
+from __future__ import annotations
+
+import copy
+import csv
+import math
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.models.site import Site
+
+GROUND: Final = "ground"
+WALL: Final = "wall"
+_SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Two machines that touched each other."""
+
+    first: str
+    """Name of a machine, such as ``car 0``, ``block 3``, ``slope 1``, ``flag 0``, ``wall`` or ``ground``."""
+    second: str
+    since_s: float
+    """Simulated time at which they were first seen to touch."""
+    peak_n: float
+    """Largest normal force, summed over all their points of contact."""
+    at_start: bool
+    """Whether they touched when the log began."""
+
+
+class ContactLog:
+    """Contacts between the machines of a Site, and their motion, from :meth:`begin` on.
+
+    Contacts inside one machine, such as of a slope's flap with its base, are left out.
+    """
+
+    def __init__(self, site: Site) -> None:
+        """Prepare for a Site, and begin."""
+        self.site = site
+        model = site.model
+        self.names = (GROUND, WALL, *(_name(model.body(b).name) for b in _roots(model)))
+        """Of all machines: what is fixed first, then those that move in the order of their bodies."""
+        number = {body: i + 2 for i, body in enumerate(_roots(model))}
+        root = model.body_rootid[model.geom_bodyid]
+        moving = model.body_jntnum[root] > 0
+        self._machine = np.array(
+            [number[int(r)] if moves else (0 if r == 0 else 1) for r, moves in zip(root, moving, strict=True)]
+        )
+        joints = [int(model.body_jntadr[body]) for body in number]
+        self._qpos = np.array([model.jnt_qposadr[j] for j in joints], np.intp)
+        self._dof = np.array([model.jnt_dofadr[j] for j in joints], np.intp)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget everything, and note what touches now."""
+        n = len(self.names)
+        self._since = np.full(n * n, math.nan)
+        self._peak = np.zeros(n * n)
+        self._fall = np.zeros(n - 2)
+        self._upright = np.ones(n - 2)
+        self._start_s = self.site.time_s
+        self._note(*self._touching(self._awake()))
+        self._at_start = ~np.isnan(self._since)
+
+    def sample(self, _: Site | None = None) -> None:
+        """Look at the Site as it is; call it after each control period, such as by being an executor's observer."""
+        data = self.site.data
+        self._note(*self._touching(data))
+        np.minimum(self._fall, data.qvel[self._dof + 2], out=self._fall)
+        tilt_x, tilt_y = data.qpos[self._qpos + 4], data.qpos[self._qpos + 5]
+        np.minimum(self._upright, 1 - 2 * (tilt_x * tilt_x + tilt_y * tilt_y), out=self._upright)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """All that touched, those first that touched first."""
+        n = len(self.names)
+        found = [
+            Contact(
+                self.names[pair // n],
+                self.names[pair % n],
+                float(self._since[pair]),
+                float(self._peak[pair]),
+                bool(self._at_start[pair]),
+            )
+            for pair in np.flatnonzero(~np.isnan(self._since))
+        ]
+        return tuple(sorted(found, key=lambda contact: contact.since_s))
+
+    @property
+    def peak_n(self) -> float:
+        """The largest force between any two machines, the ground included; 0 where nothing touched."""
+        return float(self._peak.max())
+
+    @property
+    def falls_m_s(self) -> dict[str, float]:
+        """The fastest that each machine moved down."""
+        return {name: -float(v) for name, v in zip(self.names[2:], self._fall, strict=True)}
+
+    @property
+    def tilts_rad(self) -> dict[str, float]:
+        """The furthest that each machine leaned."""
+        tilts = np.arccos(np.clip(self._upright, -1.0, 1.0))
+        return {name: float(tilt) for name, tilt in zip(self.names[2:], tilts, strict=True)}
+
+    def write(self, path: Path) -> None:
+        """Write the contacts as CSV with a line of headings."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([field.name for field in fields(Contact)])
+            writer.writerows(astuple(contact) for contact in self.contacts)
+
+    def _awake(self) -> mujoco.MjData:
+        """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show."""
+        model, data = self.site.model, copy.copy(self.site.data)
+        flags = model.opt.enableflags
+        model.opt.enableflags = flags & ~_SLEEP
+        mujoco.mj_forward(model, data)
+        model.opt.enableflags = flags
+        return data
+
+    def _touching(self, data: mujoco.MjData) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        """Return the pairs of machines of all contacts, as a * n + b with a < b, and the contacts' normal forces."""
+        n = len(self.names)
+        contact = data.contact
+        address = contact.efc_address
+        if not len(address):
+            return np.empty(0, np.intp), np.empty(0)
+        machines = np.sort(self._machine[contact.geom], axis=1)
+        pair = machines[:, 0] * n + machines[:, 1]
+        counts = (machines[:, 0] != machines[:, 1]) & (address >= 0)
+        # With elliptic friction cones the first row of a contact is its normal force (MuJoCo, mj_contactForce).
+        return pair[counts], data.efc_force[address[counts]]
+
+    def _note(self, pairs: NDArray[np.intp], forces: NDArray[np.float64]) -> None:
+        if not len(pairs):
+            return
+        touching, which = np.unique(pairs, return_inverse=True)
+        self._peak[touching] = np.maximum(self._peak[touching], np.bincount(which, forces))
+        fresh = touching[np.isnan(self._since[touching])]
+        self._since[fresh] = self.site.time_s
+
+
+def _roots(model: mujoco.MjModel) -> list[int]:
+    """Return the bodies that move freely: one for each machine but walls."""
+    free = int(mujoco.mjtJoint.mjJNT_FREE)
+    return [int(b) for b in model.jnt_bodyid[model.jnt_type == free]]
+
+
+def _name(body: str) -> str:
+    """Return a machine's name for people: ``car 0`` for the body ``car0/smartcar``."""
+    prefix = body.split("/", 1)[0]
+    word = prefix.rstrip("0123456789")
+    return f"{word} {prefix[len(word) :]}"

@@ -15,9 +15,10 @@ ALLOWED = {
     "models": {"discrete", "mjcf"},
     "skills": {"models", "discrete"},
     "validation": {"skills", "models", "discrete", "report"},
-    "envs": {"skills", "models", "discrete"},
+    "envs": {"skills", "models", "discrete", "rendering"},
     "rendering": {"skills", "models", "discrete"},
     "tuning": {"skills", "models", "discrete"},
+    "testing": {"envs", "discrete"},
     "report": {"discrete.errors"},
     "cli": {"commands", "discrete"},
 }

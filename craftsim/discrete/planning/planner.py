@@ -127,6 +127,19 @@ class Planner:
         world = world_of(grid, self.rules.law)
         return self._read(space, plan_move(world, car, space, int(action), self.depth))
 
+    def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
+        """Return the primitive that an action stands for now, and leave in ``queue`` what is to follow it.
+
+        As :func:`act_with_helper` chooses it, for those who perform it by other means than the rules.
+        """
+        if queue[car, 0] >= 0:
+            return Action(advance(queue[car]))
+        if action not in MOVE_DIRECTION:
+            return action
+        first, *rest = self.plan_move(grid, car, action) or (Action.STOP,)
+        queue[car, : len(rest)] = rest
+        return first
+
     def plan_to(self, grid: Grid, car: int, cell: Cell) -> tuple[Action, ...] | None:
         """Return the primitives that bring a car to a cell, or None if the helper finds no way."""
         check_car(grid, car)

@@ -1,0 +1,64 @@
+"""How long actions take at nominal physics: what a grid world, which has no clock, says of time.
+
+The table is ``craftsim/data/durations.yaml``; ``craftsim bench durations`` measures it.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from typing import Final
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.grid import CarField, Kind
+
+SITUATIONS: Final = ("flat", "flat_loaded", "slope", "slope_loaded")
+"""Columns of the table: whether a move starts or ends on a slope, and whether the car is loaded before its action."""
+
+_TURNS: Final = (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
+
+
+def verb(action: Action) -> str:
+    """Return the table's row for an action: its name in small letters, one for all moves and one for both turns."""
+    if action in MOVE_DIRECTION:
+        return "move"
+    return "rotate" if action in _TURNS else action.name.lower()
+
+
+@cache
+def nominal_durations() -> NDArray[np.float64]:
+    """Return the shipped table in seconds, shape (15, 4): by action and situation; diagonal moves take no time."""
+    rows = yaml.safe_load(files("craftsim.data").joinpath("durations.yaml").read_text(encoding="utf-8"))
+    table = np.zeros((len(Action), len(SITUATIONS)))
+    for action in Action:
+        row = rows.get(verb(action), 0.0)
+        table[action] = [row[name] for name in SITUATIONS] if isinstance(row, dict) else row
+    return table
+
+
+def tick_durations(
+    before: NDArray[np.int64],
+    after: NDArray[np.int64],
+    actions: NDArray[np.int64],
+    applied: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Return how long a tick takes when all cars act at once, the slowest car's time, shape (...).
+
+    That cars may have to wait for each other is not counted. Arguments are the cars of worlds before and after the tick
+    (..., n, 7), what they were told (..., n), and whether they did it. What the action helper does instead of a move is
+    told from what has changed.
+    """
+    turned = (before[..., CarField.YAW] != after[..., CarField.YAW]) & applied
+    moved = (before[..., :3] != after[..., :3]).any(-1) | (
+        before[..., CarField.SLOPE] != after[..., CarField.SLOPE]
+    )
+    done = np.where(moved, Action.MOVE_FORWARD, np.where(turned, Action.ROTATE_LEFT, actions))
+    sloping = (before[..., CarField.SLOPE] > 0) | (after[..., CarField.SLOPE] > 0)
+    situation = 2 * sloping + (before[..., CarField.LOAD] != Kind.AIR)
+    seconds = nominal_durations()[done, situation] * applied
+    longest: NDArray[np.float64] = seconds.max(-1, initial=0.0)
+    return longest

@@ -1,0 +1,73 @@
+"""Worlds that were reached once, kept in a file, as the starts of later episodes."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.tasks.task import Task
+
+_ARRAYS: Final = tuple(field.name for field in fields(Grid))
+
+
+def save_starts(path: Path, grids: Sequence[Grid]) -> None:
+    """Write worlds of one size and number of cars into an ``.npz`` file; raises InputError if they differ."""
+    shapes = {(grid.size, grid.n_cars) for grid in grids}
+    if len(shapes) != 1:
+        raise InputError(f"{path}: starts must be of one size and number of cars, not {sorted(shapes)}")
+    arrays = {name: np.stack([getattr(grid, name) for grid in grids]) for name in _ARRAYS}
+    with open(path, "wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def load_starts(path: Path) -> list[Grid]:
+    """Return the worlds of a file that :func:`save_starts` wrote; raises InputError for any other."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in _ARRAYS}
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: not a file of starts ({error}); write one with save_starts") from error
+    return [Grid(*(arrays[name][i] for name in _ARRAYS)) for i in range(len(arrays["kind"]))]
+
+
+@dataclass(frozen=True)
+class StoredStarts(Task):
+    """A task whose episodes start with worlds drawn from a list instead of its start files."""
+
+    grids: tuple[Grid, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        first = self.starts[0]
+        if not self.grids:
+            raise InputError(f"task '{self.name}' needs at least one stored start")
+        for grid in self.grids:
+            if (grid.size, grid.n_cars) != (first.size, first.n_cars):
+                raise InputError(
+                    f"a stored start has size {grid.size} and {grid.n_cars} cars; task '{self.name}' has "
+                    f"{first.size} and {first.n_cars}"
+                )
+
+    def draw(self, rng: np.random.Generator) -> Grid:
+        """Return a copy of one of the worlds."""
+        return self.grids[int(rng.integers(len(self.grids)))].copy()
+
+    @property
+    def always_starts_the_same(self) -> bool:
+        """Whether every episode starts with the same world."""
+        return False
+
+
+def starting_from(task: Task, grids: Sequence[Grid]) -> Task:
+    """Return the task with the given worlds as its starts."""
+    known = {field.name: getattr(task, field.name) for field in fields(Task)}
+    return StoredStarts(**known, grids=tuple(grids))

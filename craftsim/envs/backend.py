@@ -1,0 +1,48 @@
+"""What a backend is: how a tick of all cars happens, and what is told of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.tasks.worlds import Worlds
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What a tick brought."""
+
+    applied: NDArray[np.bool_]
+    """(n,): by car, whether the rules allowed what it was to do when its turn came."""
+    duration_s: float
+    """Simulated time."""
+    problems: tuple[str, ...] = ()
+    """Why the world cannot be read as a grid any more, in words; empty when it can."""
+    of_car: tuple[dict[str, Any], ...] = field(default=())
+    """By car: what there is to tell beyond that; empty when there is nothing."""
+
+
+class Backend(Protocol):
+    """One world in which ticks happen.
+
+    What is seen of it is kept in a batch of one of :class:`Worlds`, together with what the action helper has queued.
+    """
+
+    def start(self, grid: Grid, rng: np.random.Generator) -> Grid:
+        """Begin an episode as a grid says and return the world as it is seen; ``rng`` draws what is imperfect."""
+
+    def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
+        """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""
+
+    def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
+        """Return the world as a picture, shape (height, width, 3)."""
+
+    def show(self, grid: Grid, goal: Cell | None) -> None:
+        """Show the world to a person."""
+
+    def close(self) -> None:
+        """Release what is held."""

@@ -1,0 +1,56 @@
+"""The Gymnasium form: one agent tells all cars what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.tasks import Task, TaskName
+from craftsim.envs.core import RENDER_MODES, Core, Options
+from craftsim.envs.spaces import central_space, joint_action_space
+
+Observation = dict[str, NDArray[Any]]
+
+
+class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
+    """A task for one who sees the global state and chooses an action for every car."""
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012 (as Gymnasium declares it)
+
+    def __init__(self, task: Task | TaskName, render_mode: Any = None, **options: Any) -> None:
+        """Prepare a task; ``options`` are the fields of :class:`craftsim.envs.core.Options`."""
+        self.core = Core(task, Options(render_mode=render_mode, **options))
+        self.render_mode = render_mode
+        self.observation_space = central_space(self.core.task)
+        self.action_space = joint_action_space(self.core.task)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
+        super().reset(seed=seed)
+        self.core.reset(seed, options)
+        return self._observe(), {"action_mask": self.core.masks.copy()}
+
+    def step(self, action: NDArray[np.int64]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Let all cars act once; ``action`` (n,) by car. Infos are those of the cars, each a tuple by car."""
+        result = self.core.step(np.asarray(action, np.int64))
+        info: dict[str, Any] = {key: tuple(of_car[key] for of_car in result.infos) for key in result.infos[0]}
+        info["action_mask"] = self.core.masks.copy()
+        for key in ("success", "duration_s", "problems"):
+            info[key] = info[key][0]
+        return self._observe(), result.reward, result.terminated, result.truncated, info
+
+    def _observe(self) -> Observation:
+        return {"observation": self.core.state(), "action_mask": self.core.masks}
+
+    def render(self) -> Any:
+        """Return a picture (``rgb_array``) or text (``ansi``); ``human`` shows every tick by itself."""
+        return self.core.render()
+
+    def close(self) -> None:
+        """Release what rendering holds."""
+        self.core.close()

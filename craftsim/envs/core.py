@@ -1,0 +1,246 @@
+"""One episode at a time of a task, on either backend: what every form of the environment has in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import InputError, suggestion
+from craftsim.discrete.files.blueprint import read_blueprint
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.discrete.tasks import Task, TaskName, make_task
+from craftsim.discrete.tasks.observation import car_vectors
+from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.envs.backend import Backend
+from craftsim.envs.grid_backend import GridBackend
+
+if TYPE_CHECKING:
+    from craftsim.models.config import SimulationConfig
+    from craftsim.models.noise import SensorNoise
+    from craftsim.models.variation import Spread
+
+BackendName = Literal["physics", "grid"]
+RenderMode = Literal["rgb_array", "human", "ansi"]
+RENDER_MODES: Final[tuple[str, ...]] = get_args(RenderMode)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How an environment works, on top of its task; docs/envs.md explains each. Raises InputError for a bad value."""
+
+    backend: BackendName = "physics"
+    rule_set: RuleSet = "physical"
+    helper_depth: int | None = None
+    """Search depth of the action helper; None is without it."""
+    time_weight: float = 0.0
+    """What a simulated second costs."""
+    render_mode: RenderMode | None = None
+    noise: SensorNoise | None = None
+    """Noise of the cars' senses and motors; physics only."""
+    spread: Spread | None = None
+    """How far the physics of each episode is drawn from the nominal one; physics only."""
+    config: SimulationConfig | None = None
+    """How the physics is computed; physics only."""
+
+    def __post_init__(self) -> None:
+        choices = {"backend": get_args(BackendName), "render_mode": (None, *RENDER_MODES)}
+        for name, allowed in choices.items():
+            value = getattr(self, name)
+            if value not in allowed:
+                words = [str(word) for word in allowed]
+                raise InputError(
+                    f"unknown {name} '{value}'{suggestion(str(value), words)}; there are {', '.join(words)}"
+                )
+        if self.helper_depth is not None and self.helper_depth < 0:
+            raise InputError(f"helper_depth is {self.helper_depth}; allowed: None, or 0 and more")
+        for name in ("noise", "spread", "config"):
+            if self.backend == "grid" and getattr(self, name) is not None:
+                raise InputError(
+                    f"the grid backend knows no '{name}'; leave it out, or take backend='physics'"
+                )
+
+    def make_backend(self, task: Task) -> Backend:
+        """Return the backend; only here does the physics get imported."""
+        if self.backend == "grid":
+            return GridBackend()
+        if self.render_mode == "rgb_array":
+            from craftsim.rendering.backend import choose_backend
+
+            choose_backend()
+        from craftsim.envs.physics_backend import PhysicsBackend
+
+        goals = [target.cell for target in task.design.targets] if task.design else [task.starts[0].goal]
+        floor = [cell for cell in goals if cell is not None and cell[2] == 1]
+        return PhysicsBackend(
+            Rules(self.rule_set), self.helper_depth, self.noise, self.spread, self.config, floor
+        )
+
+
+@dataclass(frozen=True)
+class CoreStep:
+    """What a tick brought."""
+
+    reward: float
+    """Shared by all cars."""
+    terminated: bool
+    """The work is done, and the task ends with that."""
+    truncated: bool
+    """The time is up, or the world cannot be read as a grid any more."""
+    infos: list[dict[str, Any]]
+    """By car."""
+
+
+class Core:
+    """A task on a backend: resets, ticks, rewards, ends of episodes, seeds and the order in which cars act."""
+
+    def __init__(self, task: Task | TaskName, options: Options) -> None:
+        """Prepare; the first episode begins with :meth:`reset`."""
+        self.task = make_task(task) if isinstance(task, str) else task
+        self.options = options
+        self.layout = self.task.layout
+        self.n_cars = self.layout.n_cars
+        self.backend = options.make_backend(self.task)
+        self.rules = Rules(options.rule_set)
+        self._success = self.task.success_measure
+        self._worlds: Worlds | None = None
+        self._seed(None)
+
+    def _seed(self, seed: int | None) -> None:
+        # The backend draws from a generator of its own, so that both backends see the same starts and orders.
+        spawned = np.random.SeedSequence(seed).spawn(2)
+        self._rng, self._backend_rng = (np.random.default_rng(s) for s in spawned)
+
+    @property
+    def worlds(self) -> Worlds:
+        """The world as it is seen, a batch of one, with the queues of the action helper."""
+        if self._worlds is None:
+            raise InputError("call reset() before anything else")
+        return self._worlds
+
+    @property
+    def grid(self) -> Grid:
+        """A copy of the world as it is seen."""
+        return self.worlds.grid(0)
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+        """Begin an episode and return the infos by car.
+
+        Without a seed the generators go on. ``options`` may give the start: ``blueprint``, the path of a start file, or
+        ``grid``, a Grid; other keys are ignored. Raises InputError for a start that does not fit the task.
+        """
+        if seed is not None:
+            self._seed(seed)
+        seen = self.backend.start(self._draw(options or {}), self._backend_rng)
+        if self._worlds is None:
+            self._worlds = Worlds(self.rules, [seen], self.options.helper_depth)
+        self._worlds.put(0, seen)
+        self._t = np.zeros(1, np.int64)
+        self._paid = np.zeros(1, np.bool_)
+        self._worth = self.task.reward.measure.of_worlds(self._worlds.arrays)
+        self._look()
+        self._show()
+        return [{"action_mask": self.masks[car]} for car in range(self.n_cars)]
+
+    def _draw(self, options: dict[str, Any]) -> Grid:
+        if options.get("grid") is not None:
+            grid = options["grid"]
+        elif options.get("blueprint") is not None:
+            grid = read_blueprint(Path(options["blueprint"])).grid(self._rng, self.task.placement)
+        else:
+            return self.task.draw(self._rng)
+        if not isinstance(grid, Grid):
+            raise InputError(f"the option 'grid' must be a Grid, not a {type(grid).__name__}")
+        size = self.task.starts[0].size
+        if (grid.size, grid.n_cars) != (size, self.n_cars):
+            raise InputError(
+                f"the start has size {grid.size} and {grid.n_cars} cars; task '{self.task.name}' has {size} and "
+                f"{self.n_cars}"
+            )
+        return grid.copy()
+
+    def _look(self) -> None:
+        """Bring what the cars observe up to date: fresh arrays, that the caller may keep."""
+        worlds, depth = self.worlds, self.options.helper_depth
+        allowed = worlds.legal() if depth is None else worlds.reachable(depth)
+        self.masks: NDArray[np.int8] = allowed[0].view(np.int8)
+        """(n, 15): what each car is offered; STOP, which then does nothing, where the rules leave it nothing."""
+        self.masks[~allowed[0].any(1), Action.STOP] = 1
+        self.rows: NDArray[np.int32] = worlds.entity_rows(self.layout)[0]
+        """(n_rows, 13): what is where."""
+
+    def vectors(self) -> NDArray[np.int32]:
+        """Return (n, length): each car's observation, its own row first."""
+        return car_vectors(self.rows, self.n_cars)
+
+    def state(self) -> NDArray[np.int32]:
+        """Return the global state: all rows, flattened."""
+        return self.rows.ravel().copy()
+
+    def step(self, actions: NDArray[np.int64]) -> CoreStep:
+        """Let all cars act once; ``actions`` (n,) by car. What the rules forbid counts as STOP and is flagged."""
+        offered, queued = self.masks, self.worlds.queue[0, :, 0] >= 0
+        order = self._rng.permutation(self.n_cars)
+        tick = self.backend.tick(self.worlds, actions, order)
+        arrays = self.worlds.arrays
+        after = self._worth if tick.problems else self.task.reward.measure.of_worlds(arrays)
+        reward, self._paid = self.task.reward.pay(self._worth, after, self._t, self._paid)
+        success = not tick.problems and bool(self._success.of_worlds(arrays)[0])
+        over = bool(self.task.over(self._t, np.array([success]))[0])
+        self._worth, self._t = after, self._t + 1
+        self._look()
+        self._show()
+        cars = range(self.n_cars)
+        # A helper that finds no way makes a STOP of a move, which is legal but not what was asked for.
+        forbidden = ~tick.applied | (
+            (offered[cars, actions] == 0) & ~queued & (self.options.helper_depth is not None)
+        )
+        illegal = forbidden & (actions != Action.STOP)
+        shared = {"success": success, "duration_s": tick.duration_s, "problems": tick.problems}
+        extras = tick.of_car or ({},) * self.n_cars
+        infos = [
+            {"action_mask": self.masks[car], "illegal": bool(illegal[car]), **shared, **extras[car]}
+            for car in cars
+        ]
+        terminated = success and self.task.ends_on_success
+        return CoreStep(
+            reward=float(reward[0]) - self.options.time_weight * tick.duration_s,
+            terminated=terminated,
+            truncated=not terminated and (over or bool(tick.problems)),
+            infos=infos,
+        )
+
+    def render(self) -> NDArray[np.uint8] | str | None:
+        """Return what ``render_mode`` says: a picture (height, width, 3), text, or nothing if it is shown already."""
+        mode, goal = self.options.render_mode, self.layout.goal
+        if mode == "rgb_array":
+            return self.backend.picture(self.grid, goal)
+        if mode == "ansi":
+            return _ansi(self.grid, goal)
+        return None
+
+    def _show(self) -> None:
+        if self.options.render_mode == "human":
+            self.backend.show(self.grid, self.layout.goal)
+
+    def close(self) -> None:
+        """Release what rendering holds."""
+        self.backend.close()
+
+
+def _ansi(grid: Grid, goal: tuple[int, int, int] | None) -> str:
+    from rich.console import Console
+
+    from craftsim.discrete.drawing import world_text
+
+    text = StringIO()
+    Console(file=text, force_terminal=True, color_system="standard", highlight=False, width=200).print(
+        world_text(grid, goal), end=""
+    )
+    return text.getvalue()

@@ -1,0 +1,42 @@
+"""The backend that follows the rules: nothing fails, and time is looked up."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.durations import tick_durations
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.envs.backend import Tick
+
+
+class GridBackend:
+    """A grid world under the rules."""
+
+    def start(self, grid: Grid, rng: np.random.Generator) -> Grid:
+        """Begin an episode; there is nothing to draw."""
+        return grid
+
+    def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
+        """Let all cars act by the rules."""
+        before = worlds.arrays.cars[0].copy()
+        applied = worlds.tick(actions[None], order[None])[0]
+        return Tick(applied, float(tick_durations(before, worlds.arrays.cars[0], actions, applied)))
+
+    def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
+        """Return the levels of the world side by side."""
+        from craftsim.discrete.drawing import world_image
+
+        return world_image(grid, goal)
+
+    def show(self, grid: Grid, goal: Cell | None) -> None:
+        """Print the world as coloured text."""
+        from rich.console import Console
+
+        from craftsim.discrete.drawing import world_text
+
+        Console(highlight=False).print(world_text(grid, goal))
+
+    def close(self) -> None:
+        """Hold nothing."""

@@ -1,0 +1,113 @@
+"""The PettingZoo form: every car is an agent, and all act at the same time."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.tasks import Task, TaskName
+from craftsim.envs.core import RENDER_MODES, Core, Options
+from craftsim.envs.spaces import N_ACTIONS, car_space, state_space
+
+Observation = dict[str, NDArray[Any]]
+
+
+class ParallelConstruction(ParallelEnv[str, Observation, int]):
+    """A task for cars that share one reward; ``car_0``, ``car_1``, ... are the agents.
+
+    An agent observes ``{"observation", "action_mask"}``; docs/envs.md describes both, and the infos.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "is_parallelizable": True}
+
+    def __init__(self, task: Task | TaskName, options: Options) -> None:
+        """Prepare a task; the first episode begins with :meth:`reset`."""
+        self.core = Core(task, options)
+        self.metadata = type(self).metadata | {"name": f"craftsim_{self.core.task.name}_v0"}  # type: ignore[misc]
+        self.render_mode = options.render_mode
+        self.possible_agents = [f"car_{car}" for car in range(self.core.n_cars)]
+        self.agents: list[str] = []
+        self.state_space = state_space(self.core.task)
+        self._observation_spaces = {agent: car_space(self.core.task) for agent in self.possible_agents}
+        self._action_spaces = {agent: spaces.Discrete(N_ACTIONS) for agent in self.possible_agents}
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """Return an agent's observation space."""
+        return self._observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """Return an agent's action space: the 15 primitive actions."""
+        return self._action_spaces[agent]
+
+    @property
+    def grid(self) -> Grid:
+        """A copy of the world as it is seen."""
+        return self.core.grid
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
+        infos = self.core.reset(seed, options)
+        self.agents = self.possible_agents[:]
+        return self._observe(), dict(zip(self.agents, infos, strict=True))
+
+    def step(
+        self, actions: dict[str, int]
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Let all cars act once. Raises InputError if an agent's action is missing or no number from 0 to 14."""
+        agents = self.agents
+        result = self.core.step(self._numbers(actions))
+        if result.terminated or result.truncated:
+            self.agents = []
+        return (
+            self._observe(),
+            dict.fromkeys(agents, result.reward),
+            dict.fromkeys(agents, result.terminated),
+            dict.fromkeys(agents, result.truncated),
+            dict(zip(agents, result.infos, strict=True)),
+        )
+
+    def _numbers(self, actions: dict[str, int]) -> NDArray[np.int64]:
+        if not self.agents:
+            raise InputError("the episode is over; call reset() to begin another")
+        try:
+            numbers = np.array([actions[agent] for agent in self.agents], np.int64)
+        except KeyError as error:
+            raise InputError(
+                f"no action for agent {error}; each of {', '.join(self.agents)} needs one"
+            ) from error
+        if numbers.shape != (len(self.agents),) or (numbers < 0).any() or (numbers >= N_ACTIONS).any():
+            raise InputError(f"actions must be numbers from 0 to {N_ACTIONS - 1}, not {actions}")
+        return numbers
+
+    def _observe(self) -> dict[str, Observation]:
+        vectors, masks = self.core.vectors(), self.core.masks
+        return {
+            agent: {"observation": vectors[car], "action_mask": masks[car]}
+            for car, agent in enumerate(self.possible_agents)
+        }
+
+    def state(self) -> NDArray[np.int32]:
+        """Return the global state: the rows of all entities, flattened."""
+        return self.core.state()
+
+    def render(self) -> NDArray[np.uint8] | str | None:
+        """Return a picture (``rgb_array``) or text (``ansi``); ``human`` shows every tick by itself."""
+        return self.core.render()
+
+    def close(self) -> None:
+        """Release what rendering holds."""
+        self.core.close()

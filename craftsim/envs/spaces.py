@@ -1,0 +1,48 @@
+"""The spaces that all forms of the environment share, on either backend."""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium import spaces
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.observation import ROW
+
+N_ACTIONS = len(Action)
+
+
+def entity_space(task: Task, n_rows: int) -> spaces.Box:
+    """Return the space of ``n_rows`` rows of 13 numbers (:mod:`craftsim.discrete.tasks.observation`), flattened."""
+    # -2 stands in the coordinates that mean "there is none".
+    return spaces.Box(-2, max(task.starts[0].size), (ROW * n_rows,), np.int32)
+
+
+def state_space(task: Task) -> spaces.Box:
+    """Return the space of the global state: the rows of all entities."""
+    return entity_space(task, task.layout.n_rows)
+
+
+def car_space(task: Task) -> spaces.Dict:
+    """Return one car's observation space: its own row, then all rows; and the actions that it is offered."""
+    return spaces.Dict(
+        {
+            "observation": entity_space(task, 1 + task.layout.n_rows),
+            "action_mask": spaces.Box(0, 1, (N_ACTIONS,), np.int8),
+        }
+    )
+
+
+def central_space(task: Task) -> spaces.Dict:
+    """Return the observation space of one who tells all cars what to do: the global state, and the masks of all."""
+    return spaces.Dict(
+        {
+            "observation": state_space(task),
+            "action_mask": spaces.Box(0, 1, (task.layout.n_cars, N_ACTIONS), np.int8),
+        }
+    )
+
+
+def joint_action_space(task: Task) -> spaces.MultiDiscrete:
+    """Return the space of one action a car."""
+    return spaces.MultiDiscrete([N_ACTIONS] * task.layout.n_cars)

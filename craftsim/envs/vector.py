@@ -1,0 +1,118 @@
+"""The Gymnasium form for batches: many grid worlds of one task, all advanced in one array call."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.durations import tick_durations
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import Task, TaskName, make_task
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.observation import car_vectors
+from craftsim.envs.spaces import central_space, joint_action_space
+
+Observation = dict[str, NDArray[Any]]
+Bools = NDArray[np.bool_]
+
+
+class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
+    """B grid worlds of one task; one who sees a world's global state chooses an action for each of its cars.
+
+    A world whose episode ends is reset in the same step: the observation returned is the new episode's first, and the
+    old one's last is in ``infos["final_obs"]``. :meth:`car_vectors` is what the single cars observe.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+        "render_modes": [],
+    }
+
+    def __init__(
+        self,
+        task: Task | TaskName,
+        num_envs: int = 1,
+        *,
+        rule_set: RuleSet = "physical",
+        helper_depth: int | None = None,
+        time_weight: float = 0.0,
+    ) -> None:
+        """Prepare ``num_envs`` worlds; the options are as in :class:`craftsim.envs.core.Options`."""
+        if num_envs < 1:
+            raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")
+        self.task = make_task(task) if isinstance(task, str) else task
+        self.num_envs = num_envs
+        self.time_weight = time_weight
+        self.episodes = Episodes(self.task, np.random.default_rng(), num_envs, rule_set, helper_depth)
+        self.single_observation_space = central_space(self.task)
+        self.single_action_space = joint_action_space(self.task)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin all episodes anew; without a seed the generator goes on. Options are ignored."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self.episodes.rng = np.random.default_rng(seed)
+        self.episodes.reset()
+        self._look()
+        return self._observe(), {}
+
+    def step(
+        self, actions: NDArray[np.integer]
+    ) -> tuple[Observation, NDArray[np.float64], Bools, Bools, dict[str, Any]]:
+        """Let all cars of all worlds act once; ``actions`` (B, n).
+
+        Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n); and where
+        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset.
+        """
+        episodes, told = self.episodes, np.asarray(actions, np.int64)
+        offered, queued = self._masks, episodes.worlds.queue[:, :, 0] >= 0
+        before = episodes.worlds.arrays.cars.copy()
+        steps = episodes.step(told)
+        duration = tick_durations(before, episodes.worlds.arrays.cars, told, steps.applied)
+        forbidden = ~steps.applied
+        if episodes.worlds.depth is not None:
+            forbidden |= (np.take_along_axis(offered, told[..., None], -1)[..., 0] == 0) & ~queued
+        terminated = steps.success & self.task.ends_on_success
+        infos: dict[str, Any] = {
+            "success": steps.success,
+            "duration_s": duration,
+            "illegal": forbidden & (told != Action.STOP),
+        }
+        self._look()
+        ended = np.flatnonzero(steps.done)
+        if len(ended):
+            infos |= self._final(ended)
+            episodes.reset(ended)
+            self._look()
+        reward = steps.reward - self.time_weight * duration
+        return self._observe(), reward, terminated, steps.done & ~terminated, infos
+
+    def _look(self) -> None:
+        episodes = self.episodes
+        allowed = episodes.legal() if episodes.worlds.depth is None else episodes.reachable()
+        self._masks: NDArray[np.int8] = allowed.view(np.int8)
+        self._masks[..., Action.STOP] |= ~allowed.any(-1)
+        self._rows = episodes.entity_rows()
+
+    def _observe(self) -> Observation:
+        return {"observation": self._rows.reshape(self.num_envs, -1), "action_mask": self._masks}
+
+    def _final(self, ended: NDArray[np.int64]) -> dict[str, Any]:
+        last = np.full(self.num_envs, None, object)
+        for i in ended:
+            last[i] = {"observation": self._rows[i].ravel(), "action_mask": self._masks[i]}
+        return {"final_obs": last, "_final_obs": np.isin(np.arange(self.num_envs), ended)}
+
+    def car_vectors(self) -> NDArray[np.int32]:
+        """Return (B, n, length): what each car of each world observes now, its own row first."""
+        return car_vectors(self._rows, self.episodes.worlds.n_cars)

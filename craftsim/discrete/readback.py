@@ -55,6 +55,12 @@ class Poses:
     hinges: NDArray[np.float64]
     """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
 
+    def name(self, index: int) -> str:
+        """Return the name of an object for people, counted by kind: ``block 0``, ``flag 0``, ``slope 1``."""
+        kind = self.kinds[index]
+        word = "slope" if kind == Kind.FSLOPE else kind.name.lower()
+        return f"{word} {self.kinds[:index].count(kind)}"
+
 
 @dataclass(frozen=True)
 class Placed:
@@ -68,6 +74,8 @@ class Placed:
     """Heading minus the nearest grid yaw's, in (-pi/4, pi/4]."""
     carrier: int | None = None
     """The car that carries it, if any."""
+    height_m: float = 0.0
+    """Height above the floor of the cell, or above the middle of the incline there; 0 for a carried object."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +145,11 @@ def _place(
     return x, y, offset
 
 
-def _level(grid: Grid, name: str, height: float, problems: list[str]) -> int:
-    """Return the level whose floor is nearest to a height in metres, noting a thing that does not stand on it."""
+def _level(grid: Grid, name: str, height: float, problems: list[str]) -> tuple[int, float]:
+    """Return the level whose floor is nearest to a height in metres, and the height above that floor.
+
+    A thing that does not stand on it is noted.
+    """
     level = round(height / LEVEL_HEIGHT_M) + 1
     excess = height - (level - 1) * LEVEL_HEIGHT_M
     if abs(excess) > HEIGHT_TOLERANCE_M:
@@ -146,7 +157,7 @@ def _level(grid: Grid, name: str, height: float, problems: list[str]) -> int:
     top = grid.size[2]
     if not 1 <= level <= top:
         problems.append(f"{name} is on level {level}, outside 1..{top}")
-    return min(max(level, 1), top)
+    return min(max(level, 1), top), excess
 
 
 def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Placed:
@@ -172,8 +183,9 @@ def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Placed
         slope = 1 if lower else 2
         height += LEVEL_HEIGHT_M * (-0.25 if lower else 0.25)
     grid.cars[car, [CarField.X, CarField.Y, CarField.YAW, CarField.SLOPE]] = x, y, yaw, slope
-    grid.cars[car, CarField.Z] = level = _level(grid, name, height, problems)
-    return Placed((x, y, level), offset, excess)
+    level, above = _level(grid, name, height, problems)
+    grid.cars[car, CarField.Z] = level
+    return Placed((x, y, level), offset, excess, height_m=above)
 
 
 def _carrier(poses: Poses, position: NDArray[np.float64]) -> tuple[int, NDArray[np.float64]] | None:
@@ -187,7 +199,7 @@ def _carrier(poses: Poses, position: NDArray[np.float64]) -> tuple[int, NDArray[
 
 def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> Placed:
     kind, position = poses.kinds[index], poses.positions[index]
-    name = f"{'slope' if kind == Kind.FSLOPE else kind.name.lower()} {index}"
+    name = poses.name(index)
     turn = rotation_matrix(poses.quaternions[index])
     yaw, excess = nearest_yaw(math.atan2(turn[1, 0], turn[0, 0]))
     folded = kind != Kind.FSLOPE or poses.hinges[index] > math.pi / 2
@@ -210,7 +222,7 @@ def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> P
         x, y, z = (int(grid.cars[car, f]) for f in (CarField.X, CarField.Y, CarField.Z))
         return Placed((x, y, z), offset, excess, car)
     x, y, offset = _place(grid, name, position, problems)
-    level = _level(grid, name, float(position[2]), problems)
+    level, above = _level(grid, name, float(position[2]), problems)
     tilt = math.acos(max(-1.0, min(1.0, turn[2, 2])))
     if tilt > TILT_TOLERANCE_RAD:
         problems.append(f"{name} leans by {tilt:.2f} rad")
@@ -222,7 +234,7 @@ def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> P
         _put(grid, (*ahead, level), Kind.GEAR if folded else Kind.FOOT, yaw, name, problems)
     else:
         _put(grid, (x, y, level), kind, 0, name, problems)
-    return Placed((x, y, level), offset, excess)
+    return Placed((x, y, level), offset, excess, height_m=above)
 
 
 def _put(
@@ -233,6 +245,8 @@ def _put(
         problems.append(f"{name} reaches outside the area, into {tuple(int(c) for c in cell)}")
         return
     there = Kind(grid.kind[cell])
+    if there == kind == Kind.GEAR:
+        yaw = min(yaw, int(grid.yaw[cell]))  # the rules show this one of two gears as well
     if there == Kind.GEAR:
         there = Kind.AIR  # a gear leaves room for what stands in its cell
     if there != Kind.AIR and kind == Kind.GEAR:

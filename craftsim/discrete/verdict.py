@@ -23,6 +23,12 @@ class Finding(StrEnum):
     WRONG_PLACE = "wrong place"
     SIDE_EFFECT = "side effect"
     UNREADABLE = "unreadable"
+    UNSAFE = "unsafe"
+    """Something tipped, fell, or hit harder than it may."""
+    UNSETTLED = "unsettled"
+    """Something still moves although no motor is commanded."""
+    DIVERGED = "diverged"
+    """The simulation broke down."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,13 @@ def compare(before: Grid, predicted: Grid, reading: Reading) -> Verdict:
     if _untouched_changed(before, predicted, read):
         return Verdict(Finding.SIDE_EFFECT, differences)
     return Verdict(Finding.WRONG_PLACE, differences)
+
+
+def has_effect(before: Grid, predicted: Grid, read: Grid, car: int) -> bool:
+    """Return whether all that the action of a car was to change reads as predicted, whatever else happened."""
+    changes = (before.kind != predicted.kind) | (before.yaw != predicted.yaw)
+    as_predicted = (predicted.kind == read.kind) & (predicted.yaw == read.yaw)
+    return bool(as_predicted[changes].all() and np.array_equal(predicted.cars[car], read.cars[car]))
 
 
 def _untouched_changed(before: Grid, predicted: Grid, read: Grid) -> bool:

@@ -21,6 +21,14 @@ from craftsim.models.parts import Car, FreeBody, Slope
 from craftsim.models.placement import placements
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+_BROKEN = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
 _STAY_AWAKE = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
 
@@ -86,6 +94,11 @@ class Site:
             self.data.act[drive.activation] = position
         mujoco.mj_forward(self.model, self.data)
         mujoco.mj_step(self.model, self.data, round(self.config.settle_s / self.config.timestep_s))
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the simulation has broken down since the reset: MuJoCo then starts over from its first state."""
+        return bool(self.data.warning.number[_BROKEN].any())
 
     @property
     def time_s(self) -> float:

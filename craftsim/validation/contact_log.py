@@ -113,6 +113,12 @@ class ContactLog:
         tilts = np.arccos(np.clip(self._upright, -1.0, 1.0))
         return {name: float(tilt) for name, tilt in zip(self.names[2:], tilts, strict=True)}
 
+    @property
+    def speed_m_s(self) -> float:
+        """How fast the fastest machine moves now."""
+        velocity = self.site.data.qvel[self._dof[:, None] + np.arange(3)]
+        return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
+
     def write(self, path: Path) -> None:
         """Write the contacts as CSV with a line of headings."""
         with path.open("w", newline="", encoding="utf-8") as file:

@@ -21,6 +21,7 @@ from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
 from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
+from craftsim.validation.attempt import Thresholds, excesses
 from craftsim.validation.checked_run import ActionRecord, CheckedSite
 from craftsim.validation.contexts import Context, make_world
 from craftsim.validation.workers import in_order
@@ -30,20 +31,10 @@ _BATCH: Final = 4
 
 
 @dataclass(frozen=True)
-class Thresholds:
-    """The largest errors with which an action counts as done well."""
-
-    car_m: float = 0.001
-    heading_rad: float = 0.003
-    placed_m: float = 0.002
-    others_m: float = 0.001
-
-
-@dataclass(frozen=True)
 class TrialSettings:
     """What a trial runs under besides its context; hashable, and written into the report."""
 
-    thresholds: Thresholds = Thresholds()
+    thresholds: Thresholds = field(default_factory=Thresholds)
     noise: SensorNoise = EXACT
     """Of the cars' senses and motors."""
     spread: Spread | None = None
@@ -54,7 +45,7 @@ class TrialSettings:
 NOMINAL: Final = TrialSettings()
 """Exact senses, nominal physics."""
 
-WITH_NOISE: Final = TrialSettings(Thresholds(0.003, 0.009, 0.005, 0.002), NOISY, Spread())
+WITH_NOISE: Final = TrialSettings(Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), NOISY, Spread())
 """Noisy senses and randomised physics. A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
 
 
@@ -158,11 +149,4 @@ def _reasons(record: ActionRecord, limits: Thresholds, stands: bool) -> Iterator
         yield str(record.outcome.reason)
     if not record.verdict.agrees:
         yield str(record.verdict.finding)
-    if not record.car_error_m <= limits.car_m:
-        yield "car error"
-    if not abs(record.car_heading_error_rad) <= limits.heading_rad:
-        yield "heading error"
-    if record.placed_error_m is not None and not record.placed_error_m <= limits.placed_m:
-        yield "placed error"
-    if not record.others_moved_m <= limits.others_m:
-        yield "others moved"
+    yield from (name for name, _ in excesses(record, limits))

@@ -217,9 +217,9 @@ def test_a_thing_that_stands_in_no_cell_is_a_problem_said_in_words(thing, proble
 
 def test_two_things_in_a_cell_are_a_problem():
     pair = [_thing(Kind.BLOCK, (1, 1, 1)), _thing(Kind.FLAG, (1, 1, 1), shift=(0.01, 0, 0))]
-    assert _problems(things=pair) == ("flag 1 shares the cell (1, 1, 1) with a block",)
+    assert _problems(things=pair) == ("flag 0 shares the cell (1, 1, 1) with a block",)
     foot = [_thing(Kind.BLOCK, (1, 1, 1)), _slope((0, 1, 1), hinge=0.0)]
-    assert _problems(things=foot) == ("slope 1 shares the cell (1, 1, 1) with a block",)
+    assert _problems(things=foot) == ("slope 0 shares the cell (1, 1, 1) with a block",)
 
 
 def test_a_thing_in_a_wall_is_a_problem():

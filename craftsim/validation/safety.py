@@ -1,0 +1,51 @@
+"""What may not happen whatever an action is for: tipping, falling, hitting hard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from craftsim.models.parameters import SLOPE, SMARTCAR
+from craftsim.skills.skill import GRAVITY
+from craftsim.validation.contact_log import ContactLog
+
+TIPPED_RAD: Final = 0.5
+"""How far anything may lean: the incline is 0.28 rad, and a car on it slides before it leans further."""
+FALL_M_S: Final = 0.5
+"""How fast anything may move down: a drop of 13 mm. Descents and boards stay below 0.14 m/s."""
+IMPACT_N: Final = 2 * (
+    (SMARTCAR.mass_kg + SLOPE.mass_kg) * GRAVITY + 4 * SMARTCAR.wheel_torque_nm / SMARTCAR.wheel_radius_m
+)
+"""How hard two machines may press on each other, 627 N. The heaviest loaded car weighs 112 N and its wheel motors push
+with 202 N at most. What is put on at once loads a stiff contact up to twice as much as it does at rest; more can only
+come from the motion of something that is stopped. A car that drives briskly reaches 290 N on its rollers."""
+
+
+@dataclass(frozen=True)
+class Hazard:
+    """Something unsafe that happened."""
+
+    machines: tuple[str, ...]
+    """Those concerned, by the names of the contact log."""
+    text: str
+
+
+def hazards(log: ContactLog) -> tuple[Hazard, ...]:
+    """Return all that was unsafe since the log began."""
+    return tuple(_hazards(log))
+
+
+def _hazards(log: ContactLog) -> Iterator[Hazard]:
+    for name, tilt in log.tilts_rad.items():
+        if tilt > TIPPED_RAD:
+            yield Hazard((name,), f"{name} tipped ({tilt:.1f} rad)")
+    for name, speed in log.falls_m_s.items():
+        if speed > FALL_M_S:
+            yield Hazard((name,), f"{name} fell ({speed:.1f} m/s)")
+    for contact in log.contacts:
+        if contact.peak_n > IMPACT_N:
+            pair = contact.first, contact.second
+            yield Hazard(
+                pair, f"{contact.first} and {contact.second} hit each other ({contact.peak_n:.0f} N)"
+            )

@@ -1,0 +1,78 @@
+"""Contacts that an action does not explain: the first place to look when it goes wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.readback import Poses, Reading
+from craftsim.validation.contact_log import GROUND, WALL, Contact
+
+
+def surprises(
+    contacts: Collection[Contact], poses: Poses, before: Reading, predicted: Grid, cars: Collection[int]
+) -> tuple[Contact, ...]:
+    """Return the contacts that were not there at the start and that the prediction does not explain, hardest first.
+
+    A car and what it handles may touch each other, and what bears them where they are and where they should be.
+
+    Args:
+        contacts: what touched.
+        poses: of the start, for the names of the objects.
+        before: the start as it was read.
+        predicted: the world that the rules predict.
+        cars: those that act.
+    """
+    bearers = _bearers(poses, before)
+    known: set[frozenset[str]] = set()
+    for car in cars:
+        name = f"car {car}"
+        way = [_cell(before.grid, car), _cell(predicted, car)]
+        own = {name: way}
+        for index in handled(before, predicted, car):
+            own[poses.name(index)] = [part for cell in way for part in _parts(predicted, cell)]
+            own[poses.name(index)] += _parts(before.grid, way[0])
+        known |= {frozenset((a, b)) for a in own for b in own}
+        for thing, cells in own.items():
+            below = [(x, y, z - 1) for x, y, z in cells]
+            known |= {frozenset((thing, bearers[cell])) for cell in below if cell in bearers}
+        ramps = [cell for cell in way if before.grid.kind[cell] in (Kind.FOOT, Kind.BODY)]
+        known |= {frozenset((name, bearers[cell])) for cell in ramps}
+    strange = [c for c in contacts if not c.at_start and frozenset((c.first, c.second)) not in known]
+    return tuple(sorted(strange, key=lambda contact: -contact.peak_n))
+
+
+def handled(before: Reading, predicted: Grid, car: int) -> list[int]:
+    """Return the objects, by their index, that an action of a car is about: its load, and what it takes or turns."""
+    cell = _cell(before.grid, car)
+    changes = before.grid.kind[cell] != predicted.kind[cell]
+    return [
+        index
+        for index, thing in enumerate(before.objects)
+        if thing.carrier == car or (thing.carrier is None and thing.cell == cell and changes)
+    ]
+
+
+def _cell(grid: Grid, car: int) -> Cell:
+    x, y, z = (int(grid.cars[car, field]) for field in (CarField.X, CarField.Y, CarField.Z))
+    return x, y, z
+
+
+def _parts(grid: Grid, cell: Cell) -> list[Cell]:
+    """Return a cell, and the second one of the slope that stands there."""
+    if Kind(grid.kind[cell]) not in SECOND_PART:
+        return [cell]
+    return [cell, beside(cell, int(grid.yaw[cell]))]
+
+
+def _bearers(poses: Poses, reading: Reading) -> dict[Cell, str]:
+    """Return the name of what fills each cell, the ground included; a carried object fills none."""
+    grid = reading.grid
+    found: dict[Cell, str] = {(int(x), int(y), 0): GROUND for x, y in np.ndindex(*grid.kind.shape[:2])}
+    found |= {(int(x), int(y), int(z)): WALL for x, y, z in np.argwhere(grid.kind == Kind.WALL)}
+    for index, thing in enumerate(reading.objects):
+        if thing.carrier is None:
+            found |= dict.fromkeys(_parts(grid, thing.cell), poses.name(index))
+    return found

@@ -83,6 +83,7 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         if episodes.worlds.depth is not None:
             forbidden |= (np.take_along_axis(offered, told[..., None], -1)[..., 0] == 0) & ~queued
         terminated = steps.success & self.task.ends_on_success
+        truncated = steps.done & ~terminated
         infos: dict[str, Any] = {
             "success": steps.success,
             "duration_s": duration,
@@ -95,7 +96,7 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
             episodes.reset(ended)
             self._look()
         reward = steps.reward - self.time_weight * duration
-        return self._observe(), reward, terminated, steps.done & ~terminated, infos
+        return self._observe(), reward, terminated, truncated, infos
 
     def _look(self) -> None:
         episodes = self.episodes

@@ -1,0 +1,155 @@
+"""The environments in contact physics: equal to the grid where all goes well, honest where it does not."""
+
+from contextlib import closing
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.envs import GYMNASIUM_IDS, parallel_env
+from craftsim.models.noise import NOISY
+from craftsim.models.variation import Spread
+from craftsim.testing import check_api, check_deterministic, check_masks, check_skills, random_policy
+
+STOP = int(Action.STOP)
+pytestmark = pytest.mark.filterwarnings("ignore:Observation")
+
+
+def _episode(env, seed, ticks, policy_seed=0):
+    """Play masked random actions and return what was seen."""
+    act = random_policy(np.random.default_rng(policy_seed))
+    observations, _ = env.reset(seed=seed)
+    seen = []
+    for _ in range(ticks):
+        observations, rewards, terminated, truncated, infos = env.step(act(observations))
+        seen.append((observations, rewards, terminated, truncated, infos, env.state()))
+        if not env.agents:
+            break
+    return seen
+
+
+def _level(task):
+    """Return masked play that leaves slopes as they are: folding takes ten seconds."""
+    return make_task(task, max_steps=4)
+
+
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_the_tasks_pass_the_tests_of_interface_determinism_masks_and_skills(task):
+    env = parallel_env(_level(task), "physics")
+    check_api(lambda: env, cycles=3)
+    check_deterministic(lambda: parallel_env(_level(task), "physics"), ticks=2)
+    check_masks(env, states=1, tries=8)
+    check_skills(env, ticks=3)
+
+
+@pytest.mark.parametrize("cars", [1, 3, 8])
+def test_any_number_of_cars_passes_all_tests(platform_task, cars):
+    env = parallel_env(platform_task(cars), "physics")
+    check_api(lambda: env, cycles=2)
+    check_deterministic(lambda: parallel_env(platform_task(cars), "physics"), ticks=2)
+    check_masks(env, states=1, tries=6)
+    check_skills(env, ticks=2)
+
+
+@pytest.mark.parametrize("helper_depth", [None, 10])
+def test_a_policy_moves_from_the_grid_to_physics_without_a_change(helper_depth):
+    grid, physics = (
+        parallel_env("simple_two_story", backend, helper_depth=helper_depth)
+        for backend in ("grid", "physics")
+    )
+    assert grid.observation_space("car_0") == physics.observation_space("car_0")
+    assert grid.action_space("car_0") == physics.action_space("car_0")
+    assert grid.state_space == physics.state_space
+    one, two = (_episode(env, seed=2, ticks=12) for env in (grid, physics))
+    assert len(one) == len(two)
+    for (seen, *rest, infos, state), (seen2, *rest2, infos2, state2) in zip(one, two, strict=True):
+        for agent in seen:
+            for part in ("observation", "action_mask"):
+                np.testing.assert_array_equal(seen[agent][part], seen2[agent][part])
+            assert infos[agent]["illegal"] == infos2[agent]["illegal"]
+            assert infos2[agent]["duration_s"] > 0
+        assert rest == rest2
+        np.testing.assert_array_equal(state, state2)
+
+
+def test_noise_and_varied_physics_are_drawn_anew_for_every_episode_from_the_seed():
+    def make():
+        return parallel_env(_level("strip"), "physics", noise=NOISY, spread=Spread())
+
+    check_deterministic(make, episodes=2, ticks=2)
+    env = make()
+    first = _episode(env, seed=0, ticks=2)
+    second = _episode(env, seed=1, ticks=2)
+    assert first[0][4]["car_0"]["car_error_m"] != second[0][4]["car_0"]["car_error_m"]
+
+
+def test_a_failed_skill_shows_as_what_happened_and_is_told():
+    env = parallel_env("strip", "physics")
+    env.reset(seed=0)
+    site = env.core.backend.world.site
+    site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+    before = env.grid
+    observations, _, terminated, truncated, infos = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})
+    told = infos["car_0"]
+    assert told["reason"] in ("blocked", "slipped")
+    assert told["outcome"].startswith(told["reason"])
+    assert not told["illegal"]
+    assert not told["in_place"]
+    assert told["disagreement"] == ("car 0: predicted 0,1,1 +x, read 1,1,1 +x",)
+    assert env.grid.same_visible(before)
+    assert observations["car_0"]["observation"][0] == 1
+    assert infos["car_1"]["reason"] is None
+    assert not any({**terminated, **truncated}.values())
+
+
+def test_a_world_that_cannot_be_read_truncates_the_episode_and_says_why():
+    env = parallel_env("strip", "physics")
+    env.reset(seed=0)
+    site = env.core.backend.world.site
+    site.data.qpos[site.blocks[0].qpos] += 0.06  # what no skill would do
+    _, rewards, terminated, truncated, infos = env.step({"car_0": STOP, "car_1": STOP})
+    assert set(truncated.values()) == {True}
+    assert set(terminated.values()) == {False}
+    assert rewards["car_0"] == 0.0
+    assert "block 0" in infos["car_1"]["problems"][0]
+    assert env.agents == []
+    env.reset(seed=0)
+    assert env.step({"car_0": STOP, "car_1": STOP})[4]["car_0"]["problems"] == ()
+
+
+def test_a_start_that_was_given_is_built_and_the_next_episode_starts_as_ever():
+    env = parallel_env("strip", "physics")
+    grid = make_task("strip").draw(np.random.default_rng(0))
+    grid.cars[0, 0] = 3
+    grid.derive_marks()
+    env.reset(seed=0, options={"grid": grid})
+    assert env.grid.same_visible(grid)
+    env.reset()
+    assert env.grid.same_visible(make_task("strip").draw(np.random.default_rng(0)))
+
+
+def test_gymnasium_accepts_the_central_form():
+    env = gymnasium.make(GYMNASIUM_IDS["strip"], backend="physics")
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_gymnasium_runs_physics_in_processes():
+    envs = gymnasium.make_vec(
+        GYMNASIUM_IDS["strip"], num_envs=2, vectorization_mode="async", vector_kwargs={"context": "spawn"}
+    )
+    with closing(envs):
+        observations, _ = envs.reset(seed=[5, 5])
+        np.testing.assert_array_equal(observations["observation"][0], observations["observation"][1])
+        _, _, _, _, infos = envs.step(np.full((2, 2), int(Action.MOVE_LEFT)))
+        assert infos["duration_s"][0] == infos["duration_s"][1] > 0.5
+
+
+def test_without_a_display_the_viewer_is_refused_in_words(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InputError, match="needs a display"):
+        parallel_env("strip", "physics", render_mode="human").reset(seed=0)

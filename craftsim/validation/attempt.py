@@ -11,20 +11,10 @@ from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.verdict import Finding
 from craftsim.validation.checked_run import ActionRecord
+from craftsim.validation.settings import Thresholds
 
 _SHOWN: Final = 2
 """How many hazards, and how many contacts, a reason names."""
-
-
-@dataclass(frozen=True)
-class Thresholds:
-    """The largest errors with which an action counts as done well."""
-
-    car_m: float = 0.001
-    heading_rad: float = 0.003
-    placed_m: float = 0.002
-    others_m: float = 0.001
-    height_m: float = 0.002
 
 
 class Result(StrEnum):

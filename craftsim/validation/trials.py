@@ -8,45 +8,36 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.rules import Rules
-from craftsim.models.config import SimulationConfig
-from craftsim.models.noise import EXACT, NOISY, SensorNoise
-from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site
-from craftsim.models.variation import Spread, Varied
-from craftsim.skills.executor import Executor
-from craftsim.validation.attempt import Thresholds, excesses
+from craftsim.discrete.grid import CarField
+from craftsim.validation.attempt import excesses
 from craftsim.validation.checked_run import ActionRecord, CheckedSite
 from craftsim.validation.contexts import Context, make_world
+from craftsim.validation.recipe import Recipe, Seed, Step, set_up
+from craftsim.validation.settings import NOMINAL, Thresholds, TrialSettings
 from craftsim.validation.workers import in_order
+
+__all__ = [
+    "NOMINAL",
+    "WITH_NOISE",
+    "Thresholds",
+    "Trial",
+    "TrialRecord",
+    "TrialSettings",
+    "plan_trials",
+    "prepare",
+    "recipe_of",
+    "run_trial",
+    "run_trials",
+]
 
 _BATCH: Final = 4
 """Trials that a worker takes at once: few, so that results come steadily."""
-
-
-@dataclass(frozen=True)
-class TrialSettings:
-    """What a trial runs under besides its context; hashable, and written into the report."""
-
-    thresholds: Thresholds = field(default_factory=Thresholds)
-    noise: SensorNoise = EXACT
-    """Of the cars' senses and motors."""
-    spread: Spread | None = None
-    """From which each trial draws its own physics; None for the nominal one."""
-    simulation: SimulationConfig = field(default_factory=SimulationConfig)
-
-
-NOMINAL: Final = TrialSettings()
-"""Exact senses, nominal physics."""
-
-WITH_NOISE: Final = TrialSettings(Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), NOISY, Spread())
-"""Noisy senses and randomised physics. A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
 
 
 @dataclass(frozen=True)
@@ -98,11 +89,16 @@ def plan_trials(contexts: Sequence[Context], n: int, seed: int) -> list[Trial]:
 def prepare(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> CheckedSite:
     """Return the world of a trial before its action, as :func:`run_trial` makes it."""
     world, physics, senses = (np.random.default_rng(s) for s in _sequence(trial, seed).spawn(3))
-    site = Site(make_world(trial.context, world), settings.simulation, reset=settings.spread is None)
-    if settings.spread is not None:
-        Varied(site).draw(settings.spread, physics)
-    sensors = Sensors(site, settings.noise, senses)
-    return CheckedSite(site, Rules("physical"), Executor(site, sensors=sensors))
+    return set_up(make_world(trial.context, world), settings, physics=physics, senses=senses)
+
+
+def recipe_of(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> Recipe:
+    """Return the recipe of a trial: performing it gives what :func:`run_trial` judges."""
+    world, physics, senses = _sequence(trial, seed).spawn(3)
+    grid = make_world(trial.context, np.random.default_rng(world))
+    action = trial.context.action(int(grid.cars[0, CarField.YAW]))
+    recipe = Recipe.of(grid, (Step.single(0, 0, action),), settings)
+    return replace(recipe, physics=Seed.of(physics), senses=Seed.of(senses))
 
 
 def run_trial(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> TrialRecord:

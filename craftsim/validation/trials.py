@@ -19,7 +19,7 @@ from craftsim.validation.attempt import excesses
 from craftsim.validation.checked_run import ActionRecord, CheckedSite
 from craftsim.validation.contexts import Context, make_world
 from craftsim.validation.recipe import Recipe, Seed, Step, set_up
-from craftsim.validation.settings import NOMINAL, Thresholds, TrialSettings
+from craftsim.validation.settings import NOMINAL, WITH_NOISE, Thresholds, TrialSettings
 from craftsim.validation.workers import in_order
 
 __all__ = [

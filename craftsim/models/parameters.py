@@ -71,6 +71,9 @@ class SmartcarParameters:
         0.0302, "the ellipsoid that flattens the wheel's envelope: 0.063 mm of ripple, found numerically"
     )
     roller_mass_kg: float = assumed(0.03, "a rubber barrel of this size; part of the wheel's published mass")
+    roller_bearing_friction_nm: float = assumed(
+        0.004, "plain bearing: friction 0.1 under a quarter of the weight (25 N) on a pin of 3 mm"
+    )
     chassis_length_m: float = published(0.220)
     chassis_width_m: float = published(0.167)
     chassis_bottom_m: float = published(-0.040)

@@ -26,7 +26,7 @@ from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
 
 _AT_REST_RAD_S = 0.03
 _AT_REST_M_S = 0.0015
-_REST_PERIODS = 3
+_REST_PERIODS = 2
 _BLOCKED_S = 0.25
 _ROLLED_M = 0.01
 

@@ -47,6 +47,11 @@ class LoneCar:
         self.model.actuator_gainprm[self.motors] = 0
         self.model.actuator_biasprm[self.motors] = 0
 
+    def oil(self) -> None:
+        """Take the dry friction of gears and rollers away."""
+        self.model.dof_frictionloss[self.wheels] = 0
+        self.model.dof_frictionloss[self.rollers] = 0
+
     def tilt(self, angle: float, downhill: float = math.pi) -> None:
         """Tilt the plane; downhill is the direction (rad from the car's nose) in which it falls."""
         s, c = GRAVITY * math.sin(angle), GRAVITY * math.cos(angle)

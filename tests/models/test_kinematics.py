@@ -67,9 +67,9 @@ def test_the_axles_ride_level(lone_car, name):
 
 @pytest.mark.parametrize(("downhill", "least"), [(0.0, 0.99), (math.pi, 0.99), (math.pi / 2, 0.97)])
 def test_a_free_car_rolls_without_slip(lone_car, downhill, least):
-    """Without motor and gear friction the car rolls down 3 degrees: distance against R times the mean wheel angle."""
+    """Without motors and dry friction the car rolls down 3 degrees: distance against R times the mean wheel angle."""
     lone_car.unpower()
-    lone_car.model.dof_frictionloss[lone_car.wheels] = 0
+    lone_car.oil()
     lone_car.rest()
     start, angles = lone_car.position, lone_car.angles
     lone_car.tilt(math.radians(3), downhill)
@@ -83,7 +83,7 @@ def test_a_free_car_rolls_without_slip(lone_car, downhill, least):
 def test_a_free_car_rolls_straight(lone_car):
     """Down the fall line, wherever it points: less than 2 % of the way to the side, less than 1 degree of turn."""
     lone_car.unpower()
-    lone_car.model.dof_frictionloss[lone_car.wheels] = 0
+    lone_car.oil()
     lone_car.rest()
     start = lone_car.position
     lone_car.tilt(math.radians(3), 0.0)

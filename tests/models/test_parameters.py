@@ -108,6 +108,7 @@ SMARTCAR_FIGURES: Figures = {
     "wheel_gain_nms_rad": lambda m: m.actuator("wheel_fl").gainprm[0],
     "wheel_armature_kgm2": lambda m: m.dof_armature[m.joint("wheel_fl").dofadr[0]],
     "gear_friction_nm": lambda m: m.dof_frictionloss[m.joint("wheel_fl").dofadr[0]],
+    "roller_bearing_friction_nm": lambda m: m.dof_frictionloss[m.joint("roller_fl00").dofadr[0]],
     "roller_friction": lambda m: m.geom("roller_fl00").friction[0],
     "board_friction": lambda m: m.geom("plate").friction[0],
     "chassis_friction": lambda m: m.geom("hull").friction[0],

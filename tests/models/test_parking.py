@@ -1,5 +1,7 @@
 """A loaded car parked on the slope stands still, or nearly: friction must not let it creep while others work."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -35,3 +37,25 @@ def test_softer_friction_would_let_it_creep(ramp):
     soft = creep_m_s(grid, friction_impedance_ratio=10)
     assert 0.5e-3 < soft < 1e-3
     assert soft == pytest.approx(10 * creep_m_s(grid), rel=0.1)
+
+
+PERCHED = (3.6089, 2.4767, 6.2331, 5.8041)
+"""Wheel angles in rad, found by search, at which two wheels of a diagonal stand high by some hundredths of a mm."""
+
+
+def roll_m(car) -> float:
+    """Return how far a perched car rolls in 4 s on a floor that falls by half a degree along its free diagonal."""
+    car.rest()
+    car.data.qpos[car.wheel_angles] = PERCHED
+    car.run(0.4)
+    start = car.position
+    car.tilt(math.radians(0.5), math.radians(45))
+    car.run(4.0)
+    return float(np.linalg.norm(car.position - start))
+
+
+def test_bearing_friction_keeps_a_car_that_is_perched_on_two_rollers(lone_car):
+    """Rollers carry no force across their axes; but for their bearings' friction two of them roll away together."""
+    assert roll_m(lone_car) < 1e-4
+    lone_car.model.dof_frictionloss[lone_car.rollers] = 0
+    assert roll_m(lone_car) > 1e-3

@@ -80,7 +80,7 @@ def test_ten_rollers_a_wheel_in_x_arrangement(open_part, wheel):
 
 
 @pytest.mark.parametrize("wheel", ["fl", "fr", "rl", "rr"])
-def test_rollers_are_evenly_spaced_and_free(open_part, wheel):
+def test_rollers_are_evenly_spaced_and_turn_freely(open_part, wheel):
     model = open_part("smartcar")
     names = [f"roller_{wheel}{i:02}" for i in range(SMARTCAR.rollers_per_wheel)]
     angles = np.sort([np.arctan2(p[0], p[2]) % (2 * np.pi) for p in (model.body(n).pos for n in names)])
@@ -88,7 +88,7 @@ def test_rollers_are_evenly_spaced_and_free(open_part, wheel):
     for name in names:
         joint = model.joint(name)
         assert not joint.limited[0]
-        assert model.dof_frictionloss[joint.dofadr[0]] == 0
+        assert model.dof_frictionloss[joint.dofadr[0]] == SMARTCAR.roller_bearing_friction_nm
         assert joint.id not in model.actuator_trnid[:, 0]
 
 

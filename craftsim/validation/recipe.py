@@ -200,7 +200,7 @@ def run_up(recipe: Recipe, varied: Varied | None = None) -> CheckedSite:
     return checked
 
 
-def finish(checked: CheckedSite, recipe: Recipe) -> Performance:
+def do_last(checked: CheckedSite, recipe: Recipe) -> Performance:
     """Do the last step of a recipe in the world that :func:`run_up` has led to."""
     records = do(checked, recipe.steps[-1])
     limits = recipe.settings.thresholds
@@ -209,7 +209,7 @@ def finish(checked: CheckedSite, recipe: Recipe) -> Performance:
 
 def perform(recipe: Recipe, varied: Varied | None = None) -> Performance:
     """Do all of a recipe and return what came of its last step."""
-    return finish(run_up(recipe, varied), recipe)
+    return do_last(run_up(recipe, varied), recipe)
 
 
 def do(checked: CheckedSite, step: Step) -> tuple[ActionRecord, ...]:

@@ -1,0 +1,113 @@
+"""Doing again what a replay bundle shows, and telling whether it is the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.errors import InputError
+from craftsim.models.site import Site
+from craftsim.report import versions
+from craftsim.skills.executor import Observer
+from craftsim.validation.attempt import Attempt
+from craftsim.validation.bundle import AFTER, BEFORE, PHYSICS, Arrays, Recorded, physics_of, state_of
+from craftsim.validation.recipe import do_last, run_up
+
+DECISIVE: Final = ("craftsim", "mujoco", "numpy")
+"""Packages whose version decides every bit; with other versions poses are compared with a tolerance."""
+POSITION_M: Final = 0.002
+"""How far poses may be apart with other versions: what a finer time step changes at most."""
+ANGLE_RAD: Final = 0.01
+
+Watch = Callable[[Site], AbstractContextManager[Observer | None]]
+"""Opens what watches the last step, such as a film, on the Site that stands before it."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A bundle's last step, done again."""
+
+    changed: dict[str, tuple[str, str]]
+    """Versions that decide and differ: (the bundle's, this one)."""
+    differing: tuple[str, ...]
+    """What is not the same bit for bit, by file and name."""
+    position_m: float
+    """The furthest that anything ends from where it ended."""
+    angle_rad: float
+    """The largest angle between where anything points and where it pointed."""
+    attempts: tuple[Attempt, ...]
+    same_results: bool
+    """Whether every action came out as it did: its result and its finding."""
+
+    @property
+    def reproduced(self) -> bool:
+        """Whether all is the same bit for bit; with other versions, whether it is within the tolerance."""
+        if not self.changed:
+            return not self.differing and self.same_results
+        return self.same_results and self.position_m <= POSITION_M and self.angle_rad <= ANGLE_RAD
+
+
+def replay(recorded: Recorded, watch: Watch = lambda site: nullcontext()) -> Replay:
+    """Do again what a bundle shows, and compare.
+
+    Raises InputError for a bundle whose recipe makes no world, or whose arrays are of another one.
+    """
+    bundle = recorded.bundle
+    checked = run_up(bundle.recipe)
+    site = checked.site
+    parts = [(PHYSICS, recorded.physics, physics_of(site)), (BEFORE, recorded.before, state_of(site))]
+    with watch(site) as observer:
+        if observer is not None:
+            checked.executor.observers.append(observer)
+        done = do_last(checked, bundle.recipe)
+    parts.append((AFTER, recorded.after, state_of(site)))
+    differing: list[str] = []
+    for file, was, now in parts:
+        _check_shapes(f"{recorded.folder / file}", was, now)
+        differing += [f"{file}: {name}" for name in now if was[name].tobytes() != now[name].tobytes()]
+    if bundle.attempts != done.attempts:
+        differing.append("the attempts")
+    position_m, angle_rad = _apart(site.model, recorded.after["qpos"], site.data.qpos)
+    return Replay(
+        changed=_changed(bundle.versions),
+        differing=tuple(differing),
+        position_m=position_m,
+        angle_rad=angle_rad,
+        attempts=done.attempts,
+        same_results=[(a.result, a.finding) for a in bundle.attempts]
+        == [(a.result, a.finding) for a in done.attempts],
+    )
+
+
+def _changed(was: dict[str, str]) -> dict[str, tuple[str, str]]:
+    now = versions()
+    pairs = {package: (was.get(package, "unknown"), now[package]) for package in DECISIVE}
+    return {package: pair for package, pair in pairs.items() if pair[0] != pair[1]}
+
+
+def _check_shapes(file: str, was: Arrays, now: Arrays) -> None:
+    for name, array in now.items():
+        if name not in was:
+            raise InputError(f"{file}: has no array '{name}'")
+        if (was[name].shape, was[name].dtype) != (array.shape, array.dtype):
+            raise InputError(
+                f"{file}: array '{name}' is {was[name].dtype} {was[name].shape}, but the recipe's world "
+                f"has {array.dtype} {array.shape}"
+            )
+
+
+def _apart(model: mujoco.MjModel, was: NDArray[np.generic], now: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the largest distance and the largest angle between the poses of the free bodies of two states."""
+    start = model.jnt_qposadr[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
+    then, here = was[start[:, None] + np.arange(7)], now[start[:, None] + np.arange(7)]
+    distance = np.linalg.norm(then[:, :3] - here[:, :3], axis=1).max(initial=0.0)
+    # A rotation has two quaternions; the chord to the nearer one is twice the sine of a quarter of the angle.
+    a, b = then[:, 3:], here[:, 3:]
+    chord = np.minimum(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
+    return float(distance), float(4 * np.arcsin(np.clip(chord / 2, 0.0, 1.0)).max(initial=0.0))

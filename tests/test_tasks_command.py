@@ -95,7 +95,7 @@ def test_episodes_writes_its_figures_equal_at_one_and_two_workers(tmp_path, caps
     assert {key: one[key] for key in one if key != "wall"} == {key: two[key] for key in two if key != "wall"}
     assert one["command"] == "episodes"
     assert one["seed"] == 2
-    assert set(one["figures"]) == {"set_down_mm", "records", "good", "n_legal", "n_unclear"}
+    assert set(one["figures"]) == {"set_down_mm", "records", "good"}
     assert one["figures"]["good"] == 2
     assert [record["trial"]["seed"] for record in one["figures"]["records"]] == [2, 3]
     assert set(one["figures"]["records"][0]) == {
@@ -107,8 +107,6 @@ def test_episodes_writes_its_figures_equal_at_one_and_two_workers(tmp_path, caps
         "worst_error_m",
         "car_error_m",
         "set_down",
-        "n_legal",
-        "n_unclear",
     }
     assert set(one["figures"]["set_down_mm"]) == {"first", "middle", "last"}
     assert "2 of 2 episodes went as predicted to the end." in capsys.readouterr().out

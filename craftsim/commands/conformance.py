@@ -27,7 +27,8 @@ def conformance(
     """Replay recorded ticks or plans and compare all that they tell: masks, effects, rewards, plans.
 
     The exit status is 1 when anything differs. With the physical rule set, records are left out in which
-    something happened that only the published rules follow.
+    something happened that only the published rules follow, or in which a correction changes what is legal or
+    what follows.
 
     Args:
         files: recordings, gzip-compressed JSON lines.
@@ -71,6 +72,8 @@ def conformance(
         console.print(LEGEND)
     if tally.skipped:
         console.print(f"{tally.skipped} records with a quirk were left out")
+    if tally.corrected:
+        console.print(f"{tally.corrected} records that a correction changes were left out")
     mismatches = tally.mismatches.total()
     if out is not None:
         from craftsim.report import write_report

@@ -85,7 +85,6 @@ def episodes(
             soft_wrap=True,
         )
     good = sum(not record.disagreement for record in records)
-    n_legal, n_unclear = (sum(getattr(r, key) for r in records) for key in ("n_legal", "n_unclear"))
     figures = {
         "set_down_mm": {
             name: {"n": len(errors), "p50": np.median(errors or [0]), "max": max(errors, default=0.0)}
@@ -93,17 +92,11 @@ def episodes(
         },
         "records": records,
         "good": good,
-        "n_legal": n_legal,
-        "n_unclear": n_unclear,
     }
     config = {"gains": load_gains(), "noise": noise, "actions": actions, "cars": cars, "episodes": episodes}
     wall = {"total_s": time.perf_counter() - started, "workers": workers}
     report = write_report(out, figures, command="episodes", seed=seed, config=config, wall=wall)
     console.print(f"Report: {report}", soft_wrap=True)
-    console.print(
-        f"{n_unclear} of {n_legal} legal actions would have swung into something and were not drawn.",
-        soft_wrap=True,
-    )
     console.print(f"{good} of {episodes} episodes went as predicted to the end.")
     return 0 if good == episodes else 1
 

@@ -17,7 +17,7 @@ from craftsim.discrete.errors import InputError
 from craftsim.report import output_directory, write_report
 
 if TYPE_CHECKING:
-    from craftsim.validation.contexts import Context, Survey
+    from craftsim.validation.contexts import Survey
     from craftsim.validation.trial_figures import Quantiles, Summary
     from craftsim.validation.trials import TrialRecord
 
@@ -40,11 +40,10 @@ def trials(
 ) -> int:
     """Try each action in physics in every situation where the rules allow it.
 
-    Exit status 0 when the success rate reaches the bar, 1 when not, 2 for wrong input. Situations in which the
-    rules are known to allow what physics refuses are tried once each besides, and told apart.
+    Exit status 0 when the success rate reaches the bar, 1 when not, 2 for wrong input.
 
     Args:
-        trials: how many trials to spread over the sound contexts.
+        trials: how many trials to spread over the contexts.
         seed: decides the places, and with noise the physics and the noise, of all trials.
         workers: processes to share the work; results do not depend on it.
         noise: randomise the physics, and give the cars noisy senses.
@@ -65,7 +64,7 @@ def trials(
     from craftsim.skills.gains import load_gains
     from craftsim.validation.contexts import survey
     from craftsim.validation.trial_figures import campaign_figures
-    from craftsim.validation.trials import NOMINAL, WITH_NOISE, Trial, plan_trials, run_trials
+    from craftsim.validation.trials import NOMINAL, WITH_NOISE, plan_trials, run_trials
 
     found = survey()
     _print_survey(console, found)
@@ -75,9 +74,7 @@ def trials(
             f"no context matches '{contexts}'; 'craftsim trials' writes their names to trials.jsonl"
         )
     settings = WITH_NOISE if noise else NOMINAL
-    unsound = [context for context in chosen if context.unsound]
-    planned = plan_trials([context for context in chosen if not context.unsound], trials, seed)
-    planned += [Trial(len(planned) + i, context) for i, context in enumerate(unsound)]
+    planned = plan_trials(chosen, trials, seed)
     records: list[TrialRecord] = []
     with (
         (out / "trials.jsonl").open("w", encoding="utf-8") as lines,
@@ -101,7 +98,7 @@ def trials(
     }
     wall = {"total_s": time.perf_counter() - started, "workers": workers}
     _print_figures(console, figures)
-    _print_failures(console, records, by_id)
+    _print_failures(console, records)
     report = write_report(out, figures, command="trials", seed=seed, config=config, wall=wall)
     console.print(f"Report: {report}", soft_wrap=True)
     return _conclude(console, figures["all"], bar)
@@ -109,10 +106,9 @@ def trials(
 
 def _print_survey(console: Console, survey: Survey) -> None:
     impossible, forbidden = (sum(n for _, n in part) for part in (survey.impossible, survey.forbidden))
-    unsound = sum(bool(context.unsound) for context in survey.contexts)
     console.print(
-        f"{len(survey.contexts)} contexts, {unsound} of them known to be unsound. Of {survey.n_combinations} "
-        f"combinations, {impossible} cannot exist and {forbidden} are forbidden by the rules:",
+        f"{len(survey.contexts)} contexts. Of {survey.n_combinations} combinations, {impossible} cannot exist and "
+        f"{forbidden} are forbidden by the rules:",
         soft_wrap=True,
     )
     for reason, count in [*survey.impossible[:6], *survey.forbidden[:6]]:
@@ -140,19 +136,14 @@ def _print_figures(console: Console, figures: dict[str, Any]) -> None:
             )
     console.print(table)
     console.print("Wilson: lower bound of the 95 % interval. Others: median and 99th percentile.")
-    for why, entry in figures["unsound"].items():
-        done: Summary = entry["figures"]
-        console.print(
-            f"Unsound: {why}: {done.trials - done.successes} of {done.trials} failed.", soft_wrap=True
-        )
 
 
 def _pair(quantiles: Quantiles | None) -> str:
     return "-" if quantiles is None else f"{quantiles.p50:.2f} {quantiles.p99:.2f}"
 
 
-def _print_failures(console: Console, records: Sequence[TrialRecord], contexts: dict[str, Context]) -> None:
-    failures = [r for r in records if not r.succeeded and not contexts[r.context].unsound]
+def _print_failures(console: Console, records: Sequence[TrialRecord]) -> None:
+    failures = [r for r in records if not r.succeeded]
     for record in failures[:_SHOWN_FAILURES]:
         details = "; ".join((record.outcome, *record.differences))
         console.print(

@@ -82,44 +82,12 @@ def _swept(cells: frozenset[Cell]) -> Footprint:
     return Footprint(cells | above, frozenset(), frozenset(), cells)
 
 
-def is_clear(before: Grid, after: Grid, car: int, action: Action) -> bool:
-    """Return whether nothing stands in the way of what a legal action swings through the air.
-
-    The rules look at cells and ignore some of what reaches a little further: the legs of a turning load hit an
-    unloaded car in the next cell, a flap a car in the foot's cell and its lip a load beyond it, and a load that climbs
-    leans back over the cell behind.
-    """
-    swept = footprint(before, after, car, action)
-    here, _, beyond = _along_slope(before, car)
-    folding = action in (Action.FOLD, Action.UNFOLD)
-    turning = action in (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
-    # A flap changes the foot's cell, and hits a car that stands in it.
-    reach = (swept.space if folding else _standing(after, car).loads - swept.changes) - {here}
-    for other in range(before.n_cars):
-        if other == car:
-            continue
-        standing = _standing(before, other)
-        blocked_by_car = (folding and standing.space & (reach - {beyond})) or (
-            turning and standing.space & swept.loads
-        )
-        if blocked_by_car or standing.loads & (swept.loads | reach):
-            return False
-    return not any(_inside(before, cell) and before.kind[cell] in _SOLID for cell in reach)
-
-
-_SOLID = (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.WALL)
-
-
 def _along_slope(grid: Grid, car: int) -> tuple[Cell, Cell, Cell]:
     """Return the cell of a car, the cell of the foot of a slope above it, and the cell beyond that."""
     row = grid.cars[car]
     x, y, z = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z))
     dx, dy = (int(v) for v in DIRECTIONS[(row[CarField.YAW] + 2) % 4])
     return (x, y, z), (x + dx, y + dy, z), (x + 2 * dx, y + 2 * dy, z)
-
-
-def _inside(grid: Grid, cell: Cell) -> bool:
-    return all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))
 
 
 def _standing(grid: Grid, car: int) -> Footprint:

@@ -22,8 +22,6 @@ from craftsim.discrete.rules import Rules
 from craftsim.validation.context_worlds import (
     BACK,
     FORWARD,
-    LEFT,
-    RIGHT,
     Drawing,
     ImpossibleError,
     check_car,
@@ -100,8 +98,7 @@ class Context:
     """In the cell above the own one (lift, fold, unfold); of a move onto a ramp, in the cell above the landing of the
     climb, above the body or above the foot that comes next."""
     beyond_taken: bool = False
-    """Whether a block stands beyond the foot of a slope that is folded or unfolded. The lip of the flap swings 13 mm
-    into that cell, though at rest it does not reach there."""
+    """Whether a block stands beyond the foot of a slope that is folded or unfolded."""
     tight: bool = False
     """Whether blocks fill the neighbour cells of the way, as far as the rules let the action be."""
 
@@ -126,26 +123,6 @@ class Context:
     def swings(self) -> bool:
         """Whether the action swings a flap."""
         return self.verb in (Verb.FOLD, Verb.UNFOLD)
-
-    @property
-    def unsound(self) -> str:
-        """Why physics refuses although the rules allow, in a few words; empty where it should work."""
-        beside = self.over.kind == Kind.GEAR and self.over.yaw in (LEFT, RIGHT)
-        if self.beyond_taken:
-            return "the lip of the swinging flap meets what stands beyond the foot"
-        if self.swings and beside:
-            return "the flap meets a gear that hangs above from the side"
-        if self.next is None:
-            return ""
-        if self.ground is Ground.HIGH_UP and self.next.below:
-            return "the chassis grounds on the crest of two ramps without a landing"
-        if self.load != Kind.AIR and beside and (self.next.below or self.ground.half):
-            return "the load meets a gear that hangs over the ramp from the side"
-        if self.ground is Ground.HIGH_UP and self.next.kind == Kind.FOOT:
-            return "the rules do not know that a second ramp goes on at once"
-        if self.ground is Ground.LOW_DOWN and self.next.kind == Kind.BODY:
-            return "the rules take the body of another slope for the car's own ramp"
-        return ""
 
     def action(self, heading: int) -> Action:
         """Return the primitive action for a car of this grid yaw."""

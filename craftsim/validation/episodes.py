@@ -1,8 +1,6 @@
 """Long episodes of random legal actions with many cars at once: does anything drift or fail in the long run?
 
-Each tick every car draws one of the actions that the rules allow it on the predicted world and that swing into nothing
-that stands near (:func:`craftsim.discrete.footprint.is_clear`); how many legal actions the latter leaves out is
-counted.
+Each tick every car draws one of the actions that the rules allow it on the predicted world.
 """
 
 from __future__ import annotations
@@ -13,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import is_clear
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Reading, read_grid
@@ -72,9 +69,6 @@ class EpisodeRecord:
     """The furthest that any car was from its cell's centre, over the whole episode."""
     set_down: tuple[tuple[int, float], ...]
     """(actions so far, error) of everything that was set down, in order."""
-    n_legal: int
-    n_unclear: int
-    """Of all the legal actions from which the cars drew: those that would have swung into something."""
 
 
 def random_world(trial: EpisodeTrial, rng: np.random.Generator) -> Grid:
@@ -116,17 +110,17 @@ def run_episode(trial: EpisodeTrial) -> EpisodeRecord:
         Varied(site).draw(Spread(), physics)
     executor = Executor(site, sensors=Sensors(site, NOISY if trial.noise else EXACT, senses))
     reading = read_grid(read_poses(site), site.size, site.walls)
-    n = n_legal = n_unclear = 0
+    n = 0
     early = worst = worst_car = 0.0
     set_down: list[tuple[int, float]] = []
     disagreement: tuple[str, ...] = reading.problems
     while n < trial.n_actions and not disagreement:
-        joint, legal, unclear = _draw_tick(reading.grid, rules, world)
+        joint = _draw_tick(reading.grid, rules, world)
         if not joint:
             disagreement = ("no car has anything to do",)
             break
         run = run_schedule(executor, make_schedule(reading.grid, [joint], rules))
-        n, n_legal, n_unclear = n + len(joint), n_legal + legal, n_unclear + unclear
+        n += len(joint)
         if not run.agrees:
             disagreement = (
                 *run.verdict.differences,
@@ -144,29 +138,22 @@ def run_episode(trial: EpisodeTrial) -> EpisodeRecord:
         ]
         worst, worst_car = max(worst, _worst(reading)), max(worst_car, *(c.offset_m for c in reading.cars))
         early = worst if n <= EARLY else early
-    return EpisodeRecord(
-        trial, n, disagreement, early, _worst(reading), worst, worst_car, tuple(set_down), n_legal, n_unclear
-    )
+    return EpisodeRecord(trial, n, disagreement, early, _worst(reading), worst, worst_car, tuple(set_down))
 
 
 def _worst(reading: Reading) -> float:
     return max(placed.offset_m for placed in reading.objects)
 
 
-def _draw_tick(
-    grid: Grid, rules: Rules, rng: np.random.Generator
-) -> tuple[list[tuple[int, Action]], int, int]:
-    """Draw an action for each car in a random order; also return how many actions were legal and not clear."""
+def _draw_tick(grid: Grid, rules: Rules, rng: np.random.Generator) -> list[tuple[int, Action]]:
+    """Draw a legal action for each car that has one, in a random order."""
     joint: list[tuple[int, Action]] = []
-    n_legal = n_unclear = 0
     for car in (int(c) for c in rng.permutation(grid.n_cars)):
         legal = [action for action in Action if rules.legal(grid, car, action)]
-        clear = [a for a in legal if is_clear(grid, rules.apply(grid, car, a), car, a)]
-        n_legal, n_unclear = n_legal + len(legal), n_unclear + len(legal) - len(clear)
-        weights = np.array([_WEIGHTS.get(action, 1.0) for action in clear])
+        weights = np.array([_WEIGHTS.get(action, 1.0) for action in legal])
         if not weights.any():
             continue
-        action = clear[int(rng.choice(len(clear), p=weights / weights.sum()))]
+        action = legal[int(rng.choice(len(legal), p=weights / weights.sum()))]
         joint.append((car, action))
         grid = rules.apply(grid, car, action)
-    return joint, n_legal, n_unclear
+    return joint

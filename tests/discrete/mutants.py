@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).parents[2]
-TESTS: Final = ("test_actions_in_place.py", "test_moves.py", "test_marks.py", "test_helper.py")
+TESTS: Final = ("test_actions_in_place.py", "test_moves.py", "test_marks.py", "test_helper.py", "test_corrections.py")
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ MUTANTS: Final = (
     Mutant(
         "FOLD needs no car on the foot",
         "rules/legality.py",
-        "return top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) < 0",
-        "return True",
+        "if top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) >= 0:",
+        "if False:",
     ),
     Mutant(
         "UNFOLD needs support below the foot",
@@ -50,8 +50,8 @@ MUTANTS: Final = (
     Mutant(
         "UNFOLD builds on no landing",
         "rules/legality.py",
-        "return not back_at(w, nx, ny, car.z - 1) and not back_at(w, car.x, car.y, car.z - 1)",
-        "return not back_at(w, nx, ny, car.z - 1)",
+        "if back_at(w, nx, ny, car.z - 1) or back_at(w, car.x, car.y, car.z - 1):",
+        "if back_at(w, nx, ny, car.z - 1):",
     ),
     Mutant(
         "a gear beside a turning load must point at it",
@@ -89,12 +89,60 @@ MUTANTS: Final = (
         "(over in (BLOCK, FLAG) and car.load == AIR)",
         "over in (BLOCK, FLAG)",
     ),
-    Mutant("a climb goes up one level", "rules/effects.py", "z, slope = car.z + 1, 2", "z, slope = car.z, 2"),
+    Mutant("a climb goes up one level", "rules/moves.py", "z, slope = car.z + 1, 2", "z, slope = car.z, 2"),
     Mutant(
         "a gear left behind is marked as an object",
         "rules/effects.py",
         "left_air = kind_at(w, car.x, car.y, car.z) == AIR",
         "left_air = kind_at(w, car.x, car.y, car.z) in (AIR, GEAR)",
+    ),
+    Mutant(
+        "a flap needs the cell beyond the foot",
+        "rules/reach.py",
+        "if beyond not in (AIR, GEAR) and not",
+        "if False and not",
+    ),
+    Mutant(
+        "a flap meets a gear above the foot",
+        "rules/reach.py",
+        "for z in (car.z, car.z + 1):",
+        "for z in (car.z,):",
+    ),
+    Mutant(
+        "a load turns beside no car",
+        "rules/legality.py",
+        "if next_to_me and (not bare or w.law.turning_load):",
+        "if next_to_me and not bare:",
+    ),
+    Mutant(
+        "a load that leans straight towards a turning one has room",
+        "rules/legality.py",
+        "leans_into(w, me, nx, ny, car.z, (d + 2) & 3)",
+        "leans_into(w, me, nx, ny, car.z, -1)",
+    ),
+    Mutant(
+        "a load leans onto no load",
+        "rules/reach.py",
+        "car_in(w, me, x, y, new.z, True)\n        or",
+        "False\n        or",
+    ),
+    Mutant(
+        "a gear keeps away from where a load leans",
+        "rules/reach.py",
+        "if new.load == FSLOPE and leans_into",
+        "if False and leans_into",
+    ),
+    Mutant(
+        "a car goes on to its own ramp's body only",
+        "rules/moves.py",
+        "return yaw_at(w, nx, ny, car.z) == (m + 2) & 3 and not",
+        "return not",
+    ),
+    Mutant(
+        "a gear lasts as long as its slope",
+        "rules/effects.py",
+        "put(w, x, y, z, GEAR if gear >= 0 else AIR, max(gear, 0))",
+        "put(w, x, y, z, AIR, 0)",
     ),
     Mutant(
         "the helper tries to turn right before it tries to turn left",

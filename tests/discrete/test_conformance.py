@@ -11,14 +11,23 @@ import pytest
 from craftsim.discrete.records.conformance import QUIRK_TAGS, Checker
 from craftsim.discrete.records.traces import read_records
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules.cells import Law
 
 DATA = Path(__file__).parents[1] / "data"
+DERIVED = Law(derived_marks=True)
 FILES = (DATA / "traces.jsonl.gz", DATA / "plans.jsonl.gz")
+RECORDED = {"swinging_flap", "turning_load", "ramp_below_gear", "lasting_gears"}
+"""Corrections of what happens in the recordings at all."""
 
 
 @pytest.fixture(scope="module")
 def records():
     return [record for file in FILES for record in read_records(file)]
+
+
+@pytest.fixture(scope="module")
+def ticks(records):
+    return [(line, record) for line, record in records if "joint" in record]
 
 
 def tally_of(records, rule_set):
@@ -49,18 +58,28 @@ def test_published_rules_agree_with_every_record(records):
     assert all(tally.applied[name] > 30 for name in ("LIFT", "DROP", "FOLD", "UNFOLD"))
 
 
-def test_physical_rules_agree_with_every_record_without_a_quirk(records):
-    ticks = [(line, record) for line, record in records if "joint" in record]
+def test_physical_rules_agree_with_every_record_without_a_quirk_that_no_correction_changes(ticks):
     tally = tally_of(ticks, "physical")
     assert not tally.mismatches
     assert tally.skipped == sum(bool(QUIRK_TAGS & set(record["tags"])) for _, record in ticks) > 50
+    assert 20 < tally.corrected < 0.1 * tally.records
+
+
+@pytest.mark.parametrize("switch", [None, *DERIVED._fields[1:]])
+def test_each_correction_leaves_all_records_that_it_does_not_change_as_they_are(ticks, switch):
+    checker = Checker(Rules("physical", DERIVED._replace(**{switch: True}) if switch else DERIVED))
+    for line, record in ticks:
+        checker.check(line, record)
+    assert not checker.tally.mismatches
+    assert (checker.tally.corrected > 0) == (switch in RECORDED), switch
 
 
 def test_physical_rules_disagree_exactly_where_marks_drifted(records):
     for line, record in records:
         if "devdep" in record.get("tags", ()):
-            record = dict(record, tags=[])
-            assert tally_of([(line, record)], "physical").mismatches.total() > 0
+            checker = Checker(Rules("physical", DERIVED))
+            checker.check(line, dict(record, tags=[]))
+            assert checker.tally.mismatches.total() > 0
 
 
 TAMPERINGS = {

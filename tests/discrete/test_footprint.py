@@ -1,4 +1,4 @@
-"""What an action needs of the world while it runs, and which legal actions swing into something that stands near."""
+"""What an action needs of the world while it runs."""
 
 from itertools import combinations
 
@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import Footprint, footprint, is_clear
+from craftsim.discrete.footprint import Footprint, footprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
@@ -17,17 +17,12 @@ from .worldgen import play, random_world
 
 RULES = Rules("physical")
 PLENTY = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
-RIGHT, LEFT, UP = Action.MOVE_RIGHT, Action.MOVE_LEFT, Action.MOVE_FORWARD
+RIGHT = Action.MOVE_RIGHT
 
 
 def needs(grid, car, action):
     assert RULES.legal(grid, car, action), f"the rules forbid {action.name} here"
     return footprint(grid, RULES.apply(grid, car, action), car, action)
-
-
-def clear(grid, car, action):
-    assert RULES.legal(grid, car, action), f"the rules forbid {action.name} here"
-    return is_clear(grid, RULES.apply(grid, car, action), car, action)
 
 
 def random_steps(seed, ticks=8):
@@ -156,60 +151,3 @@ def test_a_turning_load_needs_its_neighbours_and_a_turning_slope_the_corners_too
     assert slope.loads == cross | corners
     # A lifted load reaches into the level above.
     assert {(x, y, 2) for x, y, _ in cross} <= block.space
-
-
-def test_a_load_does_not_turn_clear_of_an_unloaded_car_in_the_next_cell(scene, car):
-    for load in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE):
-        for action in (Action.ROTATE_LEFT, Action.ROTATE_RIGHT):
-            beside, apart = (scene([], [car(2, 2, load=load), car(x, 2)]) for x in (3, 4))
-            assert not clear(beside, 0, action)
-            assert clear(apart, 0, action)
-    # Without a load there is nothing that hits.
-    assert clear(scene([], [car(2, 2), car(3, 2)]), 0, Action.ROTATE_LEFT)
-    # A carried slope sweeps the corners, a block does not.
-    assert clear(scene([], [car(2, 2, load=Kind.BLOCK), car(3, 3)]), 0, Action.ROTATE_LEFT)
-    assert not clear(scene([], [car(2, 2, load=Kind.FSLOPE), car(3, 3)]), 0, Action.ROTATE_LEFT)
-
-
-@pytest.mark.parametrize(("kind", "action"), [(Kind.FSLOPE, Action.UNFOLD), (Kind.BODY, Action.FOLD)])
-def test_a_flap_does_not_swing_clear_of_a_thing_beyond_the_foot(scene, car, kind, action):
-    slope = (kind, (4, 2, 1), 2)
-    for thing in (Kind.BLOCK, Kind.FLAG, Kind.WALL):
-        assert not clear(scene([slope, (thing, (2, 2, 1))], [car(4, 2)]), 0, action)
-        assert clear(scene([slope, (thing, (1, 2, 1))], [car(4, 2)]), 0, action)
-    # The lip passes over a car there, and hits what it carries.
-    assert clear(scene([slope], [car(4, 2), car(2, 2)]), 0, action)
-    assert not clear(scene([slope], [car(4, 2), car(2, 2, load=Kind.BLOCK)]), 0, action)
-
-
-def test_a_flap_does_not_come_down_clear_of_a_car_in_the_foots_cell(scene, car):
-    grid = scene([(Kind.FSLOPE, (4, 2, 1), 2)], [car(4, 2), car(3, 2)])
-    assert not clear(grid, 0, Action.UNFOLD)
-
-
-def ramp_with(scene, *cars):
-    """Return a ramp that falls in +x from the block at (0, 1) to its foot at (2, 1), with cars on and before it."""
-    return scene([(Kind.BLOCK, (0, 1, 1)), (Kind.BODY, (1, 1, 1), 0)], cars, size=(6, 3, 3))
-
-
-def test_a_load_does_not_come_clear_behind_a_load_that_leans_on_the_slope(scene, car):
-    climbing = car(2, 1, yaw=2, load=Kind.BLOCK, slope=1)
-    bare = car(2, 1, yaw=2, slope=1)
-    follower = car(4, 1, yaw=2, load=Kind.BLOCK)
-    assert not clear(ramp_with(scene, climbing, follower), 1, LEFT)
-    assert clear(ramp_with(scene, bare, follower), 1, LEFT)
-    assert clear(ramp_with(scene, climbing, car(4, 1, yaw=2)), 1, LEFT)
-
-
-def test_a_load_does_not_come_down_clear_of_a_load_before_the_foot(scene, car):
-    falling = car(1, 1, 2, load=Kind.BLOCK, slope=2)
-    assert not clear(ramp_with(scene, falling, car(3, 1, yaw=2, load=Kind.BLOCK)), 0, RIGHT)
-    assert clear(ramp_with(scene, falling, car(4, 1, yaw=2, load=Kind.BLOCK)), 0, RIGHT)
-    assert clear(ramp_with(scene, falling, car(3, 1, yaw=2)), 0, RIGHT)
-
-
-def test_stopping_moving_and_lifting_alone_are_always_clear(scene, car):
-    grid = scene([(Kind.BLOCK, (2, 2, 1))], [car(2, 2), car(3, 2), car(2, 3)])
-    for action in (Action.STOP, Action.LIFT, LEFT):
-        assert clear(grid, 0, action)
-    assert clear(grid, 1, UP)

@@ -19,14 +19,13 @@ from craftsim.validation.trials import (
 )
 
 CONTEXTS = survey().contexts
-SOUND = [context for context in CONTEXTS if not context.unsound]
 
 
 def _spread(per_verb):
     """Return contexts spread over the actions, moves being the most varied."""
     chosen = []
     for verb in Verb:
-        mine = [context for context in SOUND if context.verb is verb]
+        mine = [context for context in CONTEXTS if context.verb is verb]
         wanted = 3 * per_verb if verb is Verb.MOVE else per_verb
         chosen += mine[:: max(1, len(mine) // wanted)][:wanted]
     return chosen
@@ -41,30 +40,21 @@ def test_a_quick_sample_of_the_contexts_succeeds(index):
     assert record.succeeded, record
 
 
-UNSOUND = {context.unsound: context for context in reversed(CONTEXTS) if context.unsound}
-
-
-@pytest.mark.parametrize("why", UNSOUND)
-def test_what_is_called_unsound_fails_in_physics(why):
-    record = run_trial(Trial(0, UNSOUND[why]), seed=1)
-    assert not record.succeeded, record
-
-
 def test_records_are_equal_at_any_number_of_workers():
-    trials = plan_trials([context for context in SOUND if context.level == 1], 6, seed=4)
+    trials = plan_trials([context for context in CONTEXTS if context.level == 1], 6, seed=4)
     alone = [record.line() for record in run_trials(trials, 4, WITH_NOISE, workers=1)]
     shared = [record.line() for record in run_trials(trials, 4, WITH_NOISE, workers=2)]
     assert alone == shared
 
 
 def test_a_trial_alone_is_the_trial_of_the_campaign():
-    trials = plan_trials(SOUND, 3, seed=5)
+    trials = plan_trials(CONTEXTS, 3, seed=5)
     records = list(run_trials(trials, 5))
     assert run_trial(trials[2], 5) == records[2]
 
 
 def test_trials_are_spread_evenly_and_reproducibly():
-    chosen = SOUND[:7]
+    chosen = CONTEXTS[:7]
     trials = plan_trials(chosen, 17, seed=0)
     counts = [sum(trial.context == context for trial in trials) for context in chosen]
     assert sorted(counts) == [2, 2, 2, 2, 3, 3, 3]
@@ -75,7 +65,7 @@ def test_trials_are_spread_evenly_and_reproducibly():
 
 def test_errors_beyond_a_threshold_are_failures_with_a_reason():
     strict = replace(NOMINAL, thresholds=Thresholds(-1.0, -1.0, -1.0, -1.0))
-    drop = next(context for context in SOUND if context.verb is Verb.DROP)
+    drop = next(context for context in CONTEXTS if context.verb is Verb.DROP)
     record = run_trial(Trial(0, drop), 0, strict)
     assert not record.succeeded
     assert record.reasons == ("car error", "heading error", "placed error", "others moved")
@@ -90,20 +80,15 @@ def test_wilson_interval_of_known_cases():
     assert wilson(0, 0) == (0.0, 1.0)
 
 
-def test_figures_group_trials_and_tell_unsound_ones_apart():
-    fold = next(context for context in SOUND if context.verb is Verb.FOLD)
-    unsound = replace(fold, beyond_taken=True)
-    assert "lip" in unsound.unsound
-    good = run_trial(Trial(0, SOUND[0]), 0)
+def test_figures_group_trials():
+    good = run_trial(Trial(0, CONTEXTS[0]), 0)
     bad = replace(good, index=1, reasons=("blocked", "not executed"))
-    apart = replace(bad, index=2, context=unsound.id)
-    contexts = {context.id: context for context in (SOUND[0], unsound)}
-    figures = campaign_figures([good, bad, apart], contexts, survey())
+    contexts = {CONTEXTS[0].id: CONTEXTS[0]}
+    figures = campaign_figures([good, bad], contexts, survey())
     assert (figures["all"].trials, figures["all"].successes) == (2, 1)
     assert figures["failures"] == {"blocked; not executed": 1}
-    assert figures["unsound"][unsound.unsound]["figures"].trials == 1
     assert set(figures["by"]) == set(GROUPS)
-    assert grouped([good], contexts, GROUPS["level"])[str(SOUND[0].level)] == summarise([good])
+    assert grouped([good], contexts, GROUPS["level"])[str(CONTEXTS[0].level)] == summarise([good])
     assert reasons([good]) == {}
 
 

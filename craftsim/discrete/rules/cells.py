@@ -37,10 +37,24 @@ F_SLOPE = int(CarField.SLOPE)
 
 
 class Law(NamedTuple):
-    """The differences between the rule sets, each a switch that one place in the rules reads."""
+    """The differences between the rule sets, each a switch that one place in the rules reads; off is as published."""
 
-    derived_marks: bool
-    """Marks follow from what is there (physical) instead of from past events (published)."""
+    derived_marks: bool = False
+    """Marks follow from what is there instead of from past events."""
+    swinging_flap: bool = False
+    """FOLD and UNFOLD need room for the flap on its way (docs/rules.md#flap)."""
+    turning_load: bool = False
+    """A load turns only where no car stands beside it and no load leans in beside it (docs/rules.md#turning-load)."""
+    leaning_load: bool = False
+    """A load needs room on a ramp, below it and beside one that leans there (docs/rules.md#leaning-load)."""
+    own_ramp: bool = False
+    """On a ramp a car goes on along that ramp alone, and over no crest (docs/rules.md#own-ramp)."""
+    second_ramp: bool = False
+    """Who drives from a ramp's top onto the foot of a second ramp is then on that (docs/rules.md#second-ramp)."""
+    ramp_below_gear: bool = False
+    """A ramp below a gear is driven down in its own direction only (docs/rules.md#through-a-gear)."""
+    lasting_gears: bool = False
+    """A gear gives way to what stands, and lasts as long as its slope (docs/rules.md#lift-erases-gear-cell)."""
 
 
 class World(NamedTuple):

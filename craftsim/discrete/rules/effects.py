@@ -24,6 +24,7 @@ from craftsim.discrete.rules.cells import (
     dir_x,
     dir_y,
     inside,
+    is_air_or_gear,
     kind_at,
     pose_of,
     yaw_at,
@@ -40,6 +41,8 @@ from craftsim.discrete.rules.legality import (
     UNFOLD,
     move_direction,
 )
+from craftsim.discrete.rules.moves import moved
+from craftsim.discrete.rules.reach import standing_gear_in
 
 
 @compiled
@@ -56,10 +59,16 @@ def put(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
 
 
 @compiled
-def put_slope(w: World, car: Pose, yaw: int, high: int, low: int) -> None:
-    """Put the two parts of a slope into the car's cell and the next one in direction yaw."""
-    put(w, car.x, car.y, car.z, high, yaw)
-    put(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, low, yaw)
+def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
+    """Put a gear into a cell, or with AIR take one away, whatever is there (docs/rules.md#lift-erases-gear-cell).
+
+    When gears last, the cell shows one only where nothing stands, and as long as a slope beside it has its gear there.
+    """
+    if not w.law.lasting_gears:
+        put(w, x, y, z, kind, yaw)
+    elif is_air_or_gear(kind_at(w, x, y, z)):
+        gear = standing_gear_in(w, x, y, z)
+        put(w, x, y, z, GEAR if gear >= 0 else AIR, max(gear, 0))
 
 
 @compiled
@@ -78,15 +87,12 @@ def mark_back(w: World, x: int, y: int, z: int, mark: bool) -> None:
 
 @compiled
 def lift(w: World, me: int, car: Pose) -> None:
-    """Take up the object in the own cell.
-
-    With a slope its gear cell is emptied, whatever is there by now (docs/rules.md#lift-erases-gear-cell).
-    """
+    """Take up the object in the own cell, a slope with its gear."""
     kind = kind_at(w, car.x, car.y, car.z)
     yaw = yaw_at(w, car.x, car.y, car.z)
     put(w, car.x, car.y, car.z, AIR, 0)
     if kind == FSLOPE:
-        put(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, AIR, 0)
+        put_gear(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, AIR, 0)
     w.cars[me, F_LOAD] = kind
     w.cars[me, F_LOAD_YAW] = yaw if kind == FSLOPE else 0
     mark_top(w, car.x, car.y, car.z - 1, me)
@@ -95,10 +101,9 @@ def lift(w: World, me: int, car: Pose) -> None:
 @compiled
 def drop(w: World, me: int, car: Pose) -> None:
     """Put the load into the own cell."""
+    put(w, car.x, car.y, car.z, car.load, car.load_yaw)
     if car.load == FSLOPE:
-        put_slope(w, car, car.load_yaw, FSLOPE, GEAR)
-    else:
-        put(w, car.x, car.y, car.z, car.load, 0)
+        put_gear(w, car.x + dir_x(car.load_yaw), car.y + dir_y(car.load_yaw), car.z, GEAR, car.load_yaw)
     if car.load == BLOCK:
         mark_back(w, car.x, car.y, car.z, derived_back(w, car.x, car.y, car.z))
     w.cars[me, F_LOAD] = AIR
@@ -110,8 +115,10 @@ def drop(w: World, me: int, car: Pose) -> None:
 def unfold(w: World, car: Pose) -> None:
     """Turn the folded slope in the own cell into a ramp behind the car."""
     yaw = (car.yaw + 2) & 3
-    put_slope(w, car, yaw, BODY, FOOT)
-    mark_top(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z - 1, OBJECT)
+    x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
+    put(w, car.x, car.y, car.z, BODY, yaw)
+    put(w, x, y, car.z, FOOT, yaw)
+    mark_top(w, x, y, car.z - 1, OBJECT)
     mark_back(w, car.x + dir_x(car.yaw), car.y + dir_y(car.yaw), car.z, True)
 
 
@@ -122,8 +129,11 @@ def fold(w: World, car: Pose) -> None:
     Its landing is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).
     """
     yaw = (car.yaw + 2) & 3
-    put_slope(w, car, yaw, FSLOPE, GEAR)
-    mark_top(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z - 1, NOTHING)
+    x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
+    put(w, car.x, car.y, car.z, FSLOPE, yaw)
+    put(w, x, y, car.z, AIR, 0)
+    put_gear(w, x, y, car.z, GEAR, yaw)
+    mark_top(w, x, y, car.z - 1, NOTHING)
     mark_back(w, car.x + dir_x(car.yaw), car.y + dir_y(car.yaw), car.z, False)
 
 
@@ -132,24 +142,6 @@ def turned(car: Pose, turn: int) -> Pose:
     """Return a car's state after a turn by +1 or -1; a carried slope turns with it."""
     load_yaw = (car.load_yaw + turn) & 3 if car.load == FSLOPE else 0
     return Pose(car.x, car.y, car.z, (car.yaw + turn) & 3, car.load, load_yaw, car.slope)
-
-
-@compiled
-def moved(w: World, car: Pose, m: int) -> Pose:
-    """Return a car's state after a move in direction m: onto, along or off a slope, or on the flat."""
-    x, y = car.x + dir_x(m), car.y + dir_y(m)
-    here = kind_at(w, x, y, car.z)
-    below = kind_at(w, x, y, car.z - 1)
-    z, slope = car.z, 0
-    if car.slope == 0 and here == FOOT:
-        slope = 1
-    elif car.slope == 1 and here == BODY:
-        z, slope = car.z + 1, 2
-    elif car.slope == 0 and below == BODY:
-        slope = 2
-    elif car.slope == 2 and below == FOOT:
-        z, slope = car.z - 1, 1
-    return Pose(x, y, z, car.yaw, car.load, car.load_yaw, slope)
 
 
 @compiled

@@ -29,6 +29,7 @@ from craftsim.discrete.rules.cells import (
 )
 from craftsim.discrete.rules.compiled import compiled
 from craftsim.discrete.rules.moves import move_legal
+from craftsim.discrete.rules.reach import flap_has_room, leans_into
 
 LIFT = int(Action.LIFT)
 DROP = int(Action.DROP)
@@ -67,27 +68,34 @@ def drop_legal(w: World, car: Pose) -> bool:
 
 
 @compiled
+def swing_legal(w: World, me: int, car: Pose, slope_yaw: int) -> bool:
+    """FOLD and UNFOLD: room for the flap, which CraftEnv's rules do not look for (docs/rules.md#flap)."""
+    return not w.law.swinging_flap or flap_has_room(w, me, car, slope_yaw)
+
+
+@compiled
 def fold_legal(w: World, me: int, car: Pose) -> bool:
     """FOLD: an unfolded slope in the own cell with nothing on its body and no car on its foot."""
     if kind_at(w, car.x, car.y, car.z) != BODY or top_at(w, car.x, car.y, car.z, me) != NOTHING:
         return False
     slope_yaw = yaw_at(w, car.x, car.y, car.z)
-    return top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) < 0
+    if top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) >= 0:
+        return False
+    return swing_legal(w, me, car, slope_yaw)
 
 
 @compiled
-def unfold_legal(w: World, car: Pose) -> bool:
-    """UNFOLD: a folded slope in the own cell, room and support for the foot, and no landing of a ramp below.
-
-    Cars, loads and carried gears in the way are not looked at (docs/rules.md#unfold-ignores-cars).
-    """
+def unfold_legal(w: World, me: int, car: Pose) -> bool:
+    """UNFOLD: a folded slope in the own cell, room and support for the foot, and no landing of a ramp below."""
     if car.load != AIR or kind_at(w, car.x, car.y, car.z) != FSLOPE:
         return False
     slope_yaw = yaw_at(w, car.x, car.y, car.z)
     nx, ny = car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw)
     if not is_air_or_gear(kind_at(w, nx, ny, car.z)) or not standable(kind_at(w, nx, ny, car.z - 1)):
         return False
-    return not back_at(w, nx, ny, car.z - 1) and not back_at(w, car.x, car.y, car.z - 1)
+    if back_at(w, nx, ny, car.z - 1) or back_at(w, car.x, car.y, car.z - 1):
+        return False
+    return swing_legal(w, me, car, slope_yaw)
 
 
 @compiled
@@ -104,16 +112,22 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
                 return False
         elif neighbour != AIR:
             return False
+        if w.law.turning_load and leans_into(w, me, nx, ny, car.z, (d + 2) & 3):
+            return False
     carries_slope = car.load == FSLOPE
     corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)
     corner_y = car.y + dir_y(car.load_yaw) + dir_y(car.load_yaw + turn)
     if carries_slope and not is_air_or_gear(kind_at(w, corner_x, corner_y, car.z)):
         return False
     for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_LOAD] == AIR or w.cars[other, F_Z] != car.z:
+        if other == me or w.cars[other, F_Z] != car.z:
             continue
-        if abs(w.cars[other, F_X] - car.x) + abs(w.cars[other, F_Y] - car.y) == 1:
+        bare = w.cars[other, F_LOAD] == AIR
+        next_to_me = abs(w.cars[other, F_X] - car.x) + abs(w.cars[other, F_Y] - car.y) == 1
+        if next_to_me and (not bare or w.law.turning_load):
             return False
+        if bare:
+            continue
         if carries_slope and w.cars[other, F_X] == corner_x and w.cars[other, F_Y] == corner_y:
             return False
         if w.cars[other, F_LOAD] == FSLOPE:
@@ -142,7 +156,7 @@ def legal(w: World, me: int, car: Pose, action: int) -> bool:
     if action == FOLD:
         return fold_legal(w, me, car)
     if action == UNFOLD:
-        return unfold_legal(w, car)
+        return unfold_legal(w, me, car)
     if action == ROTATE_LEFT:
         return rotate_legal(w, me, car, 1)
     if action == ROTATE_RIGHT:

@@ -6,11 +6,6 @@ from craftsim.discrete.rules.cells import (
     AIR,
     BLOCK,
     BODY,
-    F_LOAD,
-    F_LOAD_YAW,
-    F_X,
-    F_Y,
-    F_Z,
     FLAG,
     FOOT,
     FSLOPE,
@@ -27,36 +22,25 @@ from craftsim.discrete.rules.cells import (
     yaw_at,
 )
 from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_fits
 
 
 @compiled
-def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: int) -> bool:
-    """Return whether another car carries a gear in a cell; ``tolerated_yaw`` (-1: none) is not seen."""
-    for other in range(w.cars.shape[0]):
-        if (
-            other == me
-            or w.cars[other, F_LOAD] != FSLOPE
-            or w.cars[other, F_Z] != z
-            or w.cars[other, F_LOAD_YAW] == tolerated_yaw
-        ):
-            continue
-        if (
-            w.cars[other, F_X] + dir_x(w.cars[other, F_LOAD_YAW]) == x
-            and w.cars[other, F_Y] + dir_y(w.cars[other, F_LOAD_YAW]) == y
-        ):
-            return True
-    return False
-
-
-@compiled
-def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> bool:
-    """Return whether another car, or another loaded car, is in a cell."""
-    for other in range(w.cars.shape[0]):
-        if other == me or (only_loaded and w.cars[other, F_LOAD] == AIR):
-            continue
-        if w.cars[other, F_X] == x and w.cars[other, F_Y] == y and w.cars[other, F_Z] == z:
-            return True
-    return False
+def moved(w: World, car: Pose, m: int) -> Pose:
+    """Return a car's state after a move in direction m: onto, along or off a slope, or on the flat."""
+    x, y = car.x + dir_x(m), car.y + dir_y(m)
+    here = kind_at(w, x, y, car.z)
+    below = kind_at(w, x, y, car.z - 1)
+    z, slope = car.z, 0
+    if here == FOOT and (car.slope == 0 or (w.law.second_ramp and car.slope == 2)):
+        slope = 1
+    elif car.slope == 1 and here == BODY:
+        z, slope = car.z + 1, 2
+    elif car.slope == 0 and below == BODY:
+        slope = 2
+    elif car.slope == 2 and below == FOOT:
+        z, slope = car.z - 1, 1
+    return Pose(x, y, z, car.yaw, car.load, car.load_yaw, slope)
 
 
 @compiled
@@ -110,6 +94,23 @@ def ascent_legal(w: World, me: int, car: Pose, m: int) -> bool:
 
 
 @compiled
+def goes_on(w: World, me: int, car: Pose, m: int) -> bool:
+    """Return whether a car on a ramp that moves forward comes to its other half.
+
+    CraftEnv's rules take any body before a foot, and any foot below a top, for the same ramp's, and do not look for
+    cars there (docs/rules.md#own-ramp, docs/rules.md#shared-cell).
+    """
+    nx, ny = car.x + dir_x(m), car.y + dir_y(m)
+    up = car.slope == 1 and kind_at(w, nx, ny, car.z) == BODY
+    down = car.slope == 2 and kind_at(w, nx, ny, car.z - 1) == FOOT
+    if not w.law.own_ramp:
+        return up or down
+    if up:
+        return yaw_at(w, nx, ny, car.z) == (m + 2) & 3 and not car_in(w, me, nx, ny, car.z + 1, False)
+    return down and yaw_at(w, nx, ny, car.z - 1) == m and not car_in(w, me, nx, ny, car.z - 1, False)
+
+
+@compiled
 def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     """Return whether car ``me``, were it in the state ``car``, could move in direction m (0..3)."""
     forward = m == car.yaw
@@ -117,12 +118,16 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     nx, ny = car.x + dir_x(m), car.y + dir_y(m)
     target = kind_at(w, nx, ny, car.z)
     below = kind_at(w, nx, ny, car.z - 1)
+    loaded = car.load != AIR
+    if loaded and w.law.leaning_load and not load_fits(w, me, car, moved(w, car, m)):
+        return False
     if car.slope != 0:
         if not forward:
             return False
-        # On a ramp the next half is entered without looking for cars (docs/rules.md#shared-cell).
-        if (car.slope == 1 and target == BODY) or (car.slope == 2 and below == FOOT):
+        if goes_on(w, me, car, m):
             return True
+        if w.law.own_ramp and below == BODY:
+            return False
     own = kind_at(w, car.x, car.y, car.z)
     if own in (FSLOPE, BODY) and not forward:
         return False
@@ -132,7 +137,6 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
         return False
     if car_in(w, me, nx, ny, car.z, False):
         return False
-    loaded = car.load != AIR
     if loaded and car.slope == 0 and not load_has_room(w, me, car, m):
         return False
     if target == AIR:
@@ -142,8 +146,9 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     if target in (FSLOPE, BODY):
         return not loaded and backward and car.yaw == (yaw_at(w, nx, ny, car.z) + 2) & 3
     if target == GEAR:
-        # What is below a gear is not looked at (docs/rules.md#through-a-gear).
-        return not loaded
+        # CraftEnv's rules do not look at what is below a gear (docs/rules.md#through-a-gear).
+        through = not w.law.ramp_below_gear or below != BODY or descent_legal(w, me, car, m)
+        return not loaded and through
     if target == FOOT:
         return ascent_legal(w, me, car, m)
     return False

@@ -18,8 +18,17 @@ from craftsim.discrete.rules.legality import N_ACTIONS, legal
 RuleSet = Literal["published", "physical"]
 
 LAWS: Final[dict[RuleSet, Law]] = {
-    "published": Law(derived_marks=False),
-    "physical": Law(derived_marks=True),
+    "published": Law(),
+    "physical": Law(
+        derived_marks=True,
+        swinging_flap=True,
+        turning_load=True,
+        leaning_load=True,
+        own_ramp=True,
+        second_ramp=True,
+        ramp_below_gear=True,
+        lasting_gears=True,
+    ),
 }
 """What each rule set switches on. A correction found by physics is one more switch, read in its rule."""
 
@@ -77,12 +86,13 @@ class Rules:
     Methods raise ValueError for a car that a world does not have.
     """
 
-    def __init__(self, rule_set: RuleSet) -> None:
+    def __init__(self, rule_set: RuleSet, law: Law | None = None) -> None:
+        """Make a rule set; ``law`` gives other switches than its own, to see what a single one changes."""
         if rule_set not in LAWS:
             known = ", ".join(get_args(RuleSet))
             raise InputError(f"unknown rule set '{rule_set}'; there are {known}{suggestion(rule_set, LAWS)}")
         self.rule_set: RuleSet = rule_set
-        self.law = LAWS[rule_set]
+        self.law = law or LAWS[rule_set]
 
     def mask(self, grid: Grid) -> NDArray[np.bool_]:
         """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state."""

@@ -1,0 +1,162 @@
+"""What only published allows goes wrong in physics; its twin, which physical allows as well, does not."""
+
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Grid, Kind, beside
+from craftsim.discrete.rules import Rules
+from craftsim.models.site import Site
+from craftsim.skills.executor import Executor
+from craftsim.validation.checked_run import CheckedSite
+
+PUBLISHED, PHYSICAL = Rules("published"), Rules("physical")
+BLOCK = Kind.BLOCK
+FOLDED, OPEN = (Kind.FSLOPE, (3, 1, 1), 2), (Kind.BODY, (3, 1, 1), 2)
+RAMP = [(BLOCK, (0, 1, 1)), (Kind.BODY, (1, 1, 1), 0)]
+TURN, UNFOLD, FOLD = Action.ROTATE_LEFT, Action.UNFOLD, Action.FOLD
+CLIMBER, FALLER = (2, 1, 1, 2, BLOCK, 0, 1), (1, 1, 2, 0, BLOCK, 0, 2)
+CASES = {
+    # name: cars and objects of the world, those of its twin, the acting car, its action
+    "a load turns beside a car": (
+        ([(1, 1, 1, 0, BLOCK), (2, 1, 1, 0)], []),
+        ([(1, 1, 1, 0, BLOCK), (3, 1, 1, 0)], []),
+        0,
+        TURN,
+    ),
+    "a slope turns beside a car": (
+        ([(1, 1, 1, 2, Kind.FSLOPE), (2, 1, 1, 0)], []),
+        ([(1, 1, 1, 2, Kind.FSLOPE), (3, 1, 1, 0)], []),
+        0,
+        TURN,
+    ),
+    "a flap rises before a block": (
+        ([(3, 1, 1, 0)], [OPEN, (BLOCK, (1, 1, 1))]),
+        ([(3, 1, 1, 0)], [OPEN, (BLOCK, (0, 1, 1))]),
+        0,
+        FOLD,
+    ),
+    "a flap comes down on a car": (
+        ([(3, 1, 1, 0), (2, 1, 1, 0)], [FOLDED]),
+        ([(3, 1, 1, 0), (1, 1, 1, 0)], [FOLDED]),
+        0,
+        UNFOLD,
+    ),
+    "a load comes behind a leaning one": (
+        ([CLIMBER, (4, 1, 1, 2, BLOCK)], RAMP),
+        ([CLIMBER, (4, 1, 1, 2)], RAMP),
+        1,
+        Action.MOVE_LEFT,
+    ),
+    "a leaning load comes down to one": (
+        ([FALLER, (3, 1, 1, 2, BLOCK)], RAMP),
+        ([FALLER, (4, 1, 1, 2, BLOCK)], RAMP),
+        0,
+        Action.MOVE_RIGHT,
+    ),
+    "a load turns beside a leaning one": (
+        ([CLIMBER, (3, 2, 1, 0, BLOCK)], RAMP),
+        ([(2, 1, 1, 2, 0, 0, 1), (3, 2, 1, 0, BLOCK)], RAMP),
+        1,
+        TURN,
+    ),
+    "a load comes down before a block": (
+        ([FALLER], [*RAMP, (BLOCK, (3, 1, 1))]),
+        ([FALLER], [*RAMP, (BLOCK, (4, 1, 1))]),
+        0,
+        Action.MOVE_RIGHT,
+    ),
+    "a flap meets a gear from the side": (
+        ([(3, 1, 1, 0)], [OPEN, (BLOCK, (2, 2, 1)), (Kind.FSLOPE, (2, 2, 2), 3)]),
+        ([(3, 1, 1, 0)], [OPEN, (BLOCK, (2, 2, 1)), (Kind.FSLOPE, (2, 2, 2), 0)]),
+        0,
+        FOLD,
+    ),
+    "a load climbs below a gear from the side": (
+        ([CLIMBER], [*RAMP, (BLOCK, (1, 2, 1)), (Kind.FSLOPE, (1, 2, 2), 3)]),
+        ([(2, 1, 1, 2, 0, 0, 1)], [*RAMP, (BLOCK, (1, 2, 1)), (Kind.FSLOPE, (1, 2, 2), 3)]),
+        0,
+        Action.MOVE_LEFT,
+    ),
+    "a car drives over a crest": (
+        ([(3, 1, 2, 2, 0, 0, 2)], [(Kind.BODY, (3, 1, 1), 0), (Kind.BODY, (2, 1, 1), 2)]),
+        ([(3, 1, 2, 2, 0, 0, 2)], [(Kind.BODY, (3, 1, 1), 0), (BLOCK, (2, 1, 1))]),
+        0,
+        Action.MOVE_LEFT,
+    ),
+    "a car drives onto a top from the side": (
+        ([(1, 0, 2, 1)], [*RAMP, (BLOCK, (1, 0, 1)), (BLOCK, (1, 2, 1)), (Kind.FSLOPE, (1, 2, 2), 3)]),
+        ([(0, 1, 2, 0)], [*RAMP, (BLOCK, (1, 0, 1)), (BLOCK, (1, 2, 1)), (Kind.FSLOPE, (1, 2, 2), 3)]),
+        0,
+        (Action.MOVE_FORWARD, Action.MOVE_RIGHT),
+    ),
+}
+
+
+def _draw(cars, objects) -> Grid:
+    grid = Grid.empty((6, 4, 3), len(cars))
+    for row, values in zip(grid.cars, cars, strict=True):
+        row[: len(values)] = values
+    for kind, cell, *yaw in objects:
+        parts = [(kind, cell)]
+        if kind in SECOND_PART:
+            parts.append((SECOND_PART[kind], beside(cell, *yaw)))
+        for part, where in parts:
+            grid.kind[where] = part
+            grid.yaw[where] = yaw[0] if kind in KINDS_WITH_YAW else 0
+    grid.derive_marks()
+    return grid
+
+
+def _run(world, car, action, rules) -> tuple[bool, float]:
+    """Return whether the action did what the rules predict, and how far it shifted what it should not."""
+    grid = _draw(*world)
+    site = Site(grid)
+    checked = CheckedSite(site, rules, Executor(site))
+    assert checked.reading.grid.same_visible(grid)
+    record = checked.perform(0, car, action)
+    assert record.legal
+    own_load = max((p.offset_m for p in checked.reading.objects if p.carrier == car), default=0.0)
+    return record.outcome.succeeded and record.verdict.agrees, max(record.others_moved_m, own_load)
+
+
+def _actions(action):
+    return action if isinstance(action, tuple) else (action, action)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_only_published_allows_goes_wrong(name):
+    world, _, car, action = CASES[name]
+    assert not PHYSICAL.legal(_draw(*world), car, _actions(action)[0])
+    agrees, shifted_m = _run(world, car, _actions(action)[0], PUBLISHED)
+    assert not agrees or shifted_m > 5e-3
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_its_twin_disturbs_nothing(name):
+    _, twin, car, action = CASES[name]
+    agrees, shifted_m = _run(twin, car, _actions(action)[1], PHYSICAL)
+    assert agrees
+    assert shifted_m < 1e-3
+
+
+def test_a_flap_that_comes_down_beside_a_block_pushes_it_less_than_one_that_rises_but_pushes_it():
+    beside_block, apart = ([(3, 1, 1, 0)], [FOLDED, (BLOCK, (1, 1, 1))]), ([(3, 1, 1, 0)], [FOLDED])
+    assert 1e-3 < _run(beside_block, 0, UNFOLD, PUBLISHED)[1] < 5e-3
+    assert _run(apart, 0, UNFOLD, PHYSICAL)[1] < 1e-4
+
+
+def test_from_a_top_onto_a_second_foot_a_car_is_where_physical_says():
+    stairs = [(Kind.BODY, (4, 1, 1), 0), *[(BLOCK, (x, 1, 1)) for x in (1, 2, 3)], (Kind.BODY, (2, 1, 2), 0)]
+    world = [(4, 1, 2, 2, 0, 0, 2)], [*stairs, (BLOCK, (1, 1, 2))]
+    assert _run(world, 0, Action.MOVE_LEFT, PUBLISHED)[0] is False
+    assert _run(world, 0, Action.MOVE_LEFT, PHYSICAL)[0] is True
+
+
+def test_two_gears_in_one_cell_are_what_physical_says():
+    world = [(3, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 0), (Kind.FSLOPE, (3, 1, 1), 2)]
+    grid = _draw(*world)
+    grid.yaw[2, 1, 1] = 0
+    for rules, agrees in ((PUBLISHED, False), (PHYSICAL, True)):
+        site = Site(grid)
+        record = CheckedSite(site, rules, Executor(site)).perform(0, 0, Action.LIFT)
+        assert record.verdict.agrees is agrees

@@ -14,6 +14,7 @@ from typing import Final
 COMMANDS: Final[dict[str, str]] = {
     "demo": "Build the paper's tasks in physics, and check every action.",
     "trials": "Try every action in every situation where it is legal, in physics.",
+    "replay": "Do again what a replay bundle shows, and compare it with what was recorded.",
     "tasks": "Build the paper's tasks again and again, all cars at work at once.",
     "episodes": "Run long random episodes with many cars, to see whether anything drifts.",
     "doctor": "Say what works on this machine, and the command that mends what does not.",
@@ -52,8 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CraftsimError as error:
         print(f"craftsim: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("craftsim: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        print(f"craftsim: {str(interrupt) or 'interrupted'}", file=sys.stderr)
         return 130
 
 

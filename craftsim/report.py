@@ -88,7 +88,7 @@ def write_report(
         "figures": figures,
         "wall": wall or {},
     }
-    text = json.dumps(_plain(report), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
+    text = json.dumps(plain(report), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
     path = output_directory(out) / "report.json"
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(text, encoding="utf-8")
@@ -96,8 +96,11 @@ def write_report(
     return path
 
 
-def _plain(value: Any) -> Any:
-    """Return a value made of what JSON knows: dict, list, str, int, float, bool and None."""
+def plain(value: Any) -> Any:
+    """Return a value made of what JSON knows: dict, list, str, int, float, bool and None.
+
+    Enums become their names, and numbers that are not finite None. Raises TypeError for what has no place in JSON.
+    """
     match value:
         case Enum():
             return value.name
@@ -106,14 +109,14 @@ def _plain(value: Any) -> Any:
         case float():
             return value if math.isfinite(value) else None
         case np.generic() | np.ndarray():
-            return _plain(value.tolist())
+            return plain(value.tolist())
         case Path():
             return str(value)
         case Mapping():
-            return {str(_plain(key)): _plain(item) for key, item in value.items()}
+            return {str(plain(key)): plain(item) for key, item in value.items()}
         case list() | tuple():
-            return [_plain(item) for item in value]
+            return [plain(item) for item in value]
         case _ if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+            return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
         case _:
             raise TypeError(f"a report cannot hold a {type(value).__name__}: {value!r}")

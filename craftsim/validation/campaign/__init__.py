@@ -1,0 +1,7 @@
+"""Campaigns: many independent trials over worker processes or a Ray cluster, whose results survive every fault."""
+
+from craftsim.validation.campaign.campaign import Engine, run_campaign
+from craftsim.validation.campaign.items import Done, Item, TrialRecord
+from craftsim.validation.campaign.store import Header
+
+__all__ = ["Done", "Engine", "Header", "Item", "TrialRecord", "run_campaign"]

@@ -1,0 +1,106 @@
+"""What a campaign consists of: items to try, what came of each, and the record of it, one line of JSON."""
+
+from __future__ import annotations
+
+import errno
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, TypedDict
+
+from craftsim.report import plain
+
+DISK_ERRORS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO})
+"""Errors of the place that results go to, not of the trial that met them."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One thing to try, independent of all others."""
+
+    key: str
+    """Stable name, unique in the campaign."""
+    group: str
+    """The row that the trial counts in."""
+    seed: int
+    job: Any
+    """What the work function is given; goes to a worker, so it must be picklable."""
+    context: str | None = None
+    episode: int | None = None
+
+
+@dataclass(frozen=True)
+class Done:
+    """What came of an item that was tried; made of what JSON knows, and equal whenever the item is."""
+
+    agrees: bool
+    """Whether everything went as the rules predicted."""
+    attempts: Sequence[Any] = ()
+    """Each action that was tried, a dataclass or a dictionary."""
+    bundle: str | None = None
+    """Folder of the first disagreement's replay bundle, relative to the campaign's."""
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why an item has no result."""
+
+    text: str
+    stops: bool = False
+    """Whether the campaign cannot go on at all, such as on a full disk."""
+
+
+Answer = Done | Failure
+Work = Callable[[Any], Done]
+
+
+class TrialRecord(TypedDict):
+    """A line of ``trials.jsonl``."""
+
+    key: str
+    index: int
+    """Place of the item in the campaign."""
+    group: str
+    seed: int
+    context: str | None
+    episode: int | None
+    attempts: list[dict[str, Any]]
+    agrees: bool
+    error: str | None
+    """Why there is no result: what the work raised, that it took too long, or that its worker died twice."""
+    bundle: str | None
+    extra: dict[str, Any]
+
+
+def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
+    """Return the record of an item; a failure has no attempts and does not agree."""
+    done = answer if isinstance(answer, Done) else Done(agrees=False)
+    return {
+        "key": item.key,
+        "index": index,
+        "group": item.group,
+        "seed": item.seed,
+        "context": item.context,
+        "episode": item.episode,
+        "attempts": list(done.attempts),
+        "agrees": done.agrees,
+        "error": answer.text if isinstance(answer, Failure) else None,
+        "bundle": done.bundle,
+        "extra": done.extra,
+    }
+
+
+def perform(work: Work, jobs: Sequence[Any]) -> list[Answer]:
+    """Do the work of several items, in a worker; what one of them raises is its answer."""
+    return [_answer(work, job) for job in jobs]
+
+
+def _answer(work: Work, job: Any) -> Answer:
+    try:
+        done = work(job)
+        return replace(done, attempts=plain(done.attempts), extra=plain(done.extra))
+    except BaseException as error:  # a policy may as well leave by sys.exit
+        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
+            return Failure(f"{error.filename or 'the results'}: {error.strerror}", stops=True)
+        return Failure(traceback.format_exception_only(error)[-1].strip())

@@ -1,0 +1,90 @@
+"""Workers that are actors on an existing Ray cluster (the optional extra ``ray``)."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from craftsim.discrete.errors import InputError
+from craftsim.validation.campaign.items import Answer, Item, Work, perform
+from craftsim.validation.campaign.spread import Worker, WorkerDiedError
+
+
+def ray_workers(work: Work, n: int) -> list[Worker]:
+    """Return workers of the cluster of RAY_ADDRESS, or else of one on this machine, at most as many as it can run.
+
+    Raises:
+        InputError: Ray is not installed, or there is no cluster.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise InputError("--engine ray needs Ray: pip install 'craftsim[ray]'") from None
+    if not ray.is_initialized():
+        try:
+            ray.init(address="auto", log_to_driver=False, logging_level=logging.WARNING)
+        except (ConnectionError, ray.exceptions.RayError) as error:
+            raise InputError(
+                f"no Ray cluster ({str(error).splitlines()[0]}); start one with 'ray start --head', or give the "
+                "address of one in RAY_ADDRESS"
+            ) from error
+    return [RayWorker(ray, work) for _ in range(max(1, min(n, int(ray.cluster_resources().get("CPU", 1)))))]
+
+
+class _Actor:
+    """A process of the cluster, which finds the modules that this process finds."""
+
+    def __init__(self, path: list[str]) -> None:
+        """Look for modules along this path too."""
+        sys.path += [place for place in path if place not in sys.path]
+
+    def ready(self) -> None:
+        """Answer as soon as the process has started."""
+
+    def perform(self, work: Work, jobs: list[Any]) -> list[Answer]:
+        """Do several items."""
+        return perform(work, jobs)
+
+
+class RayWorker:
+    """An actor with a processor of its own; made anew, on whatever node, when it dies."""
+
+    def __init__(self, ray: Any, work: Work) -> None:
+        """Ask the cluster for an actor for a picklable function."""
+        self._ray, self._work = ray, work
+        self._class = ray.remote(num_cpus=1, max_restarts=0, scheduling_strategy="SPREAD")(_Actor)
+        self._actor = self._class.remote(sys.path)
+        self._closed = False
+
+    def run(self, items: Sequence[Item], timeout_s: float) -> list[Answer]:
+        """Do several items, see :class:`~craftsim.validation.campaign.spread.Worker`.
+
+        The time begins when the actor has started: a full cluster may let it wait.
+        """
+        errors = self._ray.exceptions
+        try:
+            self._ray.get(self._actor.ready.remote())
+            answers: list[Answer] = self._ray.get(
+                self._actor.perform.remote(self._work, [item.job for item in items]), timeout=timeout_s
+            )
+            return answers
+        except errors.GetTimeoutError:
+            self._replace()
+            raise TimeoutError from None
+        except (errors.RayActorError, errors.ObjectLostError) as error:
+            self._replace()
+            raise WorkerDiedError from error
+        except errors.RayError as error:
+            raise InputError(f"the Ray cluster cannot do the work: {error}") from error
+
+    def close(self) -> None:
+        """End the actor at once."""
+        self._closed = True
+        self._ray.kill(self._actor)
+
+    def _replace(self) -> None:
+        self._ray.kill(self._actor)
+        if not self._closed:
+            self._actor = self._class.remote(sys.path)

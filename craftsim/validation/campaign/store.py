@@ -1,0 +1,217 @@
+"""The folder of a campaign: what is finished is on disk at once, whatever happens next.
+
+``campaign.json`` says what the campaign is; ``trials.jsonl`` gets one line for each finished item, in the order in
+which they finish, and is put into the items' order at the end.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Final
+
+from craftsim.discrete.errors import InputError
+from craftsim.report import output_directory, plain, versions
+from craftsim.validation.campaign.items import Item, TrialRecord
+
+SCHEMA_VERSION: Final = 1
+TRIALS: Final = "trials.jsonl"
+CAMPAIGN: Final = "campaign.json"
+_RESULTS: Final = ("report.json", "report.html", "bundles")
+"""What a campaign leaves besides; it goes when another one begins in its folder."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What decides the results of a campaign, besides its items."""
+
+    command: str
+    seed: int
+    config: Mapping[str, Any]
+
+
+class Store:
+    """The records of one campaign; one process at a time may have it open."""
+
+    def __init__(self, out: Path, header: Header, items: Sequence[Item], resume: bool) -> None:
+        """Begin a campaign in a folder, or go on with the one that is there.
+
+        Raises:
+            InputError: the folder cannot be written to; another process works in it; it holds an unfinished
+                campaign and ``resume`` is not set; or, with it, holds another campaign, or records that cannot be
+                read.
+        """
+        self.out = output_directory(out)
+        self._index = {item.key: i for i, item in enumerate(items)}
+        if len(self._index) != len(items):
+            raise ValueError("keys of a campaign's items must be unique")
+        self._header = _header(header, items)
+        self.records: dict[str, TrialRecord] = {}
+        with _disk(self.out):
+            self._file = self._open()
+            try:
+                self._begin(resume)
+            except BaseException:
+                self._file.close()
+                raise
+
+    @property
+    def n_kept(self) -> int:
+        """How many trials are on disk."""
+        return (self.out / TRIALS).read_bytes().count(b"\n")
+
+    def append(self, records: Iterable[TrialRecord]) -> None:
+        """Write records down for good; raise InputError where the disk does not take them."""
+        records = list(records)
+        text = "".join(_line(record) for record in records)
+        with _disk(self.out):
+            self._file.write(text.encode())
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        self._keep(records)
+
+    def finish(self) -> list[TrialRecord]:
+        """Return all records in the order of the items, and leave them on disk in that order."""
+        records = [self.records[key] for key in self._index]
+        with _disk(self.out):
+            _write_whole(self.out / TRIALS, "".join(map(_line, records)))
+        return records
+
+    def close(self) -> None:
+        """Let others open the folder."""
+        self._file.close()
+
+    def _open(self) -> IO[bytes]:
+        file = (self.out / TRIALS).open("a+b", buffering=0)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise InputError(f"another process is running a campaign in {self.out}") from None
+        return file
+
+    def _begin(self, resume: bool) -> None:
+        path = self.out / CAMPAIGN
+        there = _read_header(path) if path.exists() else None
+        if resume and there is not None:
+            _check_same(path, there, self._header)
+            self._read()
+            return
+        n_lines = self.n_kept
+        if there is not None and 0 < n_lines < there["items"]:
+            raise InputError(
+                f"{self.out} holds an unfinished campaign ({n_lines} of {there['items']} trials): go on with "
+                "--resume, or choose another --out, or remove that folder"
+            )
+        if there is not None:
+            for name in _RESULTS:
+                _remove(self.out / name)
+        self._file.truncate(0)
+        _write_whole(path, json.dumps(self._header, indent=2, sort_keys=True) + "\n")
+
+    def _read(self) -> None:
+        """Read back every whole line without an error; what a kill left of the last one is cut off."""
+        path = self.out / TRIALS
+        data = path.read_bytes()
+        whole = data.rfind(b"\n") + 1
+        self._file.truncate(whole)
+        for number, line in enumerate(data[:whole].split(b"\n")[:-1], start=1):
+            try:
+                record: TrialRecord = json.loads(line)
+                known = record["key"] in self._index and record["index"] == self._index[record["key"]]
+            except (ValueError, TypeError, KeyError):
+                raise InputError(
+                    f"{path}:{number}: not a trial's record; delete this line, and its trial is run again"
+                ) from None
+            if not known:
+                raise InputError(
+                    f"{path}:{number}: trial '{record['key']}' is none of this campaign; delete this line"
+                )
+            if record.get("error") is None:
+                self.records[record["key"]] = record
+
+    def _keep(self, records: Iterable[TrialRecord]) -> None:
+        """Remember records as they would be read back, so that a resumed campaign has the very same."""
+        for record in records:
+            self.records[record["key"]] = json.loads(_line(record))
+
+
+def _header(header: Header, items: Sequence[Item]) -> dict[str, Any]:
+    keys = "\n".join(item.key for item in items)
+    described = {
+        "schema_version": SCHEMA_VERSION,
+        "command": header.command,
+        "seed": header.seed,
+        "versions": versions(),
+        "config": plain(header.config),
+        "items": len(items),
+        "keys": hashlib.sha256(keys.encode()).hexdigest(),
+    }
+    loaded: dict[str, Any] = json.loads(json.dumps(described))
+    return loaded
+
+
+def _read_header(path: Path) -> dict[str, Any]:
+    try:
+        header = json.loads(path.read_text(encoding="utf-8"))
+        header["items"] + 0
+    except (ValueError, TypeError, KeyError):
+        raise InputError(f"{path}: not a campaign's description; choose another --out") from None
+    loaded: dict[str, Any] = header
+    return loaded
+
+
+def _check_same(path: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    for key, (old, new) in _differences(there, wanted):
+        raise InputError(
+            f"{path}: cannot go on with another campaign: its {key} is {old!r}, not {new!r}; use the options that "
+            "it was begun with, or choose another --out"
+        )
+
+
+def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """Yield the dotted names of what differs, with both values."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for name in sorted({*old, *new}):
+            yield from _differences(old.get(name), new.get(name), f"{key}.{name}" if key else name)
+    elif old != new:
+        yield key, (old, new)
+
+
+def _line(record: TrialRecord) -> str:
+    return json.dumps(record, sort_keys=True, allow_nan=False) + "\n"
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write a file that appears whole or not at all."""
+    partial = path.with_name(f".{path.name}.partial")
+    with partial.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def _disk(out: Path) -> Iterator[None]:
+    """Turn what the disk refuses into a message for people."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"cannot write into {out}: {error.strerror}; what was finished is kept: make room, then --resume"
+        ) from error

@@ -1,0 +1,40 @@
+"""Work that costs nothing and goes wrong in every way, for campaigns; imported by their workers."""
+
+import errno
+import os
+import signal
+import time
+from pathlib import Path
+
+from craftsim.validation.campaign import Done, Item
+
+
+def items(n, **jobs):
+    """Return n items; ``jobs`` gives some of them, by ``i`` and their number, something else to do."""
+    return [Item(f"item {i}", f"group {i % 2}", 7, (i, jobs.get(f"i{i}", "add"))) for i in range(n)]
+
+
+def work(job):
+    number, what = job
+    match what:
+        case "raise":
+            raise ValueError(f"no {number}\nin two lines")
+        case "exit":
+            raise SystemExit(3)
+        case "hang":
+            time.sleep(3600)
+        case "die":
+            os.kill(os.getpid(), signal.SIGKILL)
+        case "nan":
+            return Done(False, [{"error_m": float("nan")}])
+        case "disk":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "bundles/one")
+        case "slow":
+            time.sleep(0.02)
+        case ("die once", Path() as mark) if not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        case ("touch", Path() as mark):
+            mark.touch()
+            time.sleep(3600)
+    return Done(True, [{"sum": number / 3}], extra={"number": number})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from craftsim.commands.filming import rendering_works
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import TASK_NAMES, TaskName
-from craftsim.rendering.backend import RenderingUnavailable, choose_backend
 from craftsim.report import output_directory, write_report
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ def demo(
     if task == "all" and (blueprint or plan or goal):
         raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
     output_directory(out)
-    filming = video and _rendering_works(console)
+    filming = video and rendering_works(console)
 
     # MuJoCo must not be imported before the rendering backend is chosen.
     from craftsim.commands import demo_text
@@ -119,17 +118,6 @@ def _perform(console: Console, job: Job, seed: int, out: Path, films: list[str] 
     if film is not None and films is not None:
         films.append(f"{path} ({film.frames} frames)")
     return result
-
-
-def _rendering_works(console: Console) -> bool:
-    if "mujoco" in sys.modules:
-        return True
-    try:
-        choose_backend()
-    except RenderingUnavailable as error:
-        console.print(f"No film: {error}", style="yellow", soft_wrap=True, markup=False)
-        return False
-    return True
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from typing import Self
 
 import mujoco
 
-from craftsim.rendering.video import VideoWriter, caption
+from craftsim.rendering.video import Frame, VideoWriter, caption
 
 
 class Film:
@@ -27,26 +27,30 @@ class Film:
         self,
         path: Path,
         model: mujoco.MjModel,
-        camera: str,
+        camera: str | mujoco.MjvCamera,
         *,
         size: tuple[int, int] = (1280, 720),
         fps: int = 30,
         speed: float = 4.0,
         shadows: bool = False,
+        start_s: float = 0.0,
     ) -> None:
         """Prepare a film.
 
         Args:
             path: the MP4 file; its folder must exist.
             model: what is filmed; its off-screen buffer is enlarged to ``size`` where it is smaller.
-            camera: name of one of its cameras.
+            camera: name of one of its cameras, or a camera of your own.
             size: width and height in pixels, both even.
             fps: frames a second of film.
             speed: simulated seconds in a second of film.
             shadows: draw them, at three and a half times the cost of a frame with Mesa's software renderer.
+            start_s: simulated time of the first frame.
         """
         self.speed = speed
         self._camera = camera
+        self._start_s = start_s
+        self._last: Frame | None = None
         self._frame_time_s = speed / fps
         self._writer = VideoWriter(path, fps)
         width, height = size
@@ -71,12 +75,12 @@ class Film:
 
     def _missing(self, time_s: float) -> int:
         # The allowance is for sums of time steps that end a rounding error before a frame's moment.
-        return math.floor(time_s / self._frame_time_s + 1e-6) + 1 - self.frames
+        return math.floor((time_s - self._start_s) / self._frame_time_s + 1e-6) + 1 - self.frames
 
     def capture(self, data: mujoco.MjData, lines: Sequence[str]) -> None:
         """Append the scene as it stands, with ``lines``, the simulated time and the speed as its caption.
 
-        The first frame belongs to time 0 and needs ``mj_forward`` to have run. Nothing happens when no frame
+        The first frame belongs to the start and needs ``mj_forward`` to have run. Nothing happens when no frame
         is due.
         """
         repeat = self._missing(data.time)
@@ -84,7 +88,13 @@ class Film:
             return
         self._renderer.update_scene(data, self._camera)
         clock = f"t = {data.time:.1f} s   speed x{self.speed:g}"
-        self._writer.write(caption(self._renderer.render(), [*lines, clock]), repeat)
+        self._last = caption(self._renderer.render(), [*lines, clock])
+        self._writer.write(self._last, repeat)
+
+    def hold(self, frames: int) -> None:
+        """Leave the last picture on screen until the film has this many frames; it must have one picture."""
+        if self._last is not None and frames > self.frames:
+            self._writer.write(self._last, frames - self.frames)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -53,7 +53,12 @@ class Replay:
         return self.same_results and self.position_m <= POSITION_M and self.angle_rad <= ANGLE_RAD
 
 
-def replay(recorded: Recorded, watch: Watch = lambda site: nullcontext()) -> Replay:
+def unwatched(site: Site) -> AbstractContextManager[None]:
+    """Watch nothing."""
+    return nullcontext()
+
+
+def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
     """Do again what a bundle shows, and compare.
 
     Raises InputError for a bundle whose recipe makes no world, or whose arrays are of another one.

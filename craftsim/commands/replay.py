@@ -1,0 +1,121 @@
+"""``craftsim replay``: see again what went wrong, and check that it is the same."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+
+from craftsim.commands.filming import film_bundle, rendering_works
+from craftsim.discrete.errors import InputError
+from craftsim.report import output_directory, write_report
+
+if TYPE_CHECKING:
+    from craftsim.models.site import Site
+    from craftsim.skills.executor import Observer
+    from craftsim.validation.bundle import Recorded
+    from craftsim.validation.replay import Replay
+
+
+def replay(
+    bundle: Annotated[Path, tyro.conf.Positional],
+    view: bool = False,
+    video: bool = False,
+    out: Path = Path("out/replay"),
+) -> int:
+    """Do again what a replay bundle shows, and compare it with what was recorded.
+
+    With the versions of the bundle everything must be the same bit for bit; with others, poses must agree within 2 mm
+    and 10 mrad, and every action must come out as it did. Exit status 0 when it is reproduced, 1 when it differs, 2
+    for a bundle that cannot be read.
+
+    Args:
+        bundle: folder of the bundle.
+        view: watch it in MuJoCo's viewer, as fast as it happens; needs a display.
+        video: film it, in three seconds.
+        out: folder for report.json and the film.
+    """
+    console = Console()
+    if view and video:
+        raise InputError("--view and --video are two ways to watch; give one of them")
+    if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError("--view needs a display, and there is none here; try --video")
+    filming = video and rendering_works(console)
+
+    # MuJoCo must not be imported before the rendering backend is chosen.
+    from craftsim.validation import replay as again
+    from craftsim.validation.bundle import read_bundle
+
+    recorded = read_bundle(bundle)
+    output_directory(out)
+    film = out / f"{bundle.resolve().name}.mp4"
+    watch = _viewer if view else again.unwatched
+    result = film_bundle(recorded, film) if filming else again.replay(recorded, watch)
+    report = write_report(
+        out, {"bundle": bundle.name, **_figures(recorded, result)}, command="replay", config={"view": view}
+    )
+    _print(console, recorded, result)
+    console.print(f"Report: {report}", soft_wrap=True)
+    if filming:
+        console.print(f"Film:   {film}", soft_wrap=True)
+    return 0 if result.reproduced else 1
+
+
+def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
+    return {
+        "key": recorded.bundle.key,
+        "reproduced": result.reproduced,
+        "changed_versions": result.changed,
+        "differing": result.differing,
+        "position_m": result.position_m,
+        "angle_rad": result.angle_rad,
+        "attempts": result.attempts,
+    }
+
+
+def _print(console: Console, recorded: Recorded, result: Replay) -> None:
+    def say(text: str) -> None:
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+
+    bundle = recorded.bundle
+    say(bundle.key)
+    for attempt, predicted, read in zip(bundle.attempts, bundle.predicted, bundle.read, strict=True):
+        say(f"car {attempt.car} {attempt.action}: {attempt.result}. Predicted {predicted}, read {read}.")
+        if attempt.reason:
+            say(f"  {attempt.reason}")
+    for package, (was, now) in result.changed.items():
+        say(f"Recorded with {package} {was}, replayed with {now}: bits may differ.")
+    if not result.differing:
+        say("Reproduced: the same bit for bit.")
+        return
+    apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"
+    if result.reproduced:
+        say(f"Reproduced within the tolerance: {apart}.")
+        return
+    say(f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}.")
+    for attempt in result.attempts:
+        say(f"  now: car {attempt.car} {attempt.action}: {attempt.result}. {attempt.reason}")
+
+
+@contextmanager
+def _viewer(site: Site) -> Iterator[Observer]:
+    """Show a Site in MuJoCo's viewer at the speed at which things happen, until the window is closed."""
+    import time
+
+    import mujoco.viewer
+
+    with mujoco.viewer.launch_passive(site.model, site.data) as viewer:
+        ahead_s = time.monotonic() - site.time_s
+
+        def watch(site: Site) -> None:
+            viewer.sync()
+            time.sleep(max(0.0, ahead_s + site.time_s - time.monotonic()))
+
+        yield watch
+        while viewer.is_running():
+            time.sleep(0.05)

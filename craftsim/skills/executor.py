@@ -44,6 +44,7 @@ class Executor:
         self._motor_share = 1 - math.exp(-period / noise.motor_lag_s) if noise.motor_lag_s else 1.0
         self._wheels: NDArray[np.float64] = np.zeros((len(site.cars), 4))
         self._skills: dict[int, Skill] = {}
+        self._docked: dict[int, int] = {}
         self._views: list[CarMeasurement] = []
         self._look()
 
@@ -101,5 +102,12 @@ class Executor:
         self._wheels[car] += share * (command.wheels - self._wheels[car])
         self.site.drive(car, self._wheels[car])
         self.site.move_board(car, command.board)
+        # A slope that loses its car loses the command.
+        last = self._docked.get(car, slope)
+        if last is not None and last != slope:
+            self.site.turn_hinge(last, 0.0)
         if slope is not None:
+            self._docked[car] = slope
             self.site.turn_hinge(slope, command.hinge)
+        else:
+            self._docked.pop(car, None)

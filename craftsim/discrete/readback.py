@@ -110,7 +110,8 @@ def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.intege
 
 def rotation_matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (3, 3) rotation of a quaternion (w, x, y, z); its columns are the body's axes in the world."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    # Plain numbers: this runs for every car in every control period.
+    w, x, y, z = (quaternion / math.sqrt(quaternion.dot(quaternion))).tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -24,6 +24,7 @@ from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site, SiteState
 from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
+from craftsim.skills.gains import load_gains
 from craftsim.skills.joint import CarStep, JointSite, JointStep
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ class PhysicsBackend:
         """Prepare for episodes with this noise of the senses and this spread of the physics; none unless given."""
         self.rules, self.noise, self.spread, self.config = rules, noise or EXACT, spread, config
         self.goals = goals
+        self._gains = load_gains()
         self._planner = None if helper_depth is None else Planner(rules, helper_depth)
         self._start: Grid | None = None
         self._rested: SiteState | None = None
@@ -67,7 +69,8 @@ class PhysicsBackend:
             self._site.restore(self._rested)
         elif self.spread is not None:
             self._varied.draw(self.spread, rng)
-        executor = Executor(self._site, observer=self._observe, sensors=Sensors(self._site, self.noise, rng))
+        sensors = Sensors(self._site, self.noise, rng)
+        executor = Executor(self._site, self._gains, self._observe, sensors)
         self.world = JointSite(self._site, self.rules, executor)
         return self.world.grid
 

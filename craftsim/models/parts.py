@@ -105,8 +105,6 @@ class Car:
     board: Drive
     wheel_actuators: NDArray[np.intp]
     wheel_dofs: NDArray[np.intp]
-    motors: NDArray[np.intp]
-    """Actuators of the four wheels and the board."""
 
     @classmethod
     def find(cls, model: mujoco.MjModel, prefix: str) -> Car:
@@ -118,7 +116,6 @@ class Car:
             board,
             np.array([w.actuator for w in wheels], np.intp),
             np.array([w.dof for w in wheels], np.intp),
-            np.array([w.actuator for w in (*wheels, board)], np.intp),
         )
 
 
@@ -128,11 +125,8 @@ class Slope:
 
     base: FreeBody
     hinge: Drive
-    motors: NDArray[np.intp]
-    """The hinge's actuator."""
 
     @classmethod
     def find(cls, model: mujoco.MjModel, prefix: str) -> Slope:
         """Return the handles of the slope attached under this prefix."""
-        hinge = Drive.find(model, prefix + "hinge")
-        return cls(FreeBody.find(model, prefix + "slope"), hinge, np.array([hinge.actuator], np.intp))
+        return cls(FreeBody.find(model, prefix + "slope"), Drive.find(model, prefix + "hinge"))

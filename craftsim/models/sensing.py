@@ -20,6 +20,8 @@ from craftsim.models.parts import Drive
 from craftsim.models.site import Site
 
 _DOCKING_RANGE_M = 0.04
+_DOCKING_REACH_M = 2 * math.hypot(_DOCKING_RANGE_M, BLOCK.underside_m / 2)
+"""What is further away than this is not worth a closer look."""
 
 
 @dataclass(frozen=True)
@@ -59,29 +61,33 @@ def measure(site: Site, car: int) -> CarMeasurement:
     turn = rotation_matrix(quaternion)
     slope = _docked_slope(site, position, turn)
     data = site.data
+    x, y, z = position.tolist()
+    (forward_x, _, _), (forward_y, _, _), (forward_z, left_z, _) = turn.tolist()
     return CarMeasurement(
         time_s=site.time_s,
-        x=float(position[0]),
-        y=float(position[1]),
-        z=float(position[2]),
-        heading=math.atan2(turn[1, 0], turn[0, 0]),
-        pitch=math.asin(max(-1.0, min(1.0, turn[2, 0]))),
-        roll=math.asin(max(-1.0, min(1.0, turn[2, 1]))),
-        wheel_speeds=data.qvel[handle.wheel_dofs].copy(),
-        board_m=float(data.qpos[handle.board.qpos]),
+        x=x,
+        y=y,
+        z=z,
+        heading=math.atan2(forward_y, forward_x),
+        pitch=math.asin(max(-1.0, min(1.0, forward_z))),
+        roll=math.asin(max(-1.0, min(1.0, left_z))),
+        wheel_speeds=data.qvel[handle.wheel_dofs],
+        board_m=data.qpos.item(handle.board.qpos),
         board_force_n=_drive_force(site, handle.board),
         slope=slope,
-        hinge_rad=None if slope is None else float(data.qpos[site.slopes[slope].hinge.qpos]),
+        hinge_rad=None if slope is None else data.qpos.item(site.slopes[slope].hinge.qpos),
     )
 
 
 def _drive_force(site: Site, drive: Drive) -> float:
     """Return the force of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps."""
     model, data, motor = site.model, site.data, drive.actuator
-    gain, (offset, stiffness, damping) = model.actuator_gainprm[motor, 0], model.actuator_biasprm[motor, :3]
-    force = gain * data.act[drive.activation] + offset
-    force += stiffness * data.qpos[drive.qpos] + damping * data.qvel[drive.dof]
-    return float(np.clip(force, *model.actuator_forcerange[motor]))
+    gain = model.actuator_gainprm.item(motor, 0)
+    offset, stiffness, damping = model.actuator_biasprm[motor, :3].tolist()
+    force = gain * data.act.item(drive.activation) + offset
+    force += stiffness * data.qpos.item(drive.qpos) + damping * data.qvel.item(drive.dof)
+    low, high = model.actuator_forcerange[motor].tolist()
+    return float(min(max(force, low), high))
 
 
 class Sensors:
@@ -140,8 +146,10 @@ class Sensors:
 def _docked_slope(site: Site, position: NDArray[np.float64], turn: NDArray[np.float64]) -> int | None:
     """Return the slope right above a car: its plug reaches a car that is centred below it."""
     for index, slope in enumerate(site.slopes):
-        base, _ = site.free_body_state(slope.base)
-        relative = turn.T @ (base - position)
+        offset = site.data.qpos[slope.base.qpos : slope.base.qpos + 3] - position
+        if offset.dot(offset) > _DOCKING_REACH_M**2:
+            continue
+        relative = turn.T @ offset
         if np.hypot(relative[0], relative[1]) < _DOCKING_RANGE_M and abs(relative[2]) < BLOCK.underside_m / 2:
             return index
     return None

@@ -73,6 +73,9 @@ class Site:
         self.model: mujoco.MjModel = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._policies = self.model.tree_sleep_policy.copy()
+        self._tree_of_motor = self.model.dof_treeid[
+            self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]]
+        ].astype(np.intp)
         self.cars = tuple(Car.find(self.model, name) for name in names["smartcar"])
         self.slopes = tuple(Slope.find(self.model, name) for name in names["slope"])
         self.blocks = tuple(FreeBody.find(self.model, name + "block") for name in names["block"])
@@ -152,11 +155,7 @@ class Site:
 
     def _rouse(self) -> bool:
         """Keep commanded trees awake, let the others sleep; return whether a commanded one is asleep."""
-        asleep = False
-        machines = [(car.base.tree, car.motors) for car in self.cars]
-        machines += [(slope.base.tree, slope.motors) for slope in self.slopes]
-        for tree, motors in machines:
-            busy = bool(np.any(self.data.ctrl[motors]))
-            self.model.tree_sleep_policy[tree] = _STAY_AWAKE if busy else _MAY_SLEEP
-            asleep |= busy and bool(self.data.tree_asleep[tree] >= 0)
-        return asleep
+        self.model.tree_sleep_policy[self._tree_of_motor] = _MAY_SLEEP
+        busy = self._tree_of_motor[self.data.ctrl != 0]
+        self.model.tree_sleep_policy[busy] = _STAY_AWAKE
+        return bool((self.data.tree_asleep[busy] >= 0).any())

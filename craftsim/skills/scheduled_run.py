@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.readback import Reading, read_grid
 from craftsim.discrete.schedule import Schedule, Step
 from craftsim.discrete.verdict import Verdict, compare, describe_car
@@ -71,6 +72,7 @@ def run_schedule(
     running: dict[int, tuple[int, float]] = {}
     done: set[int] = set()
     records: list[StepRecord] = []
+    reading: Reading | None = None
     while True:
         ready = [i for i, step in waiting.items() if step.waits_for <= done and step.car not in running]
         for index in ready:
@@ -84,15 +86,19 @@ def run_schedule(
             tell({car: steps[index] for car, (index, _) in running.items()})
         if not running:
             break
-        for car, outcome in executor.advance().items():
+        ended = executor.advance()
+        reading = _read(executor) if ended else None
+        for car, outcome in ended.items():
             index, began_s = running.pop(car)
-            record = _check(executor, steps[index], index, began_s - start_s, outcome)
+            assert reading is not None
+            record = _check(reading.grid, steps[index], index, began_s - start_s, outcome)
             records.append(record)
             if outcome.succeeded:
                 done.add(index)
             tell({car: steps[index] for car, (index, _) in running.items()})
     makespan_s = executor.site.time_s - start_s
-    final = _read(executor)
+    # The loop ends with an action that has just been read, unless there was none.
+    final = reading or _read(executor)
     first = steps[0].before if steps else schedule.final
     verdict = compare(first, schedule.final, final)
     return ScheduledRun(tuple(records), tuple(sorted(waiting)), final, verdict, makespan_s)
@@ -103,9 +109,8 @@ def _read(executor: Executor) -> Reading:
     return read_grid(read_poses(site), site.size, site.walls)
 
 
-def _check(executor: Executor, step: Step, index: int, began_s: float, outcome: Outcome) -> StepRecord:
+def _check(read: Grid, step: Step, index: int, began_s: float, outcome: Outcome) -> StepRecord:
     """Compare what a step alone is responsible for: its car, and the cells that it changes."""
-    read = _read(executor).grid
     ended_s = began_s + outcome.duration_s
     differences = []
     if not np.array_equal(read.cars[step.car], step.after.cars[step.car]):

@@ -1,0 +1,166 @@
+"""How fast the environments run: steps a second on the grid, and what a step in physics takes beyond MuJoCo's own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.tasks import Task
+from craftsim.envs.core import Options
+from craftsim.envs.parallel import ParallelConstruction
+from craftsim.envs.physics_backend import PhysicsBackend
+from craftsim.envs.vector import GridVectorEnv
+from craftsim.models.site import Site
+
+_SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+_STAY_AWAKE: Final = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
+
+
+def _pick(rng: np.random.Generator, mask: NDArray[np.int8]) -> NDArray[np.int64]:
+    """Return for each car one of the offered actions, uniformly."""
+    picked: NDArray[np.int64] = (rng.random(mask.shape, dtype=np.float32) * mask).argmax(-1)
+    return picked
+
+
+def _act(rng: np.random.Generator, observations: dict[str, dict[str, NDArray[np.int8]]]) -> dict[str, int]:
+    masks = np.stack([seen["action_mask"] for seen in observations.values()])
+    return dict(zip(observations, _pick(rng, masks).tolist(), strict=True))
+
+
+def parallel_step(env: ParallelConstruction, seed: int) -> Callable[[], None]:
+    """Return a function that takes one step of masked random play, resets included."""
+    rng = np.random.default_rng(seed)
+    observations = env.reset(seed=seed)[0]
+
+    def step() -> None:
+        nonlocal observations
+        observations = env.step(_act(rng, observations))[0]
+        if not env.agents:
+            observations = env.reset()[0]
+
+    return step
+
+
+def vector_step(envs: GridVectorEnv, seed: int) -> Callable[[], None]:
+    """Return a function that takes one step of masked random play in all worlds."""
+    rng = np.random.default_rng(seed)
+    observations = envs.reset(seed=seed)[0]
+
+    def step() -> None:
+        nonlocal observations
+        observations = envs.step(_pick(rng, observations["action_mask"]))[0]
+
+    return step
+
+
+@dataclass(frozen=True)
+class PhysicsTiming:
+    """Wall time of the same physics, once in the environment and once bare."""
+
+    n_cars: int
+    n_steps: int
+    """Steps of the environment."""
+    n_periods: int
+    """Control periods that they took."""
+    env_s: float
+    bare_s: float
+    """Of MuJoCo's steps alone, under the commands that were recorded."""
+
+    @property
+    def ratio(self) -> float:
+        """How much longer the environment takes."""
+        return self.env_s / self.bare_s
+
+
+@dataclass
+class _Period:
+    """What stood when a control period ran."""
+
+    ctrl: NDArray[np.float64]
+    policies: NDArray[np.int32]
+    rouse: bool = False
+    """Whether its first step ran with sleep switched off, to wake what is commanded."""
+
+
+def time_physics(task: Task, seed: int = 0, repeats: int = 5) -> PhysicsTiming:
+    """Time an episode of masked random play in physics against MuJoCo's steps alone, the best of some repeats each.
+
+    The commands of every control period are recorded and replayed from the same state by ``mj_step`` and nothing else,
+    which ends in the same state, bit for bit. The reset is part of neither time.
+    """
+    env = ParallelConstruction(task, Options())
+    periods: list[_Period] = []
+    _, n_steps = _play(env, seed, periods)
+    end = _site(env).data.qpos.copy()
+    _find_rousing(env, seed, periods)
+    env_times, bare_times = [], []
+    for _ in range(repeats):
+        env_times.append(_play(env, seed)[0])
+        bare_times.append(_replay(env, seed, periods))
+        if not np.array_equal(_site(env).data.qpos, end):
+            raise RuntimeError("the replay of the commands does not end where the environment did")
+    return PhysicsTiming(env.core.n_cars, n_steps, len(periods), min(env_times), min(bare_times))
+
+
+def _site(env: ParallelConstruction) -> Site:
+    backend = env.core.backend
+    assert isinstance(backend, PhysicsBackend)
+    return backend.world.site
+
+
+def _play(env: ParallelConstruction, seed: int, record: list[_Period] | None = None) -> tuple[float, int]:
+    """Play an episode; return the wall time of its steps and their number, and record its periods if asked to."""
+    rng = np.random.default_rng(seed)
+    observations = env.reset(seed=seed)[0]
+    if record is not None:
+        backend = env.core.backend
+        assert isinstance(backend, PhysicsBackend)
+        backend.world.executor.observers.append(
+            lambda site: record.append(_Period(site.data.ctrl.copy(), site.model.tree_sleep_policy.copy()))
+        )
+    seconds, n_steps = 0.0, 0
+    while env.agents:
+        actions = _act(rng, observations)
+        begun = time.perf_counter()
+        observations = env.step(actions)[0]
+        seconds += time.perf_counter() - begun
+        n_steps += 1
+    return seconds, n_steps
+
+
+def _find_rousing(env: ParallelConstruction, seed: int, periods: list[_Period]) -> None:
+    """Note which periods wake something that sleeps."""
+    env.reset(seed=seed)
+    site = _site(env)
+    for period in periods:
+        period.rouse = bool(((period.policies == _STAY_AWAKE) & (site.data.tree_asleep >= 0)).any())
+        _step(site, period)
+
+
+def _step(site: Site, period: _Period) -> None:
+    model, data, n = site.model, site.data, site.config.steps_per_period
+    data.ctrl[:] = period.ctrl
+    model.tree_sleep_policy[:] = period.policies
+    if period.rouse:
+        model.opt.enableflags &= ~_SLEEP
+        mujoco.mj_step(model, data)
+        model.opt.enableflags |= _SLEEP
+        mujoco.mj_step(model, data, n - 1)
+    else:
+        mujoco.mj_step(model, data, n)
+
+
+def _replay(env: ParallelConstruction, seed: int, periods: list[_Period]) -> float:
+    """Return the wall time of the recorded periods without anything else."""
+    env.reset(seed=seed)
+    site = _site(env)
+    begun = time.perf_counter()
+    for period in periods:
+        _step(site, period)
+    return time.perf_counter() - begun

@@ -100,13 +100,13 @@ class CoreStep:
 class Core:
     """A task on a backend: resets, ticks, rewards, ends of episodes, seeds and the order in which cars act."""
 
-    def __init__(self, task: Task | TaskName, options: Options) -> None:
-        """Prepare; the first episode begins with :meth:`reset`."""
+    def __init__(self, task: Task | TaskName, options: Options, backend: Backend | None = None) -> None:
+        """Prepare; the first episode begins with :meth:`reset`. ``backend`` replaces the one of the options."""
         self.task = make_task(task) if isinstance(task, str) else task
         self.options = options
         self.layout = self.task.layout
         self.n_cars = self.layout.n_cars
-        self.backend = options.make_backend(self.task)
+        self.backend = backend or options.make_backend(self.task)
         self.rules = Rules(options.rule_set)
         self._success = self.task.success_measure
         self._worlds: Worlds | None = None

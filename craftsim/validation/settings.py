@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Final, Literal
 
 from craftsim.models.config import SimulationConfig
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
@@ -38,3 +39,19 @@ NOMINAL: Final = TrialSettings()
 
 WITH_NOISE: Final = TrialSettings(Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), NOISY, Spread())
 """Noisy senses and randomised physics. A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
+
+MILDLY: Final = TrialSettings(
+    Thresholds(0.0015, 0.0045, 0.0025, 0.001, 0.002),
+    SensorNoise(**{f.name: getattr(NOISY, f.name) / 2 for f in fields(SensorNoise)}),
+    Spread(**{f.name: getattr(Spread(), f.name) / 2 for f in fields(Spread)}),
+)
+"""Half of that noise and randomisation; limits are halved where that leaves them above those without noise."""
+
+Randomize = Literal["none", "mild", "strong"]
+
+SETTINGS: Final[Mapping[Randomize, TrialSettings]] = {
+    "none": NOMINAL,
+    "mild": MILDLY,
+    "strong": WITH_NOISE,
+}
+"""What the option ``--randomize`` stands for."""

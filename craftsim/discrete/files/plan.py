@@ -2,11 +2,14 @@
 
 One action a line, ``tick car ACTION``; ``#`` starts a comment. Ticks never go back; within a tick the cars
 act in the order of their lines. Cars that a tick does not name stay as they are.
+
+A list of actions, to be tried one after the other, has only ``car ACTION`` a line.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -40,42 +43,70 @@ def shipped_plan(name: str) -> Path:
 def read_plan(path: str | Path, n_cars: int) -> Plan:
     """Read and check a plan for a world with ``n_cars`` cars; raise PlanError with file and line."""
     path = Path(path)
+    ticks: list[list[tuple[int, Action]]] = []
+    for line, words in _lines(path):
+        if len(words) != 3:
+            _fail(path, line, f"{len(words)} words, but a line is: tick car ACTION")
+        tick = _tick(path, line, words[0])
+        if tick + 1 < len(ticks):
+            last = len(ticks) - 1
+            _fail(path, line, f"tick {tick} comes after tick {last}; allowed: {last} or later")
+        car, action = _act(path, line, words[1:], n_cars)
+        ticks.extend([] for _ in range(tick + 1 - len(ticks)))
+        if any(car == other for other, _ in ticks[tick]):
+            _fail(path, line, f"car {car} acts twice in tick {tick}; allowed: once")
+        ticks[tick].append((car, action))
+    if not ticks:
+        _fail(path, None, "no actions; a line is: tick car ACTION")
+    return Plan(path, tuple(tuple(tick) for tick in ticks))
 
-    def fail(line: int | None, message: str) -> NoReturn:
-        raise PlanError(f"{path}:{line}: {message}" if line is not None else f"{path}: {message}")
 
-    def number(text: str, line: int, what: str, limit: int) -> int:
-        if not _NUMBER.fullmatch(text):
-            fail(line, f"{what} '{text[:40]}' must be a whole number from 0 to {limit}")
-        if int(text) > limit:
-            fail(line, f"{what} {int(text)} is out of range, allowed: 0 to {limit}")
-        return int(text)
+def read_actions(path: str | Path, n_cars: int) -> Plan:
+    """Read and check a list of actions, ``car ACTION`` a line, as a plan of one action a tick.
 
+    Raises PlanError with file and line.
+    """
+    path = Path(path)
+    actions = []
+    for line, words in _lines(path):
+        if len(words) != 2:
+            _fail(path, line, f"{len(words)} words, but a line is: car ACTION")
+        actions.append((_act(path, line, words, n_cars),))
+    if not actions:
+        _fail(path, None, "no actions; a line is: car ACTION")
+    return Plan(path, tuple(actions))
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number and the words of each line that has some."""
     try:
         text = read_text(path)
     except BlueprintError as error:
         raise PlanError(str(error)) from None
-    ticks: list[list[tuple[int, Action]]] = []
     for line, content in enumerate(text.split("\n"), start=1):
         words = content.split("#", 1)[0].split()
-        if not words:
-            continue
-        if len(words) != 3:
-            fail(line, f"{len(words)} words, but a line is: tick car ACTION")
-        tick = number(words[0], line, "tick", MAX_TICK)
-        if tick + 1 < len(ticks):
-            fail(line, f"tick {tick} comes after tick {len(ticks) - 1}; allowed: {len(ticks) - 1} or later")
-        if not _NUMBER.fullmatch(words[1]) or int(words[1]) >= n_cars:
-            cars = f"there are cars 0 to {n_cars - 1}" if n_cars else "there are no cars"
-            fail(line, f"no car '{words[1][:40]}'; {cars}")
-        car = int(words[1])
-        if words[2] not in _NAMES:
-            hint = suggestion(words[2][:80], _NAMES)
-            fail(line, f"unknown action '{words[2][:40]}'{hint}; allowed: {', '.join(_NAMES)}")
-        ticks.extend([] for _ in range(tick + 1 - len(ticks)))
-        if any(car == other for other, _ in ticks[tick]):
-            fail(line, f"car {car} acts twice in tick {tick}; allowed: once")
-        ticks[tick].append((car, Action[words[2]]))
-    if not ticks:
-        fail(None, "no actions; a line is: tick car ACTION")
-    return Plan(path, tuple(tuple(tick) for tick in ticks))
+        if words:
+            yield line, words
+
+
+def _tick(path: Path, line: int, text: str) -> int:
+    if not _NUMBER.fullmatch(text):
+        _fail(path, line, f"tick '{text[:40]}' must be a whole number from 0 to {MAX_TICK}")
+    if int(text) > MAX_TICK:
+        _fail(path, line, f"tick {int(text)} is out of range, allowed: 0 to {MAX_TICK}")
+    return int(text)
+
+
+def _act(path: Path, line: int, words: list[str], n_cars: int) -> tuple[int, Action]:
+    car, name = words
+    if not _NUMBER.fullmatch(car) or int(car) >= n_cars:
+        cars = f"there are cars 0 to {n_cars - 1}" if n_cars else "there are no cars"
+        _fail(path, line, f"no car '{car[:40]}'; {cars}")
+    if name not in _NAMES:
+        hint = suggestion(name[:80], _NAMES)
+        _fail(path, line, f"unknown action '{name[:40]}'{hint}; allowed: {', '.join(_NAMES)}")
+    return int(car), Action[name]
+
+
+def _fail(path: Path, line: int | None, message: str) -> NoReturn:
+    raise PlanError(f"{path}:{line}: {message}" if line is not None else f"{path}: {message}")

@@ -1,0 +1,119 @@
+"""The contact log knows what touches what, how hard, and what leans and falls."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.parameters import BLOCK, SMARTCAR
+from craftsim.models.site import Site
+from craftsim.skills.executor import Executor
+from craftsim.skills.skill import GRAVITY
+from craftsim.validation.contact_log import ContactLog
+from craftsim.validation.safety import FALL_M_S, TIPPED_RAD, hazards
+
+SIZE = (4, 3, 3)
+
+
+def _site(**cells: Kind) -> Site:
+    """Return a car at (0, 1) that faces +x; cells such as ``b211=Kind.BLOCK`` hold things."""
+    grid = Grid.empty(SIZE, 1)
+    grid.cars[0, :4] = 0, 1, 1, 0
+    for name, kind in cells.items():
+        x, y, z = (int(digit) for digit in name[1:])
+        grid.kind[x, y, z] = kind
+    grid.derive_marks()
+    return Site(grid)
+
+
+def _pairs(log: ContactLog) -> dict[tuple[str, str], float]:
+    return {(c.first, c.second): c.peak_n for c in log.contacts}
+
+
+def test_what_stands_on_what_at_the_start_is_known_with_its_weight_though_all_of_it_sleeps():
+    site = _site(b211=Kind.BLOCK, b212=Kind.BLOCK)
+    assert site.data.ncon == 0, "MuJoCo leaves out contacts of sleeping things"
+    log = ContactLog(site)
+    block, car = BLOCK.mass_kg * GRAVITY, SMARTCAR.mass_kg * GRAVITY
+    assert _pairs(log) == {
+        ("ground", "car 0"): pytest.approx(car, rel=0.01),
+        ("ground", "block 0"): pytest.approx(2 * block, rel=0.01),
+        ("block 0", "block 1"): pytest.approx(block, rel=0.01),
+    }
+    assert all(contact.at_start for contact in log.contacts)
+    assert log.peak_n == pytest.approx(car, rel=0.01)
+
+
+def test_watching_leaves_the_simulation_as_it_is():
+    ends = []
+    for watched in (False, True):
+        site = _site(b111=Kind.BLOCK)
+        executor = Executor(site)
+        log = ContactLog(site) if watched else None
+        if log is not None:
+            executor.observers.append(log.sample)
+        executor.run({0: Action.MOVE_RIGHT})
+        if log is not None:
+            log.begin()
+        executor.run({0: Action.LIFT})
+        ends.append((site.data.qpos.copy(), site.data.qvel.copy(), site.model.tree_sleep_policy.copy()))
+    for alone, seen in zip(*ends, strict=True):
+        np.testing.assert_array_equal(alone, seen)
+
+
+def test_a_lift_touches_the_load_and_parts_it_from_the_ground():
+    site = _site(b111=Kind.BLOCK)
+    executor = Executor(site)
+    executor.run({0: Action.MOVE_RIGHT})
+    log = ContactLog(site)
+    executor.observers.append(log.sample)
+    began_s = site.time_s
+    executor.run({0: Action.LIFT})
+    (lift,) = [contact for contact in log.contacts if not contact.at_start]
+    assert (lift.first, lift.second) == ("car 0", "block 0")
+    assert lift.since_s > began_s
+    assert lift.peak_n == pytest.approx(BLOCK.mass_kg * GRAVITY, rel=0.3)
+    log.begin()
+    assert ("ground", "block 0") not in _pairs(log)
+    assert not hazards(log)
+
+
+def test_a_car_that_runs_into_a_wall_presses_on_it():
+    site = _site(w111=Kind.WALL)
+    log = ContactLog(site)
+    site.drive(0, [10.0, 0.0, 0.0, 10.0])  # askew: between its legs a wall can be driven under
+    for _ in range(40):
+        site.advance()
+        log.sample()
+    assert _pairs(log)["wall", "car 0"] > 20
+
+
+def test_a_fall_and_a_tip_are_hazards_with_the_name_of_what_fell():
+    site = _site(b211=Kind.BLOCK, b212=Kind.BLOCK)
+    log = ContactLog(site)
+    top = site.blocks[1]
+    for _ in range(100):
+        # A declared disturbance: somebody shoves the upper block off.
+        site.data.xfrc_applied[top.body, 0] = 5.0 if site.free_body_state(top)[0][0] < 3.2 * 0.3225 else 0.0
+        site.advance()
+        log.sample()
+    assert log.falls_m_s["block 1"] > FALL_M_S > log.falls_m_s["block 0"]
+    assert log.tilts_rad["block 1"] > TIPPED_RAD > log.tilts_rad["car 0"]
+    assert {hazard.machines for hazard in hazards(log)} >= {("block 1",)}
+    assert ("ground", "block 1") in _pairs(log)
+    log.begin()
+    assert log.falls_m_s["block 1"] == 0
+
+
+def test_the_file_has_a_line_for_each_contact(tmp_path):
+    log = ContactLog(_site(b211=Kind.BLOCK))
+    log.write(tmp_path / "contacts.csv")
+    with (tmp_path / "contacts.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["first"], row["second"], row["at_start"]) for row in rows] == [
+        ("ground", "car 0", "True"),
+        ("ground", "block 0", "True"),
+    ]
+    assert float(rows[1]["peak_n"]) == log.contacts[1].peak_n

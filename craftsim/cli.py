@@ -17,6 +17,7 @@ COMMANDS: Final[dict[str, str]] = {
     "replay": "Do again what a replay bundle shows, and compare it with what was recorded.",
     "tasks": "Build the paper's tasks again and again, all cars at work at once.",
     "episodes": "Run long random episodes with many cars, to see whether anything drifts.",
+    "train": "Let cars learn a task on the grid, with TorchRL.",
     "doctor": "Say what works on this machine, and the command that mends what does not.",
     "show": "Show a blueprint as coloured text, and as a picture with --out.",
     "conformance": "Compare the rules with recordings of CraftEnv.",

@@ -16,6 +16,7 @@ ALLOWED = {
     "skills": {"models", "discrete"},
     "validation": {"skills", "models", "discrete", "report"},
     "envs": {"skills", "models", "discrete", "rendering"},
+    "training": {"discrete", "envs", "report"},
     "rendering": {"skills", "models", "discrete"},
     "tuning": {"skills", "models", "discrete"},
     "testing": {"envs", "discrete"},

@@ -1,0 +1,150 @@
+"""``craftsim train``: cars learn a task on the grid."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.tasks import TaskName
+from craftsim.report import output_directory, write_report
+from craftsim.training.config import AlgoName, TrainConfig
+from craftsim.training.extra import need_torch
+
+if TYPE_CHECKING:
+    from craftsim.training.trainer import Trainer
+
+INTERRUPTED: Final = 130
+
+
+def train(
+    task: TaskName = "strip",
+    algo: AlgoName = "ippo",
+    seed: int = 0,
+    steps: int = 3_000_000,
+    until: float = 0.99,
+    novelty: float = 0.0,
+    starts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    episodes: int = 1000,
+    resume: bool = False,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+) -> int:
+    """Train a policy on the grid and say how often it succeeds there on fresh episodes.
+
+    It runs on one core. Ctrl-C ends it after the current iteration with everything saved; --resume goes on as if it
+    had never stopped. Exit status 0 when training ended by itself.
+
+    Args:
+        task: one of the paper's six.
+        algo: independent or multi-agent PPO, QMIX, VDN, or independent Q-learning.
+        seed: decides everything that is drawn.
+        steps: ticks to play at most, all worlds together.
+        until: end when this part of the episodes of an evaluation succeeds.
+        novelty: pay so much for a building never seen before, and less the more often it was seen.
+        starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
+        episodes: how many episodes to judge the trained policy by.
+        resume: go on with the run in the output folder, begun with the same options.
+        out: folder for policy.pt, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not given.
+    """
+    need_torch()
+    if steps < 1 or episodes < 1:
+        raise InputError("--steps and --episodes must be at least 1")
+    if not 0 <= until <= 1:
+        raise InputError(f"--until is {until}; allowed: 0 to 1")
+    config = TrainConfig(task, algo, seed, novelty=novelty)
+    folder = output_directory(out or Path("out/train") / f"{task}-{algo}")
+
+    import torch
+
+    # One thread adds numbers up in one order, so that a run can be repeated bit for bit.
+    torch.set_num_threads(1)
+    console = Console()
+    trainer = _trainer(config, starts, folder, resume)
+    begun = time.perf_counter()
+    try:
+        _run(trainer, console, steps, until, folder)
+    except KeyboardInterrupt:
+        trainer.save(folder)
+        console.print(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}", soft_wrap=True)
+        return INTERRUPTED
+    trainer.save(folder)
+    _report(trainer, console, folder, episodes, time.perf_counter() - begun)
+    return 0
+
+
+def _trainer(config: TrainConfig, starts: Path | None, folder: Path, resume: bool) -> Trainer:
+    from craftsim.discrete.tasks import make_task
+    from craftsim.training.checkpoint import RUN_FILE
+    from craftsim.training.starts import with_starts
+    from craftsim.training.trainer import Trainer
+
+    other = with_starts(make_task(config.task), starts) if starts else None
+    if resume:
+        trainer = Trainer.resume(folder, other)
+        if trainer.config != config:
+            raise InputError(f"{folder / RUN_FILE} was begun with {trainer.config}, not with {config}")
+        return trainer
+    if (folder / RUN_FILE).exists():
+        raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
+    return Trainer(config, other)
+
+
+def _run(trainer: Trainer, console: Console, steps: int, until: float, folder: Path) -> None:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn(
+            "success {task.fields[success]}, return {task.fields[pay]}, {task.fields[rate]:,.0f} steps/s"
+        ),
+        TimeElapsedColumn(),
+        TextColumn("at most"),
+        TimeRemainingColumn(),
+    )
+    what = f"{trainer.config.task} {trainer.config.algo}"
+    begun, before = time.perf_counter(), trainer.steps
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        row = bar.add_task(what, total=steps, completed=before, success="-", pay="-", rate=0.0)
+        for looked in trainer.run(steps, until):
+            rate = (trainer.steps - before) / (time.perf_counter() - begun)
+            bar.update(row, completed=trainer.steps, rate=rate)
+            if looked:
+                point = trainer.curve[-1]
+                bar.update(row, success=f"{point.success:.2f}", pay=f"{point.mean_return:.2f}")
+                trainer.save(folder)
+
+
+def _report(trainer: Trainer, console: Console, folder: Path, episodes: int, seconds: float) -> None:
+    from craftsim.training.curve import plot_curve, write_curve
+    from craftsim.training.trainer import training_versions
+    from craftsim.validation.statistics.proportions import Proportion, wilson
+
+    config, curve = trainer.config, trainer.curve
+    played = trainer.evaluate(episodes)
+    success = Proportion.of(played.successes, played.episodes)
+    write_curve(folder / "curve.csv", curve)
+    intervals = [wilson(point.successes, point.episodes) for point in curve]
+    plot_curve(folder / "curve.png", f"{config.task}, {config.algo}, seed {config.seed}", curve, intervals)
+    figures: dict[str, Any] = {
+        "steps": trainer.steps,
+        "success": success,
+        "mean_return": played.mean_return,
+        "mean_ticks": played.mean_ticks,
+        "learning_curve": curve,
+        "training_versions": training_versions(),
+    }
+    wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
+    report = write_report(
+        folder, figures, command="train", seed=config.seed, config=config.as_dict(), wall=wall
+    )
+    console.print(
+        f"{config.task}, {config.algo}: success {success.rate:.3f} ({success.wilson_low:.3f} to "
+        f"{success.wilson_high:.3f}) in {played.episodes} fresh episodes of {played.mean_ticks:.1f} ticks, after "
+        f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s.",
+        soft_wrap=True,
+    )
+    console.print(f"Policy: {folder / 'policy.pt'}\nReport: {report}", soft_wrap=True)

@@ -1,0 +1,1 @@
+"""Training cars on the grid world with TorchRL; needs ``pip install 'craftsim[train]'``."""

@@ -1,0 +1,54 @@
+"""What a training run is told; it is kept in its checkpoints."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Final, Literal, get_args
+
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.tasks import TaskName
+
+AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql"]
+ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything that decides what a run learns, its length aside. Raises InputError for a bad value."""
+
+    task: TaskName
+    algo: AlgoName = "ippo"
+    seed: int = 0
+    worlds: int = 500
+    """How many grid worlds are played side by side."""
+    width: int = 128
+    """Length of the vectors inside the networks."""
+    novelty: float = 0.0
+    """What a building never seen before pays in training; one seen k times pays that much divided by the root of k."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed}; allowed: 0 or more")
+        if self.worlds < 1:
+            raise InputError(f"worlds is {self.worlds}; allowed: 1 or more")
+        if self.width < 1:
+            raise InputError(f"width is {self.width}; allowed: 1 or more")
+        if self.novelty < 0:
+            raise InputError(f"novelty is {self.novelty}; allowed: 0 or more")
+
+    @property
+    def samples(self) -> bool:
+        """Whether the policy draws its actions: PPO learns chances, the others learn values and take the best."""
+        return self.algo in ("ippo", "mappo")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> TrainConfig:
+        """Return what :meth:`as_dict` was made of; raises InputError if a key is missing or unknown."""
+        names = {field.name for field in fields(cls)}
+        if set(values) != names:
+            raise InputError(f"a configuration has the keys {sorted(names)}, not {sorted(values)}")
+        return cls(**values)

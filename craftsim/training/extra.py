@@ -1,0 +1,20 @@
+"""The libraries that only training needs."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Final
+
+from craftsim.discrete.errors import InputError
+
+PACKAGES: Final = ("torch", "tensordict", "torchrl")
+
+
+def need_torch() -> None:
+    """Raise InputError with the command that installs what is missing."""
+    missing = [name for name in PACKAGES if find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"training needs {', '.join(missing)}, not installed here; try: pip install 'craftsim[train]' "
+            "(a CPU build of torch is enough: pip install torch --index-url https://download.pytorch.org/whl/cpu)"
+        )

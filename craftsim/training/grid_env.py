@@ -1,0 +1,86 @@
+"""A batch of grid worlds as a TorchRL environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.rules.legality import N_ACTIONS
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.episodes import Episodes
+
+
+def offered(episodes: Episodes) -> NDArray[np.bool_]:
+    """Return (B, n, 15): the legal actions, and STOP for a car that has none."""
+    mask = episodes.legal()
+    mask[..., Action.STOP] |= ~mask.any(-1)
+    return mask
+
+
+class GridEnv(EnvBase):
+    """B worlds of one task, stepped in one array call; batch size (B,).
+
+    Keys, with n cars: ``("agents", "observation")`` (B, n, vector_length), ``("agents", "action_mask")`` (B, n, 15)
+    where a car without a legal action is offered STOP, ``("agents", "action")`` (B, n), and, one for the team,
+    ``reward`` (B, 1), ``terminated`` (success), ``truncated`` (out of time) and ``done``.
+    """
+
+    batch_locked = True
+
+    def __init__(self, task: Task, n_worlds: int) -> None:
+        super().__init__(device="cpu", batch_size=[n_worlds])
+        self.episodes = Episodes(task, np.random.default_rng(), n_worlds)
+        layout = task.layout
+        one, cars = (n_worlds, 1), (n_worlds, layout.n_cars)
+        self.observation_spec = Composite(
+            agents=Composite(
+                observation=Unbounded((*cars, layout.vector_length), dtype=torch.int16),
+                action_mask=Binary(N_ACTIONS, (*cars, N_ACTIONS), dtype=torch.bool),
+                shape=cars,
+            ),
+            shape=(n_worlds,),
+        )
+        self.action_spec = Composite(
+            agents=Composite(action=Categorical(N_ACTIONS, cars), shape=cars), shape=(n_worlds,)
+        )
+        self.reward_spec = Unbounded(one)
+        flags = {key: Binary(1, one, dtype=torch.bool) for key in ("done", "terminated", "truncated")}
+        self.done_spec = Composite(**flags, shape=(n_worlds,))
+
+    def _seen(self) -> TensorDict:
+        mask = offered(self.episodes)
+        cars = TensorDict(
+            {
+                "observation": torch.from_numpy(self.episodes.vectors().astype(np.int16)),
+                "action_mask": torch.from_numpy(mask),
+            },
+            mask.shape[:2],
+        )
+        return TensorDict({"agents": cars}, self.batch_size)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
+        which = None if tensordict is None else tensordict.get("_reset", None)
+        self.episodes.reset(None if which is None else which.squeeze(-1).numpy().nonzero()[0])
+        return self._seen()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        steps = self.episodes.step(tensordict["agents", "action"].numpy())
+        seen = self._seen()
+        # Copies: an array of the episodes must not change in what was collected.
+        columns = {
+            "reward": steps.reward.astype(np.float32),
+            "done": steps.done.copy(),
+            "terminated": steps.success & steps.done,
+            "truncated": steps.done & ~steps.success,
+        }
+        return seen.update({key: torch.from_numpy(value)[:, None] for key, value in columns.items()})
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.episodes.rng = np.random.default_rng(seed)

@@ -1,0 +1,49 @@
+"""What a training algorithm is: how it acts, and what it learns from what came of it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import nn
+
+from craftsim.training.config import TrainConfig
+from craftsim.training.features import Shape
+from craftsim.training.networks import CarNet
+
+
+class Learner(ABC):
+    """One of the algorithms, with its networks and its optimiser."""
+
+    net: CarNet
+    """What decides: from observation and mask to one number an action, higher for better."""
+    plays: TensorDictModuleBase
+    """Chooses the actions that are learnt from."""
+    modules: nn.Module
+    """All that is learnt."""
+    ticks: int
+    """How many ticks of each world are played between two updates."""
+
+    @abstractmethod
+    def update(self, rollout: TensorDictBase) -> None:
+        """Learn from what was played, batch size (B, ticks)."""
+
+    @abstractmethod
+    def state(self) -> dict[str, Any]:
+        """Return all that a run needs to go on: tensors and plain values only."""
+
+    @abstractmethod
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what :meth:`state` returned."""
+
+
+def make_learner(config: TrainConfig, shape: Shape, ticks: int) -> Learner:
+    """Return the algorithm that a configuration names, for episodes of at most ``ticks`` ticks."""
+    from craftsim.training.off_policy import QLearner
+    from craftsim.training.on_policy import PPOLearner
+
+    if config.samples:
+        return PPOLearner(shape, ticks, sees_team=config.algo == "mappo")
+    return QLearner(shape, ticks, config.algo)

@@ -1,0 +1,67 @@
+"""The networks: one for all cars, and what looks at the whole team."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from torch import Tensor, nn
+from torchrl.modules import MLP
+from torchrl.modules.models.multiagent import QMixer
+
+from craftsim.training.features import Encoder, Shape
+
+OBSERVATION: Final = ("agents", "observation")
+MASK: Final = ("agents", "action_mask")
+ACTION: Final = ("agents", "action")
+_MIXING_WIDTH: Final = 32
+
+
+class CarNet(nn.Module):
+    """Gives every car ``n_out`` numbers from what it observes; all cars share it and differ by their number."""
+
+    def __init__(self, shape: Shape, n_out: int) -> None:
+        super().__init__()
+        self.encoder = Encoder(shape)
+        self.head = _head(shape.width, n_out)
+
+    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
+        """Return (..., n, n_out) from observations (..., n, vector_length) and masks (..., n, 15)."""
+        out: Tensor = self.head(self.encoder(observation, mask))
+        return out
+
+
+class TeamNet(nn.Module):
+    """Gives the team one number from what all its cars observe, the same for each car."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.encoder = Encoder(shape)
+        self.head = _head(shape.width, 1)
+
+    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
+        """Return (..., n, 1)."""
+        value: Tensor = self.head(self.encoder(observation, mask).mean(-2, keepdim=True))
+        return value.expand(*observation.shape[:-1], 1)
+
+
+class StateQMixer(nn.Module):
+    """QMIX's mixer, with what all cars observe as the state."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.encoder = Encoder(shape)
+        self.mixer = QMixer((shape.width,), _MIXING_WIDTH, shape.n_cars, "cpu")
+
+    def forward(self, chosen: Tensor, observation: Tensor, mask: Tensor) -> Tensor:
+        """Return the team's value (..., 1) from the values (..., n, 1) of the cars' chosen actions."""
+        state = self.encoder(observation, mask).mean(-2)
+        value: Tensor = self.mixer(chosen, state.relu())
+        return value
+
+
+def _head(width: int, n_out: int) -> nn.Module:
+    layers = MLP(width, n_out, num_cells=[width], activation_class=nn.ReLU)
+    # Small first outputs: the first policy is close to uniform, the first values close to zero.
+    nn.init.orthogonal_(layers[-1].weight, 0.01)
+    nn.init.zeros_(layers[-1].bias)
+    return nn.Sequential(nn.ReLU(), layers)

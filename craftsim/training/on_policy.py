@@ -1,0 +1,86 @@
+"""Independent and multi-agent PPO: TorchRL's clipped loss and advantages on whole episodes of many worlds."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import InteractionType, TensorDictModule
+from torch import nn
+from torchrl.modules import MaskedCategorical, ProbabilisticActor
+from torchrl.objectives import ClipPPOLoss, ValueEstimators
+
+from craftsim.discrete.rules.legality import N_ACTIONS
+from craftsim.training.features import Shape
+from craftsim.training.learner import Learner
+from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, TeamNet
+
+GAMMA: Final = 0.99
+LAMBDA: Final = 0.95
+CLIP: Final = 0.2
+ENTROPY: Final = 0.01
+CRITIC: Final = 0.5
+LEARNING_RATE: Final = 1e-3
+EPOCHS: Final = 4
+MINIBATCHES: Final = 4
+MAX_GRADIENT: Final = 1.0
+LEAST_SPREAD: Final = 0.1
+"""Advantages that differ by less than this are not blown up to a spread of 1: they are noise of the critic."""
+
+VALUE: Final = ("agents", "state_value")
+LOGITS: Final = ("agents", "logits")
+
+
+class PPOLearner(Learner):
+    """IPPO, whose critic sees what one car observes, or MAPPO, whose critic sees what all cars observe."""
+
+    def __init__(self, shape: Shape, ticks: int, sees_team: bool) -> None:
+        self.ticks = ticks
+        self.net = CarNet(shape, N_ACTIONS)
+        self.plays = ProbabilisticActor(
+            TensorDictModule(self.net, in_keys=[OBSERVATION, MASK], out_keys=[LOGITS]),
+            in_keys={"logits": LOGITS, "mask": MASK},
+            out_keys=[ACTION],
+            distribution_class=MaskedCategorical,
+            default_interaction_type=InteractionType.RANDOM,
+            return_log_prob=True,
+        )
+        critic = TensorDictModule(
+            TeamNet(shape) if sees_team else CarNet(shape, 1), in_keys=[OBSERVATION, MASK], out_keys=[VALUE]
+        )
+        self.modules = self.loss = ClipPPOLoss(
+            self.plays, critic, clip_epsilon=CLIP, entropy_coeff=ENTROPY, critic_coeff=CRITIC
+        )
+        of_cars = {key: ("agents", key) for key in ("reward", "done", "terminated")}
+        self.loss.set_keys(action=ACTION, value=VALUE, **of_cars)
+        self.loss.make_value_estimator(ValueEstimators.GAE, gamma=GAMMA, lmbda=LAMBDA, deactivate_vmap=True)
+        self.optimizer = torch.optim.Adam(self.loss.parameters(), LEARNING_RATE)
+
+    def update(self, rollout: TensorDictBase) -> None:
+        """Learn from each tick EPOCHS times."""
+        n_cars = rollout[ACTION].shape[-1]
+        for key in ("reward", "done", "terminated"):
+            of_team = rollout["next", key].unsqueeze(-2)
+            rollout["next", "agents", key] = of_team.expand(*rollout.shape, n_cars, 1).contiguous()
+        with torch.no_grad():
+            self.loss.value_estimator(rollout)
+        advantage = rollout["advantage"]
+        rollout["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp(min=LEAST_SPREAD)
+        played = rollout.reshape(-1)
+        for _ in range(EPOCHS):
+            for some in torch.randperm(len(played)).chunk(MINIBATCHES):
+                losses = self.loss(played[some])
+                self.optimizer.zero_grad()
+                (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
+                nn.utils.clip_grad_norm_(self.loss.parameters(), MAX_GRADIENT)
+                self.optimizer.step()
+
+    def state(self) -> dict[str, Any]:
+        """Return weights and the optimiser's averages."""
+        return {"modules": self.loss.state_dict(), "optimizer": self.optimizer.state_dict()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take them over."""
+        self.loss.load_state_dict(state["modules"])
+        self.optimizer.load_state_dict(state["optimizer"])

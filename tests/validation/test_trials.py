@@ -7,7 +7,7 @@ import pytest
 
 from craftsim import cli
 from craftsim.validation.contexts import Verb, survey
-from craftsim.validation.trial_figures import GROUPS, campaign_figures, grouped, reasons, summarise, wilson
+from craftsim.validation.trial_figures import GROUPS, campaign_figures, grouped, reasons, summarise
 from craftsim.validation.trials import (
     NOMINAL,
     WITH_NOISE,
@@ -70,14 +70,6 @@ def test_errors_beyond_a_threshold_are_failures_with_a_reason():
     assert not record.succeeded
     assert record.reasons == ("car error", "heading error", "placed error", "others moved")
     assert json.loads(record.line())["succeeded"] is False
-
-
-def test_wilson_interval_of_known_cases():
-    # Wilson's score interval of 0 and of all of n has the closed forms 0 .. z^2/(n+z^2) and n/(n+z^2) .. 1.
-    z2 = 1.959963984540054**2
-    assert wilson(0, 20) == pytest.approx((0.0, z2 / (20 + z2)), abs=1e-9)
-    assert wilson(20, 20) == pytest.approx((20 / (20 + z2), 1.0), abs=1e-9)
-    assert wilson(0, 0) == (0.0, 1.0)
 
 
 def test_figures_group_trials():

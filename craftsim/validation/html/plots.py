@@ -1,0 +1,190 @@
+"""The drawings of a report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from craftsim.validation.html.page import Plot
+from craftsim.validation.html.svg import ACCENT, BAD, CAUTION, GOOD, GRID, MUTED, PAPER, SOFT, canvas
+from craftsim.validation.statistics.audit_rows import SOUND_SHARE, AuditRow, Judgement
+from craftsim.validation.statistics.durations import Duration
+from craftsim.validation.statistics.matrix import MatrixRow
+from craftsim.validation.statistics.ranking import PolicyScore
+from craftsim.validation.statistics.records import AttemptRecord, as_predicted, grouped
+from craftsim.validation.statistics.survival import PlanSurvival, Survival
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_WIDTH_IN: Final = 6.6
+_ROW_IN: Final = 0.27
+_HEAD_IN: Final = 0.75
+_LONGEST_NAME: Final = 36
+_MARKERS: Final = "os^DvPX*"
+_QUANTILES: Final = np.linspace(0, 1, 201)
+
+JUDGEMENT_COLOURS: Final = {
+    Judgement.SOUND: GOOD,
+    Judgement.UNSOUND: BAD,
+    Judgement.CONSERVATIVE: CAUTION,
+    Judgement.RIGHTLY_FORBIDDEN: MUTED,
+}
+
+
+def success_plot(by_verb: Mapping[str, MatrixRow]) -> Plot:
+    """Draw the success of each verb with its interval."""
+    rows = [(verb, row.success) for verb, row in by_verb.items() if row.trials]
+    with canvas(_WIDTH_IN, _HEAD_IN + _ROW_IN * len(rows), "success by action, with intervals") as drawing:
+        axes = drawing.axes
+        for y, (_, p) in enumerate(rows):
+            axes.plot((p.wilson_low, p.wilson_high), (y, y), color=ACCENT, lw=4, alpha=0.35)
+            axes.plot(p.successes / p.trials, y, "o", color=ACCENT, ms=6)
+        _names(axes, [verb for verb, _ in rows])
+        low = min((p.wilson_low for _, p in rows), default=0.0)
+        axes.set_xlim(math.floor(10 * low) / 10 - 0.02, 1.02)
+        axes.xaxis.set_major_formatter(_percent)
+    return Plot(
+        drawing.svg, "Share of legal actions that did what the rules predicted, and its 95 % interval."
+    )
+
+
+def judgement_plot(rows: Sequence[AuditRow]) -> Plot:
+    """Draw how many contexts of each action have which verdict."""
+    actions = grouped(rows, lambda row: row.action)
+    with canvas(_WIDTH_IN, _HEAD_IN + 0.25 + _ROW_IN * len(actions), "verdicts by action") as drawing:
+        axes = drawing.axes
+        left = np.zeros(len(actions))
+        for judgement, colour in JUDGEMENT_COLOURS.items():
+            counts = np.array([sum(r.verdict == judgement for r in group) for group in actions.values()])
+            axes.barh(
+                range(len(actions)), counts, left=left, height=0.62, color=colour, label=judgement.value
+            )
+            left += counts
+        _names(axes, list(actions))
+        axes.set_xlabel("contexts")
+        axes.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, handlelength=1)
+    return Plot(
+        drawing.svg,
+        f"Verdicts on the contexts of each action; works means at least {SOUND_SHARE:.0%} as predicted.",
+    )
+
+
+def survival_plot(survival: PlanSurvival) -> Plot:
+    """Draw the Kaplan-Meier curves with and without re-synchronising."""
+    with canvas(_WIDTH_IN, 2.9, "plan survival") as drawing:
+        axes = drawing.axes
+        _curve(axes, survival.with_resync, GOOD, "re-synchronised")
+        _curve(axes, survival.without_resync, ACCENT, "not re-synchronised")
+        axes.set_ylim(-0.02, 1.04)
+        axes.set_xlim(left=0)
+        axes.yaxis.set_major_formatter(_percent)
+        axes.set_xlabel("actions carried out")
+        axes.legend(loc="lower left")
+    return Plot(
+        drawing.svg,
+        "Share of runs still good after so many actions (Kaplan-Meier, 95 % band). Without re-synchronising a run ends "
+        "with its first disagreement; with it, with the first action that is no longer possible, or unsafe.",
+    )
+
+
+def _curve(axes: Axes, curve: Survival, colour: str, label: str) -> None:
+    steps = [0, *curve.actions]
+    axes.step(steps, [1.0, *curve.share], where="post", color=colour, lw=1.8, label=label)
+    low, high = (np.array([1.0, *bound], dtype=float) for bound in (curve.low, curve.high))
+    axes.fill_between(steps, low, high, step="post", color=colour, alpha=0.16, lw=0)
+
+
+def errors_plot(attempts: Iterable[AttemptRecord]) -> Plot:
+    """Draw how the errors of the attempts that did as predicted are distributed."""
+    good = [attempt for attempt in attempts if as_predicted(attempt)]
+    kinds = (
+        ("car_error_m", "car", ACCENT),
+        ("placed_error_m", "what is placed", GOOD),
+        ("height_error_m", "height", CAUTION),
+        ("others_moved_m", "others moved", SOFT),
+    )
+    with canvas(_WIDTH_IN, 2.9, "distribution of errors") as drawing:
+        axes = drawing.axes
+        for field, label, colour in kinds:
+            values = [1e3 * abs(a[field]) for a in good if a[field] is not None]
+            if values:
+                axes.plot(np.quantile(values, _QUANTILES), _QUANTILES, color=colour, lw=1.8, label=label)
+        axes.set_xscale("symlog", linthresh=0.1, linscale=0.4)
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.set_xlim(left=0)
+        axes.yaxis.set_major_formatter(_percent)
+        axes.set_xlabel("at most so many millimetres off")
+        if axes.lines:
+            axes.legend(loc="lower right")
+    return Plot(
+        drawing.svg, "Share of attempts that did as predicted with errors of at most so many millimetres."
+    )
+
+
+def durations_plot(table: Sequence[Duration]) -> Plot:
+    """Draw the durations of each kind of action."""
+    with canvas(_WIDTH_IN, _HEAD_IN + 0.23 * len(table), "durations by kind of action") as drawing:
+        axes = drawing.axes
+        for y, row in enumerate(table):
+            axes.plot((row.p05_s, row.p95_s), (y, y), color=ACCENT, lw=4, alpha=0.35)
+            axes.plot(row.median_s, y, "o", color=ACCENT, ms=5)
+        _names(axes, [duration_name(row) for row in table])
+        axes.set_xlim(left=0)
+        axes.set_xlabel("seconds")
+    return Plot(
+        drawing.svg,
+        "Durations of the actions that did as predicted: median, and from the 5th to the 95th percentile.",
+    )
+
+
+def duration_name(row: Duration) -> str:
+    """Return a kind of action in words."""
+    load = "" if row.load == "none" else f" with {row.load}"
+    return f"{row.verb}{load}, {'slope' if row.slope else 'flat'}, level {row.level}"
+
+
+def policies_plot(scores: Sequence[PolicyScore]) -> Plot:
+    """Draw each policy's success in the grid world and in physics."""
+    with canvas(_WIDTH_IN, 3.4, "success of policies in the grid world and in physics") as drawing:
+        axes = drawing.axes
+        axes.plot((0, 1), (0, 1), color=GRID, lw=1.2, zorder=1)
+        for score, marker in zip(scores, cycle(_MARKERS)):
+            axes.plot(
+                score.grid,
+                score.physics,
+                marker,
+                color=ACCENT,
+                ms=8,
+                mec=PAPER,
+                clip_on=False,
+                zorder=3,
+                label=_short(score.policy),
+            )
+        axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), handletextpad=0.1)
+        axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
+        axes.set(xlabel="success in the grid world", ylabel="success in physics")
+        axes.xaxis.set_major_formatter(_percent)
+        axes.yaxis.set_major_formatter(_percent)
+    return Plot(drawing.svg, "Each policy's success in both worlds; on the line they agree.")
+
+
+def _names(axes: Axes, names: Sequence[str]) -> None:
+    """Name the rows of a drawing, the first at the top."""
+    axes.set_yticks(range(len(names)), [_short(name) for name in names])
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.grid(visible=False, axis="y")
+    axes.spines["left"].set_visible(False)
+
+
+def _short(name: str) -> str:
+    """Return a name that leaves room for the drawing."""
+    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 3]}..."
+
+
+def _percent(value: float, _: float) -> str:
+    return f"{100 * value:.0f} %"

@@ -1,0 +1,58 @@
+"""Setting a page as one HTML file that opens without a server and without a network."""
+
+from __future__ import annotations
+
+import shlex
+from functools import cache
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from craftsim.report import output_directory
+from craftsim.validation.html.films import Films
+from craftsim.validation.html.page import Page
+
+FILE_NAME = "report.html"
+
+
+def write_html(out: Path, page: Page) -> Path:
+    """Write a page as ``report.html`` into the directory ``out`` and return its path.
+
+    The file appears whole or not at all. It loads nothing: styles, drawings and films are within it; films that
+    exceed the page's budget are linked by paths relative to it. Equal pages with equal films give equal files. All
+    text is escaped, and a content security policy keeps the page from running or fetching anything.
+
+    Args:
+        out: directory, made when missing; bundles of the page's cases are looked for in it.
+        page: what to set.
+
+    Raises:
+        InputError: the directory cannot be written to.
+    """
+    path = output_directory(out) / FILE_NAME
+    text = _environment().get_template("report.html.j2").render(page=page, films=Films(out))
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+    return path
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("craftsim.validation.html", "template"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["breakable"] = _breakable
+    environment.filters["shell"] = shlex.quote
+    environment.filters["percent"] = lambda share: f"{100 * share:.2f}%"
+    return environment
+
+
+def _breakable(text: str) -> Markup:
+    """Return escaped text that may be broken after slashes."""
+    return escape(text).replace("/", "/" + Markup("<wbr>"))

@@ -1,0 +1,123 @@
+"""How long actions take, by verb, load, level and slope, as a table that a grid planner can use."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from craftsim.discrete.errors import InputError
+from craftsim.report import output_directory
+from craftsim.validation.statistics.records import AttemptRecord, as_predicted
+
+FILE_NAME: Final = "durations.csv"
+
+
+class DurationKey(NamedTuple):
+    """A kind of action that has a duration of its own."""
+
+    verb: str
+    """LIFT, DROP, FOLD, UNFOLD, ROTATE_LEFT, ROTATE_RIGHT, MOVE or STOP."""
+    load: str
+    """What the car carries before: none, block, flag or fslope."""
+    level: int
+    """The car's level before."""
+    slope: bool
+    """Whether the action starts or ends on a slope."""
+
+
+@dataclass(frozen=True)
+class Duration:
+    """Durations of one kind of action in seconds, over the attempts that did as predicted."""
+
+    verb: str
+    load: str
+    level: int
+    slope: bool
+    n: int
+    mean_s: float
+    p05_s: float
+    median_s: float
+    p95_s: float
+    max_s: float
+
+    @property
+    def key(self) -> DurationKey:
+        """The kind of action."""
+        return DurationKey(self.verb, self.load, self.level, self.slope)
+
+
+_COLUMNS: Final = tuple(field.name for field in fields(Duration))
+
+
+def duration_table(attempts: Iterable[AttemptRecord]) -> list[Duration]:
+    """Return the durations of each kind of action that did as predicted, sorted by kind."""
+    return [
+        Duration(
+            *key, len(values), float(np.mean(values)), *np.quantile(values, (0.05, 0.5, 0.95, 1.0)).tolist()
+        )
+        for key, values in sorted(_by_kind(attempts).items())
+    ]
+
+
+def deviations(attempts: Iterable[AttemptRecord]) -> Iterator[float]:
+    """Yield how far each attempt's duration is from the median of its kind, in seconds."""
+    for values in _by_kind(attempts).values():
+        yield from np.abs(np.subtract(values, np.median(values))).tolist()
+
+
+def _by_kind(attempts: Iterable[AttemptRecord]) -> dict[DurationKey, list[float]]:
+    kinds: dict[DurationKey, list[float]] = {}
+    for attempt in attempts:
+        if as_predicted(attempt):
+            key = DurationKey(attempt["verb"], attempt["load"], attempt["level"], attempt["slope"])
+            kinds.setdefault(key, []).append(attempt["duration_s"])
+    return kinds
+
+
+def write_durations(out: Path, table: Sequence[Duration]) -> Path:
+    """Write a table as ``durations.csv`` into the directory ``out``, made when missing, and return its path."""
+    path = output_directory(out) / FILE_NAME
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        writer.writerows(astuple(row) for row in table)
+    return path
+
+
+def read_durations(path: Path) -> dict[DurationKey, Duration]:
+    """Return the table in a file that :func:`write_durations` wrote, by kind of action.
+
+    Raises:
+        InputError: the file cannot be read, has other columns, or a value is not of its column's kind.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file, restval="")
+            if tuple(reader.fieldnames or ()) != _COLUMNS:
+                raise InputError(f"{path}: line 1: the columns must be {', '.join(_COLUMNS)}")
+            rows = [_duration(path, reader.line_num, row) for row in reader]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read the table of durations {path}: {error}") from error
+    return {row.key: row for row in rows}
+
+
+def _duration(path: Path, line: int, row: dict[str, str]) -> Duration:
+    try:
+        return Duration(
+            row["verb"],
+            row["load"],
+            int(row["level"]),
+            {"True": True, "False": False}[row["slope"]],
+            int(row["n"]),
+            *(float(row[name]) for name in _COLUMNS if name.endswith("_s")),
+        )
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"{path}: line {line}: not a row of durations ({error}); level and n are whole numbers, "
+            "slope is True or False, the others are seconds"
+        ) from error

@@ -1,0 +1,50 @@
+"""What the rules say against what physics does: the matrix of legality and result."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from craftsim.validation.attempt import Result
+from craftsim.validation.statistics.proportions import Proportion
+from craftsim.validation.statistics.records import RESULTS, AttemptRecord
+
+
+@dataclass(frozen=True)
+class MatrixRow:
+    """How many attempts of one kind had each result."""
+
+    trials: int
+    as_predicted: int
+    failed: int
+    side_effect: int
+    unsafe: int
+    success: Proportion
+    """Share that did as predicted."""
+
+    @classmethod
+    def of(cls, attempts: Iterable[AttemptRecord]) -> MatrixRow:
+        """Count the results of some attempts."""
+        found: Counter[Any] = Counter(Result(attempt["result"]) for attempt in attempts)
+        good, failed, side_effect, unsafe = (found[result] for result in RESULTS)
+        trials = found.total()
+        return cls(trials, good, failed, side_effect, unsafe, Proportion.of(good, trials))
+
+
+@dataclass(frozen=True)
+class LegalityMatrix:
+    """Results of what the rules allow, and of what they forbid and was tried on purpose."""
+
+    legal: MatrixRow
+    forbidden: MatrixRow
+
+
+def legality_matrix(attempts: Iterable[AttemptRecord]) -> LegalityMatrix:
+    """Return the matrix of legality and result of some attempts."""
+    known = list(attempts)
+    return LegalityMatrix(
+        MatrixRow.of(attempt for attempt in known if attempt["legal"]),
+        MatrixRow.of(attempt for attempt in known if not attempt["legal"]),
+    )

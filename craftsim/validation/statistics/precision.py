@@ -1,0 +1,67 @@
+"""How far physics is from the prediction where it agrees with it, and how hard things touched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from craftsim.validation.statistics.durations import deviations
+from craftsim.validation.statistics.records import AttemptRecord, as_predicted
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """How a figure is distributed: number of values, median, 95th percentile and maximum."""
+
+    n: int
+    median: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, values: Iterable[float]) -> Distribution | None:
+        """Return the distribution of some values, None of none."""
+        known = np.fromiter(values, float)
+        if not known.size:
+            return None
+        return cls(known.size, *(float(q) for q in np.quantile(known, (0.5, 0.95, 1.0))))
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Errors of the attempts that did as predicted, and the peak contact forces of all."""
+
+    car_error_mm: Distribution | None
+    """Distance of the car from where it was predicted, in the plane."""
+    heading_error_mrad: Distribution | None
+    height_error_mm: Distribution | None
+    placed_error_mm: Distribution | None
+    """Of what was set down, folded or unfolded."""
+    others_moved_mm: Distribution | None
+    """The furthest that anything moved which the action does not concern."""
+    duration_error_s: Distribution | None
+    """Distance of an attempt's duration from the median of its kind (verb, load, level and slope): what a planner
+    errs by that takes durations from the table."""
+    peak_force_n: Distribution | None
+    """Of all attempts, also those that did not do as predicted."""
+
+
+def precision(attempts: Iterable[AttemptRecord]) -> Precision:
+    """Return the errors of some attempts."""
+    known = list(attempts)
+    good = [attempt for attempt in known if as_predicted(attempt)]
+
+    def magnitude(field: str) -> Distribution | None:
+        return Distribution.of(1e3 * abs(a[field]) for a in good if a[field] is not None)
+
+    return Precision(
+        car_error_mm=magnitude("car_error_m"),
+        heading_error_mrad=magnitude("heading_error_rad"),
+        height_error_mm=magnitude("height_error_m"),
+        placed_error_mm=magnitude("placed_error_m"),
+        others_moved_mm=magnitude("others_moved_m"),
+        duration_error_s=Distribution.of(deviations(good)),
+        peak_force_n=Distribution.of(a["peak_force_n"] for a in known if a["peak_force_n"] is not None),
+    )

@@ -1,0 +1,56 @@
+"""Reading the records of a campaign; all figures are made of nothing else."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Final, TypeAlias, TypeVar
+
+from craftsim.validation.attempt import Result
+from craftsim.validation.campaign.items import TrialRecord
+
+Record: TypeAlias = TrialRecord
+"""One trial, a line of ``trials.jsonl``."""
+AttemptRecord: TypeAlias = Mapping[str, Any]
+"""One attempt of a trial, an :class:`~craftsim.validation.attempt.Attempt` as a mapping."""
+
+RESULTS: Final = (Result.AS_PREDICTED, Result.FAILED, Result.SIDE_EFFECT, Result.UNSAFE)
+"""Results from the best to the worst, the order of columns and of :func:`worst`."""
+
+
+_T = TypeVar("_T")
+
+
+def carried_out(records: Iterable[Record]) -> Iterator[Record]:
+    """Yield the records of trials that were carried out: those without an error."""
+    return (record for record in records if record["error"] is None)
+
+
+def attempts_of(records: Iterable[Record]) -> Iterator[AttemptRecord]:
+    """Yield the attempts of all trials, in their order."""
+    return (attempt for record in records for attempt in record["attempts"])
+
+
+def as_predicted(attempt: AttemptRecord) -> bool:
+    """Return whether an attempt did what was predicted, and nothing else."""
+    return bool(attempt["result"] == Result.AS_PREDICTED)
+
+
+def worst(record: Record) -> Result | None:
+    """Return the worst result among a trial's attempts, None when there is none."""
+    results = [Result(attempt["result"]) for attempt in record["attempts"]]
+    return max(results, key=RESULTS.index, default=None)
+
+
+def error_counts(records: Iterable[Record]) -> dict[str, int]:
+    """Return how many trials did not come to an end, by what kept them from it, commonest first."""
+    found = Counter(str(record["error"]) for record in records if record["error"] is not None)
+    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+
+
+def grouped(items: Iterable[_T], key: Callable[[_T], str]) -> dict[str, list[_T]]:
+    """Return items by their group, groups in the order of their names."""
+    groups: dict[str, list[_T]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return dict(sorted(groups.items()))

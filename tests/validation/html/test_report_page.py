@@ -1,0 +1,197 @@
+"""The page opens by itself, escapes what it is given, shows films, and is the same for the same data."""
+
+import base64
+import re
+from html.parser import HTMLParser
+
+import pytest
+from synthetic import attempt, audit, episodes, record
+
+from craftsim.validation.attempt import Result
+from craftsim.validation.html import films as films_module
+from craftsim.validation.html.audit import audit_page
+from craftsim.validation.html.page import Column, Table
+from craftsim.validation.html.provenance import Provenance
+from craftsim.validation.html.validate import validate_page
+from craftsim.validation.html.writing import write_html
+from craftsim.validation.statistics.audit_rows import audit_rows
+from craftsim.validation.statistics.figures import campaign_figures
+
+HOSTILE = '</td><script>alert("x")</script><img src=http://a.b/c onerror=go()>{{ 7 * 7 }}$a_b$'
+PROVENANCE = Provenance(
+    "craftsim validate",
+    7,
+    {"trials": 60, "noise": {"pose_m": 0.001}},
+    {"car_m": 0.001},
+    {"craftsim": "0.1.0"},
+)
+
+
+class Reader(HTMLParser):
+    """Collects tags, addresses and text of a page, and whether its tags are balanced."""
+
+    VOID = frozenset({"meta", "link", "img", "br", "wbr", "hr", "input", "source"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.addresses, self.words, self.open = [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.addresses += [
+            value for name, value in attrs if name in ("src", "href", "xlink:href", "poster", "action")
+        ]
+        assert not any(name.startswith("on") for name, _ in attrs)
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in self.VOID:
+            self.handle_endtag(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return "".join(self.words)
+
+
+def validate_html(out, records):
+    figures = campaign_figures(records, seed=0)
+    return write_html(out, validate_page(records, figures, PROVENANCE, "strip.yaml")).read_text(
+        encoding="utf-8"
+    )
+
+
+def audit_html(out, records, **changes):
+    figures = campaign_figures(records, seed=0)
+    page = audit_page(audit_rows(records), records, figures, PROVENANCE, "published", **changes)
+    return write_html(out, page).read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    out = tmp_path_factory.mktemp("pages")
+    return {"validate": validate_html(out, episodes(n=30)), "audit": audit_html(out, audit(contexts=40))}
+
+
+@pytest.mark.parametrize("name", ["validate", "audit"])
+def test_the_page_is_well_formed_and_asks_for_nothing_from_elsewhere(pages, name):
+    reader = Reader(pages[name])
+    assert reader.open == []
+    assert not {"script", "link", "iframe", "img", "object"} & set(reader.tags)
+    assert all(address.startswith(("#", "data:")) for address in reader.addresses)
+    assert not re.search(r"url\((?!#)|@import", pages[name])
+    assert "default-src 'none'" in pages[name]
+
+
+@pytest.mark.parametrize("name", ["validate", "audit"])
+def test_addresses_within_the_page_lead_somewhere(pages, name):
+    ids = set(re.findall(r'\bid="([^"]+)"', pages[name]))
+    assert {a[1:] for a in Reader(pages[name]).addresses if a.startswith("#")} <= ids
+
+
+def test_the_verdict_comes_first_then_the_matrix_then_the_disagreements(pages):
+    text = Reader(pages["audit"]).text
+    order = ("The published rules allow", "Legality and result", "Unsound: ", "Sound: ", "Thresholds")
+    places = [text.rindex(words) for words in order]
+    assert places == sorted(places)
+
+
+def test_the_page_tells_what_decides_it(pages):
+    text = Reader(pages["validate"]).text
+    for word in ("car_m", "noise.pose_m", "craftsim validate", "0.1.0", "mean maximum rank violation"):
+        assert word in text
+
+
+def test_equal_data_give_equal_files(tmp_path):
+    assert validate_html(tmp_path / "a", episodes(n=8)) == validate_html(tmp_path / "b", episodes(n=8))
+
+
+def test_text_from_files_and_policies_is_escaped(tmp_path):
+    bad = attempt(Result.FAILED, reason=HOSTILE, differences=[HOSTILE])
+    extra = {"grid_success": True, "physics_success": False}
+    records = [
+        record(HOSTILE, bad, group=HOSTILE + str(i), bundle="b'; rm -rf ~; '", extra=extra) for i in range(3)
+    ]
+    records.append(record("late", error=HOSTILE, agrees=False))
+    figures = campaign_figures(records, seed=0)
+    provenance = Provenance(HOSTILE, 0, {HOSTILE: HOSTILE}, {HOSTILE: 1}, {HOSTILE: HOSTILE})
+    page = write_html(tmp_path, validate_page(records, figures, provenance, HOSTILE)).read_text(
+        encoding="utf-8"
+    )
+    reader = Reader(page)
+    assert not {"script", "img"} & set(reader.tags)
+    assert reader.text.count(HOSTILE) > 10
+    assert """craftsim replay 'b'"'"'; rm -rf ~; '"'"''""" in reader.text
+
+    suspects = Table((Column(HOSTILE, tip=HOSTILE),), ((HOSTILE,),), caption=HOSTILE, folded=True)
+    reader = Reader(audit_html(tmp_path, records, suspects=suspects))
+    assert not {"script", "img"} & set(reader.tags)
+
+
+def _with_films(out, sizes):
+    records = []
+    for name, size in sizes.items():
+        (out / name).mkdir(parents=True)
+        (out / name / "film.mp4").write_bytes(name[-1].encode() * size)
+        records.append(record(name, attempt(Result.FAILED), bundle=name))
+    return records
+
+
+def test_films_are_within_the_page_while_there_is_room_and_then_beside_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(films_module.Films.__init__, "__defaults__", (5000,))
+    records = _with_films(tmp_path, {"bundles/a": 3000, "bundles/big #1 b": 3000, "bundles/c": 300})
+    addresses = Reader(validate_html(tmp_path, records)).addresses
+    films = [a for a in addresses if not a.startswith("#")]
+    assert films == [
+        "data:video/mp4;base64," + base64.b64encode(b"a" * 3000).decode(),
+        "bundles/big%20%231%20b/film.mp4",
+        "data:video/mp4;base64," + base64.b64encode(b"c" * 300).decode(),
+    ]
+
+
+def test_a_film_outside_of_the_page_s_folder_is_not_taken_in(tmp_path):
+    _with_films(tmp_path, {"elsewhere": 10})
+    records = [record("a", attempt(Result.FAILED), bundle="../elsewhere")]
+    assert "data:video" not in validate_html(tmp_path / "out", records)
+
+
+@pytest.mark.parametrize(
+    ("records", "badge"),
+    [
+        ([], "Nothing to judge"),
+        ([record("a", attempt())], "Agrees"),
+        ([record("a", attempt(Result.FAILED))], "Disagrees"),
+        ([record("a", error="killed", agrees=False)], "Nothing to judge"),
+    ],
+)
+def test_the_badge_of_a_validation(tmp_path, records, badge):
+    assert f'<span class="verdict">{badge}</span>' in validate_html(tmp_path, records)
+
+
+@pytest.mark.parametrize(
+    ("records", "badge"),
+    [
+        ([record("a", attempt(), group="LIFT/x")], "Sound"),
+        ([record("a", attempt(Result.FAILED), group="LIFT/x")], "Unsound"),
+        ([record("a", attempt(legal=False), group="LIFT/x")], "Not decided"),
+        ([record("a", group="LIFT/x", error="killed")], "Not decided"),
+    ],
+)
+def test_the_badge_of_an_audit(tmp_path, records, badge):
+    assert f'<span class="verdict">{badge}</span>' in audit_html(tmp_path, records)
+
+
+def test_all_disagreements_are_on_the_page(tmp_path):
+    records = [record(f"run-{i}-end", attempt(Result.FAILED), bundle=f"bundles/{i}") for i in range(40)]
+    text = Reader(validate_html(tmp_path, records)).text
+    assert all(f"run-{i}-end" in text for i in range(40))
+    assert "16 more disagreements" in text

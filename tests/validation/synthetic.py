@@ -1,0 +1,140 @@
+"""Records made up from a seed, shaped like those of a campaign, for tests of what is made of them."""
+
+import numpy as np
+
+from craftsim.validation.attempt import Result
+
+VERBS = ("LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP")
+SECONDS = dict(zip(VERBS, (0.7, 0.7, 11.0, 11.0, 0.9, 0.9, 0.95, 0.04), strict=True))
+REASONS = {
+    Result.FAILED: "blocked: 41 mm behind the path",
+    Result.SIDE_EFFECT: "block 3 was moved by 12.4 mm (allowed 1.0)",
+    Result.UNSAFE: "car 0 tipped by 0.6 rad; slope 0 touched car 1 (212 N)",
+}
+
+
+def attempt(result=Result.AS_PREDICTED, *, legal=True, verb="MOVE", **changes):
+    """Return an attempt with figures that are easy to recognise."""
+    return {
+        "tick": 0,
+        "car": 0,
+        "action": "MOVE_FORWARD" if verb == "MOVE" else verb,
+        "verb": verb,
+        "level": 1,
+        "load": "none",
+        "slope": False,
+        "legal": legal,
+        "result": str(result),
+        "finding": "agrees" if result == Result.AS_PREDICTED else "wrong place",
+        "skill": "succeeded",
+        "reason": REASONS.get(result, ""),
+        "differences": [] if result == Result.AS_PREDICTED else ["car 0: predicted 1,1,1 +x, read 0,1,1 +x"],
+        "car_error_m": 0.0002,
+        "heading_error_rad": 0.001,
+        "height_error_m": 0.0001,
+        "placed_error_m": None,
+        "others_moved_m": 0.0,
+        "duration_s": 1.0,
+        "peak_force_n": 20.0,
+        **changes,
+    }
+
+
+def record(key, *attempts, group="plan", agrees=None, **changes):
+    """Return the record of a trial."""
+    good = all(a["result"] == Result.AS_PREDICTED for a in attempts)
+    return {
+        "key": key,
+        "index": 0,
+        "group": group,
+        "seed": 0,
+        "context": None,
+        "episode": None,
+        "attempts": list(attempts),
+        "agrees": good if agrees is None else agrees,
+        "error": None,
+        "bundle": None,
+        "extra": {},
+        **changes,
+    }
+
+
+def drawn_attempt(rng, verb, works, *, legal=True):
+    """Return an attempt that does as predicted with a probability of ``works``."""
+    bad = (Result.FAILED, Result.SIDE_EFFECT, Result.UNSAFE)
+    result = Result.AS_PREDICTED if rng.random() < works else bad[rng.choice(3, p=(0.7, 0.2, 0.1))]
+    return attempt(
+        result,
+        legal=legal,
+        verb=verb,
+        level=int(rng.integers(1, 4)),
+        load=str(rng.choice(("none", "block"))),
+        slope=bool(verb == "MOVE" and rng.random() < 0.3),
+        car_error_m=float(rng.gamma(2.0, 8e-5)),
+        heading_error_rad=float(rng.gamma(2.0, 3e-4)),
+        height_error_m=float(rng.gamma(2.0, 5e-5)),
+        placed_error_m=float(rng.gamma(2.0, 2e-4)) if verb in ("DROP", "FOLD", "UNFOLD") else None,
+        others_moved_m=float(rng.gamma(1.0, 3e-5)),
+        duration_s=float(SECONDS[verb] * rng.normal(1.0, 0.04)),
+        peak_force_n=float(rng.gamma(4.0, 12.0)),
+    )
+
+
+def episodes(seed=0, n=60, policies=("random", "planner", "ippo", "qmix")):
+    """Return records of episodes of several policies, some of which disagree or end in an error."""
+    rng = np.random.default_rng(seed)
+    records = []
+    for index in range(n):
+        which = index % len(policies)
+        works = 0.98 - 0.012 * which
+        attempts = [
+            drawn_attempt(rng, str(rng.choice(VERBS)), works) for _ in range(int(rng.integers(12, 40)))
+        ]
+        for tick, a in enumerate(attempts):
+            a["tick"] = tick
+        key = f"{policies[which]}/{index}"
+        grid = rng.random() < 0.9 - 0.2 * which
+        extra = {"grid_success": bool(grid), "physics_success": bool(grid and rng.random() < 0.8)}
+        entry = record(
+            key, *attempts, group=policies[which], index=index, seed=index, episode=index, extra=extra
+        )
+        if not entry["agrees"]:
+            entry["bundle"] = f"bundles/{policies[which]}-{index}"
+        if index % 29 == 28:
+            entry |= {
+                "attempts": [],
+                "agrees": False,
+                "error": "TimeoutError: longer than 60 s",
+                "bundle": None,
+            }
+        records.append(entry)
+    return records
+
+
+def audit(seed=0, contexts=60, trials=20):
+    """Return records of an audit, with rows of every verdict."""
+    rng = np.random.default_rng(seed)
+    records = []
+    for row in range(contexts):
+        verb = VERBS[row % len(VERBS)]
+        legal = row % 3 != 2
+        works = (0.1 if row % 11 == 0 else 1.0) if legal else (1.0 if row % 17 == 2 else 0.05)
+        name = "MOVE-forward" if verb == "MOVE" else verb
+        group = (
+            f"{name}/level={row % 3 + 1}/ground=flat/own=air/load=none/next=fslope-left/room=free/row={row}"
+        )
+        if not legal and row % 5 == 0:
+            records.append(record(f"{group}#0", group=group, context=group, agrees=False))
+            continue
+        for index in range(trials):
+            entry = record(
+                f"{group}#{index}",
+                drawn_attempt(rng, verb, works, legal=legal),
+                group=group,
+                context=group,
+                index=len(records),
+            )
+            if legal is not entry["agrees"] and index < 2:
+                entry["bundle"] = f"bundles/row-{row}-{index}"
+            records.append(entry)
+    return records

@@ -1,0 +1,287 @@
+"""A replay bundle gives the same again, bit for bit, says what is damaged, and holds nothing that could run."""
+
+import io
+import json
+import zipfile
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import av
+import mujoco
+import numpy as np
+import pytest
+
+from craftsim import cli
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.variation import Varied
+from craftsim.validation import replay as replaying
+from craftsim.validation.bundle import (
+    AFTER,
+    BEFORE,
+    PHYSICS,
+    TEXT,
+    ReplayError,
+    read_bundle,
+    write_bundle,
+)
+from craftsim.validation.contexts import Verb, survey
+from craftsim.validation.recipe import Recipe, Seed, Step, perform, prepare
+from craftsim.validation.replay import replay
+from craftsim.validation.settings import NOMINAL, WITH_NOISE
+from craftsim.validation.trials import Trial, recipe_of, run_trial
+
+
+def _world() -> Grid:
+    """Return a car below a folded slope, a second one that stands where the foot goes, and a block behind."""
+    grid = Grid.empty((6, 3, 2), 2)
+    grid.cars[:, :4] = [[3, 1, 1, 0], [2, 1, 1, 1]]
+    grid.kind[3, 1, 1], grid.kind[2, 1, 1], grid.kind[4, 1, 1] = Kind.FSLOPE, Kind.GEAR, Kind.BLOCK
+    grid.yaw[3, 1, 1] = grid.yaw[2, 1, 1] = 2
+    grid.derive_marks()
+    return grid
+
+
+def _recipe(settings=NOMINAL) -> Recipe:
+    """Return what goes wrong: a turn of the second car, a tick of both, and then the slope unfolds onto a car."""
+    steps = (
+        Step.single(0, 1, Action.ROTATE_LEFT),
+        Step.joint(1, [(0, Action.STOP), (1, Action.ROTATE_RIGHT)]),
+        Step.single(2, 0, Action.UNFOLD),
+    )
+    recipe = Recipe.of(_world(), steps, settings)
+    return replace(recipe, rules="published", physics=Seed((5, 1), (1,)), senses=Seed((5, 1), (2,)))
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory) -> Path:
+    """A bundle of something that failed, under nominal physics."""
+    folder = tmp_path_factory.mktemp("calm") / "unfold"
+    write_bundle(folder, "unfold onto a car", _recipe())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory) -> Path:
+    """The same under noise and randomised physics."""
+    folder = tmp_path_factory.mktemp("noisy") / "unfold"
+    write_bundle(folder, "unfold onto a car", _recipe(WITH_NOISE))
+    return folder
+
+
+@pytest.fixture(params=["calm", "noisy"])
+def folder(request) -> Path:
+    """Either of them."""
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture
+def copy(calm, tmp_path) -> Path:
+    """A bundle to be spoilt."""
+    for path in calm.glob("*.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+def _run(folder: Path, out: Path, *words: str) -> int:
+    return cli.main(["replay", str(folder), "--out", str(out), *words])
+
+
+def test_a_bundle_is_reproduced_bit_for_bit(folder, tmp_path, capsys):
+    assert _run(folder, tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "Reproduced: the same bit for bit." in said
+    assert "car 0 UNFOLD: failed." in said
+    assert "touched" in said
+    figures = json.loads((tmp_path / "report.json").read_text())["figures"]
+    assert figures["reproduced"]
+    assert figures["differing"] == []
+
+
+def test_the_state_before_is_that_of_the_moment(folder):
+    recorded = read_bundle(folder)
+    assert 0.3 < recorded.bundle.start_s < recorded.bundle.end_s
+    assert recorded.before["time"] == recorded.bundle.start_s
+    assert recorded.after["time"] == recorded.bundle.end_s
+    assert not np.array_equal(recorded.before["qpos"], recorded.after["qpos"])
+
+
+def test_what_is_read_back_is_what_was_written(tmp_path):
+    written = write_bundle(tmp_path / "b", "a key / with ünusual <signs>", _recipe())
+    assert read_bundle(tmp_path / "b").bundle == written
+
+
+def test_two_bundles_of_one_recipe_are_equal(folder, tmp_path):
+    bundle = read_bundle(folder).bundle
+    write_bundle(tmp_path, bundle.key, bundle.recipe, bundle.attempts)
+    for path in folder.rglob("*.*"):
+        assert (tmp_path / path.relative_to(folder)).read_bytes() == path.read_bytes(), path
+
+
+def test_what_comes_out_otherwise_gets_no_bundle(calm, tmp_path):
+    bundle = read_bundle(calm).bundle
+    other = (replace(bundle.attempts[0], duration_s=0.0),)
+    with pytest.raises(ReplayError, match="unfold onto a car"):
+        write_bundle(tmp_path / "b", bundle.key, bundle.recipe, other)
+    assert not (tmp_path / "b").exists()
+
+
+def test_the_recipe_of_a_trial_is_the_trial():
+    context = next(c for c in survey().contexts if c.verb is Verb.LIFT)
+    for settings in (NOMINAL, WITH_NOISE):
+        record = run_trial(Trial(3, context), 7, settings)
+        (attempt,) = perform(recipe_of(Trial(3, context), 7, settings)).attempts
+        assert attempt.car_error_m == record.car_error_m
+        assert attempt.heading_error_rad == record.heading_error_rad
+        assert attempt.duration_s == record.duration_s
+
+
+def test_a_site_used_again_gives_the_numbers_of_a_fresh_one():
+    noisy, calm = _recipe(WITH_NOISE), _recipe()
+    varied = Varied(prepare(calm).site)
+    again = [perform(recipe, varied) for recipe in (noisy, calm, noisy)]
+    fresh = [perform(recipe) for recipe in (noisy, calm, noisy)]
+    assert [p.attempts for p in again] == [p.attempts for p in fresh]
+
+
+def test_another_version_is_said_and_compared_with_a_tolerance(calm, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(replaying, "versions", lambda: {"craftsim": "9.9", "mujoco": "4.2.0", "numpy": "3.0"})
+    assert _run(calm, tmp_path) == 0
+    said = capsys.readouterr().out
+    assert f"Recorded with mujoco {mujoco.__version__}, replayed with 4.2.0" in said
+    figures = json.loads((tmp_path / "report.json").read_text())["figures"]
+    assert figures["changed_versions"]["mujoco"] == [mujoco.__version__, "4.2.0"]
+
+
+def _shift(path: Path, name: str, by: float) -> None:
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    arrays[name] = arrays[name] + by
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [(BEFORE, "qvel"), (AFTER, "qpos"), (AFTER, "qacc_warmstart"), (PHYSICS, "body_mass")]
+)
+def test_the_smallest_difference_is_found(copy, tmp_path, capsys, file, name):
+    _shift(copy / file, name, 1e-12)
+    assert _run(copy, tmp_path / "out") == 1
+    assert f"Not the same: {file}: {name}." in capsys.readouterr().out
+
+
+def test_with_another_version_a_small_difference_passes_and_a_large_one_does_not(copy, monkeypatch):
+    monkeypatch.setattr(replaying, "versions", lambda: {"craftsim": "9.9", "mujoco": "x", "numpy": "x"})
+    _shift(copy / AFTER, "qpos", 1e-6)
+    near = replay(read_bundle(copy))
+    assert near.reproduced
+    assert near.differing == (f"{AFTER}: qpos",)
+    _shift(copy / AFTER, "qpos", 0.002)
+    far = replay(read_bundle(copy))
+    assert not far.reproduced
+    assert far.position_m == pytest.approx(0.002 * 3**0.5, rel=0.01)
+
+
+def _edit(folder: Path, *keys: str | int, value: object) -> None:
+    document = json.loads((folder / TEXT).read_text())
+    place = document
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] = value
+    (folder / TEXT).write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "message"),
+    [
+        (["schema_version"], 99, "schema_version is 99"),
+        (["recipe", "steps"], [], "recipe.steps is empty"),
+        (["recipe", "steps", 2, "acts", 0, "action"], "UNFLOD", "did you mean 'UNFOLD'"),
+        (["recipe", "steps", 2, "acts", 0, "car"], 7, "there is no car 7"),
+        (["recipe", "steps", 2, "acts"], [], "has one action, not 0"),
+        (["recipe", "settings", "noise", "position_m"], "much", "recipe.settings.noise.position_m"),
+        (["recipe", "settings", "simulation", "timestep_s"], -1.0, "timestep_s"),
+        (["recipe", "rules"], "mine", "recipe.rules"),
+        (["recipe", "world"], "area_length: 3", "area_width"),
+        (["recipe", "world"], "block: &a [*a]", "anchors"),
+        (["attempts"], None, "attempts"),
+    ],
+    ids=str,
+)
+def test_wrong_text_is_named(copy, tmp_path, capsys, keys, value, message):
+    _edit(copy, *keys, value=value)
+    assert _run(copy, tmp_path / "out") == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("file", [TEXT, PHYSICS, BEFORE, AFTER])
+@pytest.mark.parametrize("how", ["missing", "empty", "cut", "noise"])
+def test_a_damaged_file_is_named(copy, tmp_path, capsys, file, how):
+    path = copy / file
+    data = path.read_bytes()
+    path.unlink()
+    spoilt = {"empty": b"", "cut": data[: len(data) // 2], "noise": bytes(range(256)) * 8}
+    if how in spoilt:
+        path.write_bytes(spoilt[how])
+    assert _run(copy, tmp_path / "out") == 2
+    assert file in capsys.readouterr().err
+
+
+def test_arrays_of_another_world_are_refused(copy):
+    with np.load(copy / BEFORE) as archive:
+        arrays = dict(archive)
+    np.savez(copy / BEFORE, **{**arrays, "qpos": arrays["qpos"][:-1]})
+    with pytest.raises(InputError, match=rf"{BEFORE}.*array 'qpos'.*recipe's world"):
+        replay(read_bundle(copy))
+    del arrays["act"]
+    np.savez(copy / BEFORE, **arrays)
+    with pytest.raises(InputError, match=rf"{BEFORE}.*no array 'act'"):
+        replay(read_bundle(copy))
+
+
+def test_a_pickle_in_the_place_of_an_array_is_not_opened(copy):
+    np.savez(copy / BEFORE, qpos=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(InputError, match=BEFORE):
+        read_bundle(copy)
+
+
+def test_a_bundle_is_text_meshes_and_plain_arrays(folder):
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    assert {path.suffix for path in paths} == {".json", ".npz", ".csv", ".xml", ".stl"}
+    for path in paths:
+        if path.suffix == ".npz":
+            with zipfile.ZipFile(path) as archive:
+                for name in archive.namelist():
+                    np.load(io.BytesIO(archive.read(name)), allow_pickle=False)
+        elif path.suffix == ".stl":
+            shipped = resources.files("craftsim.mjcf") / "meshes" / path.name
+            assert path.read_bytes() == shipped.read_bytes()
+        else:
+            assert all(c.isprintable() or c in "\r\n" for c in path.read_text(encoding="utf-8"))
+
+
+def test_the_scene_opens_alone_and_is_that_world(calm):
+    model = mujoco.MjModel.from_xml_path(str(calm / "scene" / "site.xml"))
+    assert model.nq == len(read_bundle(calm).before["qpos"])
+
+
+def test_the_clip_lasts_three_seconds_and_moves(rendering, calm, tmp_path, capsys):
+    assert _run(calm, tmp_path, "--video") == 0
+    film = tmp_path / "unfold.mp4"
+    assert str(film) in capsys.readouterr().out
+    with av.open(str(film)) as container:
+        (stream,) = container.streams.video
+        assert (stream.codec_context.name, stream.average_rate) == ("h264", 30)
+        pictures = [frame.to_ndarray(format="gray") for frame in container.decode(video=0)]
+    assert len(pictures) / 30 == 3.0
+    change = np.abs(pictures[0][:200].astype(int) - pictures[-1][:200]).max()
+    assert change > 60
+
+
+def test_without_a_display_there_is_no_viewer(calm, tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert _run(calm, tmp_path, "--view") == 2
+    assert "--view needs a display" in capsys.readouterr().err
+    assert _run(calm, tmp_path, "--view", "--video") == 2

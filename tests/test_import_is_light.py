@@ -5,7 +5,10 @@ import sys
 
 import pytest
 
-HEAVY = ("mujoco", "cv2", "matplotlib", "numba", "av", "trimesh", "gymnasium", "pettingzoo", "rich", "tyro")
+HEAVY = (
+    *("mujoco", "cv2", "matplotlib", "numba", "av", "trimesh", "gymnasium", "pettingzoo", "rich", "tyro"),
+    *("scipy", "statsmodels", "jinja2"),
+)
 
 
 @pytest.mark.parametrize(

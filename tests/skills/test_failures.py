@@ -251,3 +251,16 @@ def test_an_outcome_reads_as_a_sentence():
     assert str(Outcome(None, 1.0)) == "succeeded"
     assert str(Outcome(Reason.LOAD_LOST, 1.0)) == "load lost"
     assert str(Outcome(Reason.SLIPPED, 1.0, "far behind")) == "slipped: far behind"
+
+
+def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):
+    site = make_site((3, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)])
+    executor = Executor(site)
+    executor.begin(0, Action.UNFOLD)
+    for _ in range(20):
+        executor.advance()
+    hinge = site.slopes[0].hinge.actuator
+    assert site.data.ctrl[hinge] < 0
+    monkeypatch.setattr(executor.sensors, "measure", lambda car: replace(measure(site, car), slope=None))
+    assert executor.advance()[0].reason is Reason.MISALIGNED
+    assert site.data.ctrl[hinge] == 0

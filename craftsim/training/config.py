@@ -36,11 +36,6 @@ class TrainConfig:
         if self.novelty < 0:
             raise InputError(f"novelty is {self.novelty}; allowed: 0 or more")
 
-    @property
-    def samples(self) -> bool:
-        """Whether the policy draws its actions: PPO learns chances, the others learn values and take the best."""
-        return self.algo in ("ippo", "mappo")
-
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name."""
         return asdict(self)

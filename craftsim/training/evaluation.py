@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
@@ -29,24 +30,13 @@ class Played:
         return self.successes / self.episodes
 
 
-@torch.no_grad()
-def evaluate(net: CarNet, task: Task, samples: bool, episodes: int, seed: int) -> Played:
-    """Play so many episodes, all at once.
-
-    Args:
-        net: what decides.
-        task: what to play.
-        samples: draw each action from what the network says, instead of taking the best.
-        episodes: how many.
-        seed: of starts, orders of the cars and drawn actions.
-    """
-    rng, draws = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
-    worlds = Episodes(task, rng, episodes)
+def evaluate(net: CarNet, task: Task, episodes: int, seed: int) -> Played:
+    """Play so many episodes, all at once, with the best action of each car; ``seed`` draws starts and orders."""
+    worlds = Episodes(task, np.random.default_rng(seed), episodes)
     running = np.ones(episodes, np.bool_)
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
     while running.any():
-        seen, mask = torch.from_numpy(worlds.vectors()), torch.from_numpy(offered(worlds))
-        steps = worlds.step(choose(net(seen, mask), mask, draws if samples else None).numpy())
+        steps = worlds.step(best_actions(net, worlds.vectors(), offered(worlds)))
         won[running & steps.success] = 1
         total += steps.reward * running
         ticks += running
@@ -54,10 +44,15 @@ def evaluate(net: CarNet, task: Task, samples: bool, episodes: int, seed: int) -
     return Played(episodes, int(won.sum()), float(total.mean()), float(ticks.mean()))
 
 
-def choose(values: torch.Tensor, mask: torch.Tensor, draws: torch.Generator | None) -> torch.Tensor:
-    """Return for each car an offered action: the best by its values (..., 15), or one drawn with these as logits."""
-    logits = values.masked_fill(~mask.bool(), -torch.inf)
-    if draws is None:
-        return logits.argmax(-1)
-    drawn = torch.multinomial(logits.softmax(-1).flatten(0, -2), 1, generator=draws)
-    return drawn.view(logits.shape[:-1])
+@torch.no_grad()
+def best_actions(
+    net: CarNet, observations: NDArray[np.integer], masks: NDArray[np.generic]
+) -> NDArray[np.int64]:
+    """Return (..., n): for every car the offered action that the network rates highest.
+
+    ``observations`` are (..., n, vector_length) and ``masks`` (..., n, 15).
+    """
+    offers = torch.from_numpy(masks.astype(np.bool_))
+    values = net(torch.from_numpy(observations.astype(np.int64)), offers)
+    chosen: NDArray[np.int64] = values.masked_fill(~offers, -torch.inf).argmax(-1).numpy()
+    return chosen

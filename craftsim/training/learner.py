@@ -44,6 +44,6 @@ def make_learner(config: TrainConfig, shape: Shape, ticks: int) -> Learner:
     from craftsim.training.off_policy import QLearner
     from craftsim.training.on_policy import PPOLearner
 
-    if config.samples:
+    if config.algo in ("ippo", "mappo"):
         return PPOLearner(shape, ticks, sees_team=config.algo == "mappo")
     return QLearner(shape, ticks, config.algo)

@@ -70,7 +70,12 @@ class Trainer:
     @property
     def steps(self) -> int:
         """Ticks played so far, all worlds together."""
-        return self.iteration * self.learner.ticks * self.config.worlds
+        return self.iteration * self.steps_an_iteration
+
+    @property
+    def steps_an_iteration(self) -> int:
+        """Ticks played between two updates, all worlds together."""
+        return self.learner.ticks * self.config.worlds
 
     def run(self, steps: int, until: float) -> Iterator[bool]:
         """Train for so many steps in all, or until an evaluation has that success.
@@ -90,8 +95,7 @@ class Trainer:
 
     def evaluate(self, episodes: int, purpose: int = _FINAL) -> Played:
         """Play fresh episodes with what was learnt so far."""
-        seed = self._seed(purpose)
-        return evaluate(self.learner.net, self.task, self.config.samples, episodes, seed)
+        return evaluate(self.learner.net, self.task, episodes, self._seed(purpose))
 
     def _iterate(self) -> None:
         seed = self._seed(_PLAYING)

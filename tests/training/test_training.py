@@ -1,0 +1,148 @@
+"""Each algorithm learns; a run goes on as if it had never stopped; policies obey masks."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+import torch
+
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.starts import save_starts
+from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
+from craftsim.training.config import ALGO_NAMES, TrainConfig
+from craftsim.training.grid_env import offered
+from craftsim.training.policy import load_policy
+from craftsim.training.starts import with_starts
+from craftsim.training.trainer import Trainer
+
+
+def _run(config, iterations):
+    trainer = Trainer(config)
+    _go_on(trainer, iterations)
+    return trainer
+
+
+def _go_on(trainer, iterations):
+    steps = (trainer.iteration + iterations) * trainer.steps_an_iteration
+    assert len(list(trainer.run(steps, until=2.0))) == iterations
+
+
+def _same(first, second):
+    return all(torch.equal(a, b) for a, b in zip(first.values(), second.values(), strict=True))
+
+
+def test_ppo_learns_to_set_down_blocks():
+    trainer = Trainer(TrainConfig("strip", "ippo", worlds=200, width=64))
+    before = trainer.evaluate(200).mean_return
+    _go_on(trainer, 25)
+    assert before < 0.5
+    assert trainer.evaluate(200).mean_return > 1.0
+
+
+@pytest.mark.parametrize("algo", ALGO_NAMES)
+def test_a_run_goes_on_as_if_it_had_never_stopped(algo, tmp_path):
+    config = TrainConfig("strip", algo, seed=3, worlds=40, width=16, novelty=0.1)
+    whole = _run(config, 3)
+    part = _run(config, 1)
+    start = {key: value.clone() for key, value in part.learner.net.state_dict().items()}
+    part.save(tmp_path)
+    resumed = Trainer.resume(tmp_path)
+    assert resumed.iteration == 1
+    _go_on(resumed, 2)
+    assert not _same(resumed.learner.net.state_dict(), start)
+    assert _same(resumed.learner.net.state_dict(), whole.learner.net.state_dict())
+
+
+def test_another_seed_learns_something_else():
+    first, second = (_run(TrainConfig("strip", seed=s, worlds=20, width=8), 1).learner.net for s in (0, 1))
+    assert not _same(first.state_dict(), second.state_dict())
+
+
+@pytest.mark.parametrize("algo", ["ippo", "vdn"])
+def test_a_loaded_policy_obeys_masks_and_is_the_one_saved(algo, tmp_path):
+    trainer = _run(TrainConfig("simple_two_story", algo, worlds=20, width=8), 1)
+    trainer.save(tmp_path)
+    assert _play(load_policy(tmp_path)) == _play(load_policy(tmp_path / POLICY_FILE))
+    assert _same(read_policy(tmp_path / POLICY_FILE)[2].state_dict(), trainer.learner.net.state_dict())
+
+
+def _play(policy):
+    episodes = Episodes(make_task("simple_two_story"), np.random.default_rng(0), 1)
+    told = []
+    for _ in range(60):
+        vectors, mask = episodes.vectors()[0], offered(episodes)[0].astype(np.int8)
+        actions = policy(
+            {f"car_{i}": {"observation": vectors[i], "action_mask": mask[i]} for i in range(len(mask))}
+        )
+        told.append([actions[f"car_{i}"] for i in range(len(mask))])
+        assert all(mask[i, action] for i, action in enumerate(told[-1]))
+        if episodes.step(np.array([told[-1]])).done[0]:
+            episodes.reset()
+    return told
+
+
+def test_a_policy_refuses_the_observations_of_another_task(tmp_path):
+    Trainer(TrainConfig("strip", worlds=1, width=4)).save(tmp_path)
+    policy = load_policy(tmp_path)
+    mask = np.ones(15, np.int8)
+    with pytest.raises(InputError, match=r"trained on strip.*117 numbers, not 13"):
+        policy({f"car_{i}": {"observation": np.zeros(13), "action_mask": mask} for i in range(2)})
+    with pytest.raises(InputError, match="with the agents car_0, car_1"):
+        policy({"car_0": {"observation": np.zeros(117), "action_mask": mask}})
+
+
+class _Evil:
+    def __reduce__(self):
+        return os.mkdir, ("owned",)
+
+
+@pytest.mark.parametrize("content", [b"", b"no checkpoint", None], ids=["empty", "text", "code"])
+def test_a_bad_checkpoint_is_refused(content, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / POLICY_FILE
+    if content is None:
+        torch.save({"craftsim": 1, "kind": "policy", "net": _Evil()}, path)
+    else:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match="not a file that 'craftsim train' wrote"):
+        load_policy(path)
+    assert not (tmp_path / "owned").exists()
+
+
+def test_a_run_is_no_policy(tmp_path):
+    Trainer(TrainConfig("strip", worlds=1, width=4)).save(tmp_path)
+    with pytest.raises(InputError, match=r"a policy is in the run's folder"):
+        load_policy(tmp_path / RUN_FILE)
+
+
+def test_a_ctrl_c_is_heard_between_two_iterations():
+    trainer = Trainer(TrainConfig("strip", worlds=20, width=8))
+    update = trainer.learner.update
+
+    def interrupted(rollout):
+        os.kill(os.getpid(), signal.SIGINT)
+        update(rollout)
+
+    trainer.learner.update = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        next(trainer.run(10_000, until=2.0))
+    assert trainer.iteration == 1
+
+
+def test_starts_along_a_plan_and_from_a_file(tmp_path):
+    task = make_task("strip")
+    own = task.draw(np.random.default_rng(0))
+    plan = tmp_path / "short.plan"
+    plan.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 MOVE_RIGHT\n")
+    along = with_starts(task, plan)
+    drawn = [along.draw(np.random.default_rng(seed)) for seed in range(40)]
+    own_drawn = sum(
+        np.array_equal(grid.cars, own.cars) and np.array_equal(grid.kind, own.kind) for grid in drawn
+    )
+    assert 10 <= own_drawn <= 30
+    assert {int(grid.cars[0, 0]) for grid in drawn} == {1, 2}  # never where the plan's last tick leads
+    save_starts(tmp_path / "reached.npz", drawn[:1])
+    assert with_starts(task, tmp_path / "reached.npz").draw(np.random.default_rng(0)).n_cars == 2

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from craftsim.commands.filming import film_bundle, rendering_works
 from craftsim.discrete.errors import InputError
-from craftsim.report import output_directory, write_report
+from craftsim.report import output_directory, versions, write_report
 
 if TYPE_CHECKING:
     from craftsim.models.site import Site
@@ -98,6 +98,9 @@ def _print(console: Console, recorded: Recorded, result: Replay) -> None:
         say(f"Reproduced within the tolerance: {apart}.")
         return
     say(f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}.")
+    platform = bundle.versions.get("platform")
+    if platform != versions()["platform"]:
+        say(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
     for attempt in result.attempts:
         say(f"  now: car {attempt.car} {attempt.action}: {attempt.result}. {attempt.reason}")
 

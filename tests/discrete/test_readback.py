@@ -262,3 +262,15 @@ def test_a_load_off_its_seat_is_a_problem():
     assert _problems([_car((1, 1, 1))], [slid]) == ("block 0 sits 12 mm off its seat on car 0",)
     seated = _thing(Kind.BLOCK, (1, 1, 1), shift=(0.001, 0, LIFT_M))
     assert _problems([_car((1, 1, 1))], [seated]) == ()
+
+
+def test_heights_are_told_above_the_floor_or_the_incline_and_things_are_counted_by_kind():
+    level, climbing = _car((0, 0, 2), shift=(0, 0, 0.003)), _car((2, 2, 1), 2, nose_up=INCLINE_RAD)
+    climbing[0][2] += LEVEL_HEIGHT_M / 4 - 0.002
+    things = [_thing(Kind.BLOCK, (1, 1, 1), shift=(0, 0, -0.001)), _slope((2, 2, 1), hinge=0.0)]
+    things += [_thing(Kind.BLOCK, (0, 0, 1))]
+    reading = _read([level, climbing], things)
+    assert [car.height_m for car in reading.cars] == pytest.approx([0.003, -0.002])
+    assert [thing.height_m for thing in reading.objects] == pytest.approx([-0.001, 0, 0])
+    poses = _poses([], things)
+    assert [poses.name(i) for i in range(3)] == ["block 0", "slope 0", "block 1"]

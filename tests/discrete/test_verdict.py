@@ -5,7 +5,14 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Reading
-from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, describe_differences
+from craftsim.discrete.verdict import (
+    Finding,
+    Verdict,
+    compare,
+    describe_car,
+    describe_differences,
+    has_effect,
+)
 
 
 def _before() -> Grid:
@@ -127,3 +134,16 @@ def test_a_car_is_described_in_brief(row, text):
     grid = Grid.empty((4, 4, 3), 1)
     grid.cars[0] = np.array(row)
     assert describe_car(grid, 0) == text
+
+
+def test_an_action_has_its_effect_whatever_else_happened():
+    dropped = _changed(STEP, cells=[((1, 0, 1), Kind.BLOCK)])
+    pushed = _changed(dropped, cars=[(1, CarField.Y, 2)], cells=[((1, 2, 1), Kind.AIR)])
+    assert has_effect(BEFORE, dropped, dropped, car=0)
+    assert has_effect(BEFORE, dropped, pushed, car=0)
+
+
+@pytest.mark.parametrize("read", [BEFORE, STEP, _changed(BEFORE, cells=[((1, 0, 1), Kind.BLOCK)])])
+def test_an_action_whose_car_or_cell_is_not_as_predicted_has_not_its_effect(read):
+    dropped = _changed(STEP, cells=[((1, 0, 1), Kind.BLOCK)])
+    assert not has_effect(BEFORE, dropped, read, car=0)

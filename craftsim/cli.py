@@ -18,10 +18,11 @@ COMMANDS: Final[dict[str, str]] = {
     "tasks": "Build the paper's tasks again and again, all cars at work at once.",
     "episodes": "Run long random episodes with many cars, to see whether anything drifts.",
     "train": "Let cars learn a task on the grid, with TorchRL.",
+    "validate": "Run plans, actions or policies in physics, and check each action.",
     "doctor": "Say what works on this machine, and the command that mends what does not.",
     "show": "Show a blueprint as coloured text, and as a picture with --out.",
     "conformance": "Compare the rules with recordings of CraftEnv.",
-    "bench": "Measure how fast the rules run.",
+    "bench": "Measure how fast the rules and the environments run.",
 }
 """One line on every command, in the order of the help text."""
 

@@ -14,7 +14,7 @@ ALLOWED = {
     "mjcf": set(),
     "models": {"discrete", "mjcf"},
     "skills": {"models", "discrete"},
-    "validation": {"skills", "models", "discrete", "report"},
+    "validation": {"skills", "models", "discrete", "report", "envs", "training.policy"},
     "envs": {"skills", "models", "discrete", "rendering"},
     "training": {"discrete", "envs", "report"},
     "rendering": {"skills", "models", "discrete"},

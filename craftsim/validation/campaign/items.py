@@ -49,6 +49,8 @@ class Failure:
     text: str
     stops: bool = False
     """Whether the campaign cannot go on at all, such as on a full disk."""
+    traceback: str = ""
+    """Of what the work raised."""
 
 
 Answer = Done | Failure
@@ -71,11 +73,14 @@ class TrialRecord(TypedDict):
     """Why there is no result: what the work raised, that it took too long, or that its worker died twice."""
     bundle: str | None
     extra: dict[str, Any]
+    """What the work has to tell besides; ``traceback`` where it raised something."""
 
 
 def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
     """Return the record of an item; a failure has no attempts and does not agree."""
-    done = answer if isinstance(answer, Done) else Done(agrees=False)
+    failure = answer if isinstance(answer, Failure) else None
+    traced = {"traceback": failure.traceback} if failure is not None and failure.traceback else {}
+    done = answer if isinstance(answer, Done) else Done(agrees=False, extra=traced)
     return {
         "key": item.key,
         "index": index,
@@ -85,7 +90,7 @@ def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
         "episode": item.episode,
         "attempts": list(done.attempts),
         "agrees": done.agrees,
-        "error": answer.text if isinstance(answer, Failure) else None,
+        "error": None if failure is None else failure.text,
         "bundle": done.bundle,
         "extra": done.extra,
     }
@@ -103,4 +108,5 @@ def _answer(work: Work, job: Any) -> Answer:
     except BaseException as error:  # a policy may as well leave by sys.exit
         if isinstance(error, OSError) and error.errno in DISK_ERRORS:
             return Failure(f"{error.filename or 'the results'}: {error.strerror}", stops=True)
-        return Failure(traceback.format_exception_only(error)[-1].strip())
+        last_line = traceback.format_exception_only(error)[-1].strip()
+        return Failure(last_line, traceback="".join(traceback.format_exception(error)))

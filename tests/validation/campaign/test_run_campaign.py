@@ -34,6 +34,7 @@ def test_what_goes_wrong_with_an_item_is_its_record_and_harms_no_other(tmp_path)
         9: "SystemExit: 3",
         11: "no answer within 1 s",
     }
+    assert one[3]["extra"]["traceback"].startswith("Traceback")
     assert one[6]["agrees"]
     assert one[6]["extra"] == {"number": 6}
     assert one[13]["attempts"] == [{"error_m": None}]

@@ -1,0 +1,161 @@
+"""``craftsim validate``: do plans, actions and policies do in physics what the rules predict?"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+
+from craftsim.commands.filming import rendering_works
+from craftsim.commands.progress import counting
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.report import output_directory, write_report
+
+if TYPE_CHECKING:
+    from craftsim.validation.campaign import TrialRecord
+    from craftsim.validation.statistics.figures import Figures
+
+Video = Literal["none", "failures", "all"]
+
+
+def validate(
+    blueprints: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[BLUEPRINT ...]")
+    ] = (),
+    plan: Path | None = None,
+    actions: Path | None = None,
+    policy: tuple[str, ...] = (),
+    trials: int = 10,
+    randomize: Literal["none", "mild", "strong"] = "mild",
+    rules: Literal["published", "physical"] = "physical",
+    workers: int = 1,
+    engine: Literal["local", "ray"] = "local",
+    timeout: float = 600.0,
+    video: Video = "failures",
+    resume: bool = False,
+    seed: int = 0,
+    out: Path = Path("out/validate"),
+) -> int:
+    """Run plans, lists of actions or policies in physics, check each action on poses, and report.
+
+    After each step the prediction goes on from what was read. Exit status 0 when everything went as predicted, 1 when
+    something did not or a trial came to no end, 2 for wrong input.
+
+    Args:
+        blueprints: files, or names of shipped tasks; all six tasks unless given.
+        plan: plan file to carry out, 'tick car ACTION' a line; the cars of one tick act at the same time.
+        actions: file with one 'car ACTION' a line, tried one after the other.
+        policy: 'random', 'planner' (the shipped plan), 'module:function', or a file that 'craftsim train' wrote;
+            several are compared with each other. The planner unless given.
+        trials: how many runs of each.
+        randomize: how noisy the senses and how random the physics are.
+        rules: the rule set that predicts, and by which policies may act.
+        workers: processes to share the work; results do not depend on it.
+        engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
+        timeout: seconds after which a run counts as hanging.
+        video: films of the failures, or besides of every run from its start to its end.
+        resume: go on with what an interrupted run has left in the output folder.
+        seed: decides all that is drawn; the same for every plan and policy.
+        out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
+    """
+    if trials < 1 or workers < 1 or not timeout > 0:
+        raise InputError("--trials and --workers must be at least 1, --timeout above 0")
+    given = [name for name, value in (("plan", plan), ("actions", actions), ("policy", policy)) if value]
+    if len(given) > 1:
+        raise InputError(f"--{given[0]} and --{given[1]} exclude each other")
+    if given and given[0] != "policy" and len(blueprints) != 1:
+        raise InputError(f"--{given[0]} needs the one blueprint that it is for")
+    started = time.perf_counter()
+    console = Console()
+    output_directory(out)
+    filming = video != "none" and rendering_works(console)
+    # Workers find the modules of policies where this process finds them.
+    sys.path.insert(0, os.getcwd())
+
+    # MuJoCo must not be imported before the rendering backend is chosen.
+    from craftsim.commands.validate_films import film_failures, film_runs
+    from craftsim.commands.validate_text import print_disagreements, runs_table
+    from craftsim.skills.gains import load_gains
+    from craftsim.validation.campaign import Header, run_campaign
+    from craftsim.validation.html.writing import write_html
+    from craftsim.validation.runs.choice import (
+        PLANNER,
+        actions_pilot,
+        items_of,
+        plan_pilot,
+        policy_pilot,
+        subjects_of,
+    )
+    from craftsim.validation.runs.run import Terms, do_run
+    from craftsim.validation.settings import SETTINGS
+    from craftsim.validation.statistics.durations import write_durations
+    from craftsim.validation.statistics.figures import campaign_figures
+
+    subjects = subjects_of(blueprints or TASK_NAMES)
+    if plan is not None:
+        pilots = [plan_pilot(plan, subjects[0])]
+    elif actions is not None:
+        pilots = [actions_pilot(actions, subjects[0])]
+    else:
+        pilots = [policy_pilot(name, subjects) for name in dict.fromkeys(policy or (PLANNER,))]
+    terms = Terms(seed, SETTINGS[randomize], rules, out.resolve())
+    config = {
+        "blueprints": {subject.name: subject.digest for subject in subjects},
+        "by": {pilot.name: pilot.digest for pilot in pilots},
+        "trials": trials,
+        "randomize": randomize,
+        "rules": rules,
+        "settings": terms.settings,
+        "gains": load_gains(),
+    }
+    items = list(items_of(subjects, pilots, trials, terms))
+    with counting(console, "runs", len(items)) as tell:
+        records = run_campaign(
+            items,
+            do_run,
+            out,
+            Header("validate", seed, config),
+            workers=workers,
+            engine=engine,
+            timeout_s=timeout,
+            resume=resume,
+            tell=lambda record: tell(record["agrees"]),
+        )
+    if filming:
+        film_failures(console, out, records)
+    if filming and video == "all":
+        film_runs(console, out, items, records)
+    figures = campaign_figures(records, seed)
+    wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
+    report = write_report(
+        out, {"validation": figures}, command="validate", seed=seed, config=config, wall=wall
+    )
+    write_durations(out / "durations.csv", figures.durations)
+    page = write_html(out, _page(records, figures, config, seed))
+    console.print(runs_table(records))
+    print_disagreements(console, out, records)
+    console.print(f"Report: {report}\nPage:   {page}", soft_wrap=True)
+    agree = sum(record["agrees"] for record in records)
+    console.print(f"{agree} of {len(records)} runs did in physics what the rules predict.")
+    return 0 if agree == len(records) else 1
+
+
+def _page(records: Sequence[TrialRecord], figures: Figures, config: dict[str, Any], seed: int) -> Any:
+    from craftsim.report import plain
+    from craftsim.validation.html.provenance import Provenance
+    from craftsim.validation.html.validate import validate_page
+
+    names, by = list(config["blueprints"]), list(config["by"])
+    words = ["craftsim", "validate", *names, "--trials", str(config["trials"])]
+    words += ["--randomize", config["randomize"], "--rules", config["rules"], "--seed", str(seed)]
+    told = {key: value for key, value in plain(config).items() if key != "settings"}
+    provenance = Provenance(shlex.join(words), seed, told, plain(config["settings"].thresholds))
+    return validate_page(records, figures, provenance, f"{', '.join(names)}: {', '.join(by)}")

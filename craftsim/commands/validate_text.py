@@ -1,0 +1,69 @@
+"""What ``craftsim validate`` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+from rich.table import Table
+
+from craftsim.validation.attempt import Result
+from craftsim.validation.campaign import TrialRecord
+
+_SHOWN: Final = 20
+"""Disagreements that are printed; the report has all."""
+
+
+def runs_table(records: Sequence[TrialRecord]) -> Table:
+    """Return a table with a row for each blueprint and each plan or policy."""
+    table = Table(
+        box=None,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+        caption="goal: runs that reach it, in physics and by the rules",
+    )
+    table.add_column("blueprint", overflow="fold")
+    table.add_column("plan or policy", overflow="fold")
+    for heading in ("runs", "agree", "actions", "good", "goal", "rules", "errors"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, by in dict.fromkeys((record["context"], record["group"]) for record in records):
+        own = [record for record in records if (record["context"], record["group"]) == (name, by)]
+        done = [record for record in own if record["error"] is None]
+        results = [attempt["result"] for record in done for attempt in record["attempts"]]
+        goal, by_rules = (
+            f"{sum(record['extra'][key] for record in done)}/{len(done)}"
+            if done and all(key in record["extra"] for record in done)
+            else "-"
+            for key in ("physics_success", "grid_success")
+        )
+        table.add_row(
+            name,
+            by,
+            str(len(own)),
+            str(sum(record["agrees"] for record in done)),
+            str(len(results)),
+            str(results.count(Result.AS_PREDICTED)),
+            goal,
+            by_rules,
+            str(len(own) - len(done)),
+        )
+    return table
+
+
+def print_disagreements(console: Console, out: Path, records: Sequence[TrialRecord]) -> None:
+    """Print the first disagreement of each run, and how to see it again."""
+    wrong = [record for record in records if not record["agrees"]]
+    for record in wrong[:_SHOWN]:
+        bad = next((a for a in record["attempts"] if a["result"] != Result.AS_PREDICTED), None)
+        told = record["error"] or (
+            f"tick {bad['tick']} car {bad['car']} {bad['action']}: {bad['result']}: {bad['reason']}"
+            if bad
+            else ""
+        )
+        console.print(f"{record['key']}: {told}", soft_wrap=True, markup=False, highlight=False)
+        if record["bundle"]:
+            console.print(f"  craftsim replay {out / record['bundle']}", soft_wrap=True, markup=False)
+    if len(wrong) > _SHOWN:
+        console.print(f"and {len(wrong) - _SHOWN} more in the report")

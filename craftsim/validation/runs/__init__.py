@@ -1,0 +1,1 @@
+"""Runs of plans, lists of actions and policies in physics, with every action checked."""

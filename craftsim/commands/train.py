@@ -28,6 +28,7 @@ def train(
     seed: int = 0,
     steps: int = 3_000_000,
     until: float = 0.99,
+    worlds: int = 500,
     novelty: float = 0.0,
     starts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     episodes: int = 1000,
@@ -45,6 +46,7 @@ def train(
         seed: decides everything that is drawn.
         steps: ticks to play at most, all worlds together.
         until: end when this part of the episodes of an evaluation succeeds.
+        worlds: how many are played side by side between two updates.
         novelty: pay so much for a building never seen before, and less the more often it was seen.
         starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
         episodes: how many episodes to judge the trained policy by.
@@ -56,7 +58,7 @@ def train(
         raise InputError("--steps and --episodes must be at least 1")
     if not 0 <= until <= 1:
         raise InputError(f"--until is {until}; allowed: 0 to 1")
-    config = TrainConfig(task, algo, seed, novelty=novelty)
+    config = TrainConfig(task, algo, seed, worlds, novelty=novelty)
     folder = output_directory(out or Path("out/train") / f"{task}-{algo}")
 
     import torch

@@ -1,0 +1,76 @@
+"""``craftsim train``: what it writes, how it goes on, and what it refuses."""
+
+import csv
+import importlib.util
+import json
+import subprocess
+import sys
+
+import pytest
+
+from craftsim.cli import main
+from craftsim.training.policy import load_policy
+
+
+def _train(out, *words):
+    return main(["train", "--task", "strip", "--episodes", "20", "--worlds", "10", "--out", str(out), *words])
+
+
+def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
+    short, whole = tmp_path / "short", tmp_path / "whole"
+    assert _train(short, "--steps", "400") == 0
+    assert _train(short, "--steps", "2200", "--resume") == 0
+    assert _train(whole, "--steps", "2200") == 0
+    assert "in 20 fresh episodes" in capsys.readouterr().out
+    reports = [json.loads((folder / "report.json").read_text()) for folder in (short, whole)]
+    assert {key: value for key, value in reports[0].items() if key != "wall"} == {
+        key: value for key, value in reports[1].items() if key != "wall"
+    }
+    figures = reports[0]["figures"]
+    assert figures["steps"] == 2200
+    assert figures["success"]["trials"] == 20
+    with open(short / "curve.csv", newline="") as file:
+        assert [int(row["steps"]) for row in csv.DictReader(file)] == [2000]
+    assert (short / "curve.png").read_bytes().startswith(b"\x89PNG")
+    assert load_policy(short).config.task == "strip"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--until", "2"], "--until is 2.0"),
+        (["--steps", "0"], "--steps and --episodes"),
+        (["--resume"], "cannot read"),
+        (["--seed", "-1"], "seed is -1"),
+        (["--starts", "no_such.plan"], "no_such.plan"),
+    ],
+)
+def test_wrong_input_gives_one_message(words, message, tmp_path, capsys):
+    assert _train(tmp_path, *words) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_a_run_is_neither_overwritten_nor_mixed_with_another(tmp_path, capsys):
+    assert _train(tmp_path, "--steps", "1") == 0
+    assert _train(tmp_path, "--steps", "1") == 2
+    assert "--resume goes on with it" in capsys.readouterr().err
+    assert _train(tmp_path, "--steps", "1", "--seed", "1", "--resume") == 2
+    assert "begun with" in capsys.readouterr().err
+
+
+def test_without_the_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        "craftsim.training.extra.find_spec", lambda name: None if name == "torchrl" else find(name)
+    )
+    assert _train(tmp_path) == 2
+    assert "pip install 'craftsim[train]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("module", ["craftsim.commands.train", "craftsim.training.policy"])
+def test_the_command_is_there_without_torch(module):
+    code = f"import sys, {module}; print('torch' in sys.modules)"
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert child.stdout == "False\n"

@@ -31,6 +31,21 @@ def test_commands_targets_and_files_exist(document):
         assert ((ROOT / document).parent / path).exists() or (ROOT / path).exists(), path
 
 
+def test_the_example_of_training_moves_from_the_grid_to_physics(capsys):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    section = text.split("## Training on it", 1)[1].split("\n## ", 1)[0]
+    example = "\n".join(line for line in section.splitlines() if not line or line.startswith("    "))
+    exec(compile(textwrap.dedent(example), "README.md", "exec"), {})
+    assert capsys.readouterr().out.splitlines()[-1] == "the same world: True"
+
+
+def test_the_examples_of_the_environments_run():
+    text = (ROOT / "docs/envs.md").read_text(encoding="utf-8")
+    for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        # As a module of its own name, so that what is meant for a main program only is not run here.
+        exec(compile(example, "docs/envs.md", "exec"), {"__name__": "example"})
+
+
 def test_the_example_of_the_readme_runs_and_builds(capsys):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     example = text.split("From Python:", 1)[1].split("\n## ", 1)[0]

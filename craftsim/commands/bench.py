@@ -1,4 +1,4 @@
-"""Measure how fast the rules run."""
+"""Measure how fast the rules and the environments run, and how long actions take."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from craftsim.discrete.rules import RuleSet
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from rich.console import Console
 
     from craftsim.discrete.tasks.episodes import Episode, Episodes
 
@@ -29,31 +30,67 @@ DEPTH: Final = 20
 
 
 def bench(
-    what: tyro.conf.Positional[Literal["rules"]],
+    what: tyro.conf.Positional[Literal["rules", "env", "durations"]],
     rules: RuleSet = "published",
     worlds: int = 1000,
     seconds: float = 2.0,
     memory_worlds: int = 10_000,
+    episode: int = 20,
     seed: int = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Print steps a second of the grid rules on one core, against CraftEnv's, and the memory of many worlds.
+    """Measure steps a second of the grid rules or of the environments on one core, or how long actions take.
 
-    A step is one tick of one world, with reward, end of episode and reset, and the masks of all cars for the next
-    one; "helper" adds the helper's search to masks and moves, and the global observation of every car. Actions are
-    drawn from the masks, and drawing them is part of the time.
+    A step of the rules is one tick of one world, with reward, end of episode and reset, and the masks of all cars for
+    the next one; "helper" adds the helper's search to masks and moves, and the global observation of every car.
+    Actions are drawn from the masks, and drawing them is part of the time. Of the environments in physics, the wall
+    time of a step is compared with that of MuJoCo's steps alone under the same commands. Durations are those that the
+    grid environments tell; they are printed as craftsim/data/durations.yaml holds them.
 
     Args:
-        what: rules, the only thing to measure so far.
-        rules: the rule set to run.
+        what: rules (and the memory of many worlds), env, or durations.
+        rules: the rule set to run; rules only.
         worlds: how many worlds a batch has.
-        seconds: how long each measurement runs.
-        memory_worlds: how many worlds to make for the memory figure.
+        seconds: how long each measurement on the grid runs.
+        memory_worlds: how many worlds to make for the memory figure; rules only.
+        episode: ticks of the episode that is timed in physics, 2 or more; env only.
         seed: seed of starts, actions and orders.
         out: directory for report.json.
     """
-    import numpy as np
     from rich.console import Console
+
+    console = Console(highlight=False)
+    figures: dict[str, Any] = {}
+    wall: dict[str, Any] = {}
+    config: dict[str, Any] = {"what": what}
+    match what:
+        case "rules":
+            config |= {"rules": rules, "worlds": worlds, "depth": DEPTH, "reference": REFERENCE}
+            figures, wall = _bench_rules(console, rules, worlds, seconds, memory_worlds, seed)
+        case "env":
+            from craftsim.commands.bench_env import bench_env
+
+            config |= {"worlds": worlds, "depth": DEPTH, "episode": episode, "reference": REFERENCE}
+            wall = bench_env(console, _rate, REFERENCE, DEPTH, worlds, seconds, episode, seed)
+        case "durations":
+            import yaml
+
+            from craftsim.skills.nominal import measure_durations
+
+            figures = measure_durations()
+            console.print(yaml.safe_dump(figures, sort_keys=False), end="")
+    if out is not None:
+        from craftsim.report import write_report
+
+        write_report(out, figures, command="bench", seed=seed, config=config, wall=wall)
+    return 0
+
+
+def _bench_rules(
+    console: Console, rules: RuleSet, worlds: int, seconds: float, memory_worlds: int, seed: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Print the rates of the rules; return the figures that are the same every time, and what the clock said."""
+    import numpy as np
     from rich.table import Table
 
     from craftsim.discrete.tasks import make_task
@@ -80,18 +117,12 @@ def bench(
             rates[name][f"{work}, {n} world{'s' if n > 1 else ''}"] = rate
             cars, times = str(task.starts[0].n_cars), f"{rate / reference:.0f}"
             table.add_row(name, cars, work, str(n), f"{rate:,.0f}", f"{reference:,.0f}", times)
-    console = Console(highlight=False)
     console.print(table)
     for line in memory["lines"]:
         console.print(line)
-    if out is not None:
-        from craftsim.report import write_report
-
-        config = {"rules": rules, "worlds": worlds, "depth": DEPTH, "reference": REFERENCE}
-        figures = {"memory_worlds": memory_worlds, "bytes_a_world": memory["bytes_a_world"]}
-        wall = {"steps_a_second": rates, "peak_mib": memory["peak_mib"], "grown_mib": memory["grown_mib"]}
-        write_report(out, figures, command="bench", seed=seed, config=config, wall=wall)
-    return 0
+    figures = {"memory_worlds": memory_worlds, "bytes_a_world": memory["bytes_a_world"]}
+    wall = {"steps_a_second": rates, "peak_mib": memory["peak_mib"], "grown_mib": memory["grown_mib"]}
+    return figures, wall
 
 
 def _pick(rng: np.random.Generator, mask: NDArray[np.bool_]) -> NDArray[np.int64]:

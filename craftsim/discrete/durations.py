@@ -31,13 +31,19 @@ def verb(action: Action) -> str:
 
 @cache
 def nominal_durations() -> NDArray[np.float64]:
-    """Return the shipped table in seconds, shape (15, 4): by action and situation; diagonal moves take no time."""
+    """Return the shipped table in seconds, shape (15, 4): by action and situation, 0 for what does not happen."""
     rows = yaml.safe_load(files("craftsim.data").joinpath("durations.yaml").read_text(encoding="utf-8"))
     table = np.zeros((len(Action), len(SITUATIONS)))
     for action in Action:
-        row = rows.get(verb(action), 0.0)
-        table[action] = [row[name] for name in SITUATIONS] if isinstance(row, dict) else row
+        table[action] = [rows.get(verb(action), {}).get(name, 0.0) for name in SITUATIONS]
     return table
+
+
+def situation(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the column of the table, shape (...), for cars (..., 7) before and after an action."""
+    sloping = (before[..., CarField.SLOPE] > 0) | (after[..., CarField.SLOPE] > 0)
+    column: NDArray[np.int64] = 2 * sloping + (before[..., CarField.LOAD] != Kind.AIR)
+    return column
 
 
 def tick_durations(
@@ -57,8 +63,6 @@ def tick_durations(
         before[..., CarField.SLOPE] != after[..., CarField.SLOPE]
     )
     done = np.where(moved, Action.MOVE_FORWARD, np.where(turned, Action.ROTATE_LEFT, actions))
-    sloping = (before[..., CarField.SLOPE] > 0) | (after[..., CarField.SLOPE] > 0)
-    situation = 2 * sloping + (before[..., CarField.LOAD] != Kind.AIR)
-    seconds = nominal_durations()[done, situation] * applied
+    seconds = nominal_durations()[done, situation(before, after)] * applied
     longest: NDArray[np.float64] = seconds.max(-1, initial=0.0)
     return longest

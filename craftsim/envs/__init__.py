@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium
 
-from craftsim.discrete.tasks import TASK_NAMES, Task, TaskName
+from craftsim.discrete.tasks import TASK_NAMES, Task
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["GYMNASIUM_IDS", "env", "parallel_env"]
 
 
-def parallel_env(
-    task: Task | TaskName, backend: BackendName = "physics", **options: Any
-) -> ParallelConstruction:
+def parallel_env(task: Task | str, backend: BackendName = "physics", **options: Any) -> ParallelConstruction:
     """Return a task as a PettingZoo environment whose agents act at the same time.
 
     Args:
@@ -39,7 +37,7 @@ def parallel_env(
     return ParallelConstruction(task, Options(backend, **options))
 
 
-def env(task: Task | TaskName, backend: BackendName = "physics", **options: Any) -> AECEnv[str, Any, Any]:
+def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> AECEnv[str, Any, Any]:
     """Return the same as a PettingZoo environment whose agents take turns; a tick happens after the last one's."""
     from pettingzoo.utils.conversions import parallel_to_aec
 

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.tasks import Task, TaskName
+from craftsim.discrete.tasks import Task
 from craftsim.envs.core import RENDER_MODES, Core, Options
 from craftsim.envs.spaces import central_space, joint_action_space
 
@@ -20,7 +20,7 @@ class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012 (as Gymnasium declares it)
 
-    def __init__(self, task: Task | TaskName, render_mode: Any = None, **options: Any) -> None:
+    def __init__(self, task: Task | str, render_mode: Any = None, **options: Any) -> None:
         """Prepare a task; ``options`` are the fields of :class:`craftsim.envs.core.Options`."""
         self.core = Core(task, Options(render_mode=render_mode, **options))
         self.render_mode = render_mode

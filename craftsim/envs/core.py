@@ -15,7 +15,7 @@ from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.discrete.tasks import Task, TaskName, make_task
+from craftsim.discrete.tasks import Task, make_task
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Backend
@@ -100,7 +100,7 @@ class CoreStep:
 class Core:
     """A task on a backend: resets, ticks, rewards, ends of episodes, seeds and the order in which cars act."""
 
-    def __init__(self, task: Task | TaskName, options: Options, backend: Backend | None = None) -> None:
+    def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
         """Prepare; the first episode begins with :meth:`reset`. ``backend`` replaces the one of the options."""
         self.task = make_task(task) if isinstance(task, str) else task
         self.options = options

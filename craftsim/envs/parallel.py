@@ -11,7 +11,7 @@ from pettingzoo import ParallelEnv
 
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.tasks import Task, TaskName
+from craftsim.discrete.tasks import Task
 from craftsim.envs.backend import Backend
 from craftsim.envs.core import RENDER_MODES, Core, Options
 from craftsim.envs.spaces import N_ACTIONS, car_space, state_space
@@ -27,7 +27,7 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "is_parallelizable": True}
 
-    def __init__(self, task: Task | TaskName, options: Options, backend: Backend | None = None) -> None:
+    def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
         """Prepare a task; the first episode begins with :meth:`reset`."""
         self.core = Core(task, options, backend)
         self.metadata = type(self).metadata | {"name": f"craftsim_{self.core.task.name}_v0"}  # type: ignore[misc]

@@ -13,7 +13,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.durations import tick_durations
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules import RuleSet
-from craftsim.discrete.tasks import Task, TaskName, make_task
+from craftsim.discrete.tasks import Task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.spaces import central_space, joint_action_space
@@ -36,7 +36,7 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
 
     def __init__(
         self,
-        task: Task | TaskName,
+        task: Task | str,
         num_envs: int = 1,
         *,
         rule_set: RuleSet = "physical",

@@ -15,10 +15,7 @@ from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.testing import check_api, check_deterministic, check_masks, random_policy
 
 STOP = int(Action.STOP)
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:Observation"),  # PettingZoo warns of dictionaries, and recommends them
-    pytest.mark.filterwarnings("ignore:.*render fps"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore:.*render fps")
 
 
 @pytest.mark.parametrize("helper_depth", [None, 10])

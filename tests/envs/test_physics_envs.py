@@ -16,7 +16,6 @@ from craftsim.models.variation import Spread
 from craftsim.testing import check_api, check_deterministic, check_masks, check_skills, random_policy
 
 STOP = int(Action.STOP)
-pytestmark = pytest.mark.filterwarnings("ignore:Observation")
 
 
 def _episode(env, seed, ticks, policy_seed=0):

@@ -1,0 +1,70 @@
+"""What is measured of the environments: rates, the cost of a step in physics, and how long actions take."""
+
+import json
+
+import numpy as np
+import pytest
+
+from craftsim.cli import main
+from craftsim.discrete.actions import Action
+from craftsim.discrete.durations import SITUATIONS, nominal_durations, tick_durations, verb
+from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.tasks import make_task
+from craftsim.envs.timing import time_physics
+from craftsim.skills.nominal import measure_durations
+
+
+def test_the_shipped_durations_are_what_physics_takes():
+    measured = measure_durations()
+    table = nominal_durations()
+    for action in Action:
+        for column, name in enumerate(SITUATIONS):
+            seconds = measured.get(verb(action), {}).get(name, 0.0)
+            assert table[action, column] == pytest.approx(seconds, abs=0.05), (
+                f"{action.name}, {name}: run `craftsim bench durations` and put it into durations.yaml"
+            )
+
+
+def test_a_tick_takes_as_long_as_its_slowest_car_and_forbidden_actions_take_no_time():
+    table = nominal_durations()
+    before = np.zeros((3, 7), np.int64)
+    before[1, CarField.LOAD] = Kind.BLOCK
+    after = before.copy()
+    after[:2, CarField.X] += 1
+    actions = np.array([Action.MOVE_RIGHT, Action.MOVE_RIGHT, Action.UNFOLD])
+    applied = np.array([True, True, False])
+    flat, loaded = (SITUATIONS.index(name) for name in ("flat", "flat_loaded"))
+    assert tick_durations(before, after, actions, applied) == table[Action.MOVE_RIGHT, loaded]
+    assert tick_durations(before, after, actions, ~applied) == table[Action.UNFOLD, flat]
+    after[0, CarField.SLOPE] = 1
+    assert (
+        tick_durations(before[:1], after[:1], actions[:1], applied[:1])
+        == table[Action.MOVE_RIGHT, SITUATIONS.index("slope")]
+    )
+    turned = before[:1].copy()
+    turned[0, CarField.YAW] = 1
+    # The action helper turns first, where a move was asked for.
+    assert tick_durations(before[:1], turned, actions[:1], applied[:1]) == table[Action.ROTATE_LEFT, flat]
+
+
+def test_the_replay_of_the_commands_is_the_same_physics_and_takes_less_time_than_the_environment():
+    timing = time_physics(make_task("complex_two_story", max_steps=2), repeats=2)
+    assert timing.n_cars == 4
+    assert timing.n_steps == 4
+    assert timing.n_periods > 100
+    assert 1.0 < timing.ratio < 4.0
+
+
+def test_bench_prints_the_environments_against_the_reference(tmp_path, capsys):
+    small = ["--seconds", "0.02", "--worlds", "20", "--episode", "2"]
+    assert main(["bench", "env", *small, "--out", str(tmp_path)]) == 0
+    assert "bar 1.15" in capsys.readouterr().out
+    wall = json.loads((tmp_path / "report.json").read_text())["wall"]
+    for rates in wall["steps_a_second"].values():
+        assert set(rates) == {
+            f"{form}, helper {helper}"
+            for form in ("PettingZoo", "vector, 20 worlds")
+            for helper in ("yes", "no")
+        }
+        assert min(rates.values()) > 100
+    assert wall["physics"]["complex_two_story"]["n_cars"] == 4

@@ -18,6 +18,7 @@ COMMANDS: Final[dict[str, str]] = {
     "tasks": "Build the paper's tasks again and again, all cars at work at once.",
     "episodes": "Run long random episodes with many cars, to see whether anything drifts.",
     "train": "Let cars learn a task on the grid, with TorchRL.",
+    "audit": "Try the rules in physics: which allow what does not work, which forbid what would?",
     "validate": "Run plans, actions or policies in physics, and check each action.",
     "doctor": "Say what works on this machine, and the command that mends what does not.",
     "show": "Show a blueprint as coloured text, and as a picture with --out.",
@@ -43,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"craftsim {craftsim.__version__}")
         return 0
 
-    from craftsim.discrete.errors import CraftsimError, InputError, suggestion
+    from craftsim.discrete.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
 
     name = words[0]
     try:
@@ -54,6 +55,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(name, words[1:])
     except CraftsimError as error:
         print(f"craftsim: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        if error.errno not in DISK_ERRORS:
+            raise
+        print(f"craftsim: cannot write {error.filename or 'the results'}: {error.strerror}", file=sys.stderr)
         return 2
     except KeyboardInterrupt as interrupt:
         print(f"craftsim: {str(interrupt) or 'interrupted'}", file=sys.stderr)

@@ -129,16 +129,16 @@ def validate(
             resume=resume,
             tell=lambda record: tell(record["agrees"]),
         )
-    if filming:
-        film_failures(console, out, records)
-    if filming and video == "all":
-        film_runs(console, out, items, records)
     figures = campaign_figures(records, seed)
     wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
     report = write_report(
         out, {"validation": figures}, command="validate", seed=seed, config=config, wall=wall
     )
-    write_durations(out / "durations.csv", figures.durations)
+    write_durations(out, figures.durations)
+    if filming:
+        film_failures(console, out, records)
+    if filming and video == "all":
+        film_runs(console, out, items, records)
     page = write_html(out, _page(records, figures, config, seed))
     console.print(runs_table(records))
     print_disagreements(console, out, records)

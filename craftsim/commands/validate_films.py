@@ -28,7 +28,9 @@ def film_failures(console: Console, out: Path, records: Sequence[TrialRecord]) -
     missing = [folder for folder in folders if not (folder / FILM).exists()]
     with counting(console, "films", len(missing)) as tell:
         for folder in missing:
-            film_bundle(read_bundle(folder), folder / FILM)
+            partial = folder / f".{FILM}"
+            film_bundle(read_bundle(folder), partial)
+            partial.replace(folder / FILM)
             tell(True)
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import errno
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, TypedDict
+from typing import Any, TypedDict
 
+from craftsim.discrete.errors import DISK_ERRORS
 from craftsim.report import plain
-
-DISK_ERRORS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO})
-"""Errors of the place that results go to, not of the trial that met them."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +103,8 @@ def _answer(work: Work, job: Any) -> Answer:
         done = work(job)
         return replace(done, attempts=plain(done.attempts), extra=plain(done.extra))
     except BaseException as error:  # a policy may as well leave by sys.exit
-        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
-            return Failure(f"{error.filename or 'the results'}: {error.strerror}", stops=True)
+        cause = error.__cause__ or error
+        if isinstance(cause, OSError) and cause.errno in DISK_ERRORS:
+            return Failure(f"{cause.filename or 'the results'}: {cause.strerror}", stops=True)
         last_line = traceback.format_exception_only(error)[-1].strip()
         return Failure(last_line, traceback="".join(traceback.format_exception(error)))

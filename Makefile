@@ -7,7 +7,7 @@ ARGS ?=
 TORCH ?= torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format mutants campaigns meshes libraries clean
+.PHONY: help demo test lint format mutants faults campaigns meshes libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -30,6 +30,9 @@ format: $(VENV)/installed-dev  ## Format the code and apply safe lint fixes
 
 mutants: $(VENV)/installed-dev  ## Break one grid rule at a time and see which tests notice
 	$(BIN)/python tests/discrete/mutants.py
+
+faults: $(VENV)/installed-dev  ## Kill a real validation ten times at random moments, resume it, and compare (some minutes)
+	$(BIN)/python tests/validation/campaign/faults.py
 
 campaigns: $(VENV)/installed  ## Measure the skills at length (about an hour on two cores): every context with and without noise, the six tasks, long episodes
 	$(BIN)/craftsim trials --trials 10000 --workers 2 --out out/trials

@@ -1,4 +1,4 @@
-"""Measure how fast the rules and the environments run, and how long actions take."""
+"""Measure how fast rules, environments and workers are, and how long actions take."""
 
 from __future__ import annotations
 
@@ -30,30 +30,33 @@ DEPTH: Final = 20
 
 
 def bench(
-    what: tyro.conf.Positional[Literal["rules", "env", "durations"]],
+    what: tyro.conf.Positional[Literal["rules", "env", "workers", "durations"]],
     rules: RuleSet = "published",
     worlds: int = 1000,
     seconds: float = 2.0,
     memory_worlds: int = 10_000,
     episode: int = 20,
+    runs: int = 40,
     seed: int = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Measure steps a second of the grid rules or of the environments on one core, or how long actions take.
+    """Measure how fast the grid rules, the environments and worker processes are, or how long actions take.
 
-    A step of the rules is one tick of one world, with reward, end of episode and reset, and the masks of all cars for
-    the next one; "helper" adds the helper's search to masks and moves, and the global observation of every car.
-    Actions are drawn from the masks, and drawing them is part of the time. Of the environments in physics, the wall
-    time of a step is compared with that of MuJoCo's steps alone under the same commands. Durations are those that the
-    grid environments tell; they are printed as craftsim/data/durations.yaml holds them.
+    Steps a second are those of one core. A step of the rules is one tick of one world, with reward, end of episode and
+    reset, and the masks of all cars for the next one; "helper" adds the helper's search to masks and moves, and the
+    global observation of every car. Actions are drawn from the masks, and drawing them is part of the time. Of the
+    environments in physics, the wall time of a step is compared with that of MuJoCo's steps alone under the same
+    commands. Two worker processes are compared with one by building a task again and again, their start included.
+    Durations are those that the grid environments tell; they are printed as craftsim/data/durations.yaml holds them.
 
     Args:
-        what: rules (and the memory of many worlds), env, or durations.
+        what: rules (and the memory of many worlds), env, workers, or durations.
         rules: the rule set to run; rules only.
         worlds: how many worlds a batch has.
         seconds: how long each measurement on the grid runs.
         memory_worlds: how many worlds to make for the memory figure; rules only.
         episode: ticks of the episode that is timed in physics, 2 or more; env only.
+        runs: how often the task is built; workers only.
         seed: seed of starts, actions and orders.
         out: directory for report.json.
     """
@@ -72,6 +75,11 @@ def bench(
 
             config |= {"worlds": worlds, "depth": DEPTH, "episode": episode, "reference": REFERENCE}
             wall = bench_env(console, _rate, REFERENCE, DEPTH, worlds, seconds, episode, seed)
+        case "workers":
+            from craftsim.commands.bench_workers import bench_workers
+
+            config |= {"runs": runs}
+            wall = bench_workers(console, runs, seed)
         case "durations":
             import yaml
 

@@ -7,9 +7,10 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from craftsim.discrete.verdict import Finding
 from craftsim.validation.attempt import Result
 from craftsim.validation.statistics.proportions import CONFIDENCE
-from craftsim.validation.statistics.records import Record, as_predicted, carried_out
+from craftsim.validation.statistics.records import AttemptRecord, Record, as_predicted, carried_out
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ class PlanSurvival:
     """A run ends with the first action that does not do as predicted: from there on a planner that does not look again
     believes in a world that is not there."""
     with_resync: Survival
-    """A run goes on from what was read. It ends with the first action that the rules forbid there, or that is
-    unsafe."""
+    """A run goes on from what was read. It ends with the first action that the rules forbid there, that is unsafe, or
+    that leaves a world that cannot be read."""
 
 
 def life_without_resync(record: Record) -> Life:
@@ -54,7 +55,12 @@ def life_without_resync(record: Record) -> Life:
 
 def life_with_resync(record: Record) -> Life:
     """Return how many actions of a run could be carried on from what was read, and safely."""
-    return _life(record, [not a["legal"] or a["result"] == Result.UNSAFE for a in record["attempts"]])
+    return _life(record, [_ends_all(attempt) for attempt in record["attempts"]])
+
+
+def _ends_all(attempt: AttemptRecord) -> bool:
+    unreadable = attempt["finding"] in (Finding.UNREADABLE, Finding.DIVERGED)
+    return not attempt["legal"] or attempt["result"] == Result.UNSAFE or unreadable
 
 
 def _life(record: Record, ends: Sequence[bool]) -> Life:

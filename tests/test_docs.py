@@ -1,6 +1,8 @@
 """What the documents say can be typed exists, and what they point to is there."""
 
 import re
+import subprocess
+import sys
 import textwrap
 from pathlib import Path
 
@@ -44,6 +46,17 @@ def test_the_examples_of_the_environments_run():
     for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
         # As a module of its own name, so that what is meant for a main program only is not run here.
         exec(compile(example, "docs/envs.md", "exec"), {"__name__": "example"})
+
+
+def test_the_examples_of_the_validation_run_as_programs(tmp_path):
+    text = (ROOT / "docs/validation.md").read_text(encoding="utf-8")
+    for number, example in enumerate(re.findall(r"```python\n(.*?)```", text, re.DOTALL)):
+        path = tmp_path / f"example_{number}.py"
+        path.write_text(example, encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, path], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
 
 
 def test_the_example_of_the_readme_runs_and_builds(capsys):

@@ -48,6 +48,7 @@ def test_a_run_without_resync_ends_with_its_first_disagreement_and_with_it_when_
     assert life_with_resync(record("a", good, failed, good)) == Life(3, False)
     assert life_with_resync(record("a", failed, attempt(legal=False))) == Life(2, True)
     assert life_with_resync(record("a", attempt(Result.UNSAFE), good)) == Life(1, True)
+    assert life_with_resync(record("a", attempt(Result.FAILED, finding="unreadable"))) == Life(1, True)
     assert life_without_resync(record("a", good)) == Life(1, False)
 
 

@@ -1,7 +1,7 @@
 """Every situation in which an action is legal: the contexts, found by walking the product of what can differ.
 
 Nothing is listed by hand. Each combination is drawn as a small world (:mod:`craftsim.validation.context_worlds`); what
-cannot be drawn cannot exist, and what the physical rules forbid there is no context either. Both come with a reason.
+cannot be drawn cannot exist, and what a rule set forbids there is kept apart. Both come with a reason.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.validation.context_worlds import (
     BACK,
     FORWARD,
@@ -136,6 +136,8 @@ class Survey:
     """All combinations: those that are contexts, and how many are none for which reason."""
 
     contexts: tuple[Context, ...]
+    illegal: tuple[Context, ...]
+    """Those that a world can show, and in which the rules forbid the action; all with room."""
     impossible: tuple[tuple[str, int], ...]
     """Reason and count of combinations that no world can show, commonest first."""
     forbidden: tuple[tuple[str, int], ...]
@@ -176,9 +178,9 @@ def _inner(verb: Verb) -> list[tuple[int | None, Thing | None, int, Thing, bool]
 
 
 @cache
-def survey() -> Survey:
-    """Try every combination and return the contexts; the same in every process."""
-    rules = Rules("physical")
+def survey(rule_set: RuleSet = "physical") -> Survey:
+    """Try every combination and return the contexts of a rule set; the same in every process."""
+    rules = Rules(rule_set)
     found: list[Context] = []
     illegal: list[Context] = []
     impossible: Counter[str] = Counter()
@@ -208,7 +210,7 @@ def survey() -> Survey:
                     impossible["no neighbour cell can be filled"] += 1
     every = frozenset(found)
     forbidden = Counter(_why_forbidden(context, every) for context in illegal)
-    return Survey(tuple(found), tuple(impossible.most_common()), tuple(forbidden.most_common()))
+    return Survey(tuple(found), tuple(illegal), tuple(impossible.most_common()), tuple(forbidden.most_common()))
 
 
 def _legal(rules: Rules, context: Context, drawing: Drawing) -> bool:
@@ -252,15 +254,23 @@ def _variations(context: Context) -> dict[str, list[Context]]:
     return varied
 
 
-def make_world(context: Context, rng: np.random.Generator) -> Grid:
+def make_world(
+    context: Context, rng: np.random.Generator, rule_set: RuleSet = "physical", forbidden: bool = False
+) -> Grid:
     """Return a world in which the context holds for car 0.
 
     What does not matter is drawn from ``rng``: the map direction that the car heads in, and its place on the map.
 
+    Args:
+        context: what the world is to show.
+        rng: draws the rest.
+        rule_set: by which the action is legal there.
+        forbidden: make the world of an action that is not legal, too.
+
     Raises:
         CraftsimError: there is no such world.
     """
-    rules = Rules("physical")
+    rules = Rules(rule_set)
     try:
         drawing = draw(context)
     except ImpossibleError as reason:
@@ -269,6 +279,6 @@ def make_world(context: Context, rng: np.random.Generator) -> Grid:
         raise CraftsimError(f"there is no world for {context.id}: no neighbour cell can be filled")
     turn, before_x, before_y, room = (int(v) for v in rng.integers((0, 1, 1, 1), (4, 4, 4, 4)))
     grid = drawing.grid(context, turn, (before_x, before_y), room)
-    if not rules.legal(grid, 0, context.action(turn)):
+    if not forbidden and not rules.legal(grid, 0, context.action(turn)):
         raise CraftsimError(f"there is no world for {context.id}: the rules forbid it")
     return grid

@@ -1,0 +1,205 @@
+"""``craftsim audit``: which rules does physics keep?"""
+
+from __future__ import annotations
+
+import shlex
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from craftsim.commands.filming import rendering_works
+from craftsim.commands.progress import counting
+from craftsim.discrete.errors import InputError
+from craftsim.report import output_directory, write_report
+
+if TYPE_CHECKING:
+    from craftsim.validation.audit.results import Results
+    from craftsim.validation.audit.rows import Row
+    from craftsim.validation.campaign import TrialRecord
+
+ActionName = Literal["LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP"]
+
+QUICK_ROWS: Final = 60
+"""About how many rows the quick mode tries, once each."""
+_SHOWN: Final = 40
+"""How many rows of a verdict are printed; the others are in the reports."""
+
+
+def audit(
+    actions: tuple[ActionName, ...] = (),
+    contexts: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",
+    trials: int = 20,
+    randomize: Literal["none", "mild", "strong"] = "mild",
+    rules: Literal["published", "physical"] = "published",
+    quick: bool = False,
+    workers: int = 1,
+    engine: Literal["local", "ray"] = "local",
+    video: bool = False,
+    resume: bool = False,
+    seed: int = 0,
+    out: Path = Path("out/audit"),
+) -> int:
+    """Try every action in every context in physics, where the rules allow it and where they forbid it.
+
+    A rule that allows what physics refuses is unsound; one that forbids what would have worked is conservative. Exit
+    status 0 when no rule is unsound and every trial came to an end, 1 when not, 2 for wrong input.
+
+    Args:
+        actions: only these actions.
+        contexts: only rows whose name matches, such as '*load=block*room=tight'.
+        trials: at least how many for each row; each of its contexts is tried at least once.
+        randomize: how noisy the senses and how random the physics are.
+        rules: the rule set to audit.
+        quick: try a small sample of the rows, once each.
+        workers: processes to share the work; results do not depend on it.
+        engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
+        video: films of the disagreements, a few seconds of work each.
+        resume: go on with what an interrupted audit has left in the output folder.
+        seed: decides the places, the physics and the noise of all trials.
+        out: folder for report.html, report.json, trials.jsonl and the bundles of the disagreements.
+    """
+    if trials < 1 or workers < 1:
+        raise InputError("--trials and --workers must be at least 1")
+    started = time.perf_counter()
+    console = Console()
+    output_directory(out)
+    filming = video and rendering_works(console)
+
+    # MuJoCo must not be imported before the rendering backend is chosen.
+    from craftsim.commands.validate_films import film_failures
+    from craftsim.skills.gains import load_gains
+    from craftsim.validation.audit.results import Results, bundle_disagreements
+    from craftsim.validation.audit.rows import audit_plan
+    from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
+    from craftsim.validation.campaign import Header, run_campaign
+    from craftsim.validation.html.writing import write_html
+    from craftsim.validation.settings import SETTINGS
+    from craftsim.validation.statistics.figures import campaign_figures
+
+    plan = _chosen(audit_plan(rules), actions, contexts)
+    if quick:
+        plan, trials = (
+            [replace(row, members=row.members[:1]) for row in plan[:: 1 + len(plan) // QUICK_ROWS]],
+            1,
+        )
+    settings = SETTINGS[randomize]
+    config = {
+        "actions": actions,
+        "contexts": contexts,
+        "trials": trials,
+        "randomize": randomize,
+        "rules": rules,
+        "quick": quick,
+        "settings": settings,
+        "gains": load_gains(),
+    }
+    items = items_of(plan, trials, seed, rules, settings)
+    with counting(console, "trials", len(items)) as tell:
+        records = run_campaign(
+            items,
+            try_it,
+            out,
+            Header("audit", seed, config),
+            workers=workers,
+            engine=engine,
+            timeout_s=TIMEOUT_S,
+            batch=1 if quick else BATCH,
+            resume=resume,
+            tell=lambda record: tell(record["error"] is None),
+        )
+    bundle_disagreements(out, items, records, workers)
+    if filming:
+        film_failures(console, out, records)
+    results = Results.of(records)
+    figures = {"audit": results.figures(plan), "validation": campaign_figures(records, seed)}
+    wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
+    report = write_report(out, figures, command="audit", seed=seed, config=config, wall=wall)
+    page = write_html(out, _page(results, records, config, seed))
+    _print(console, results)
+    console.print(f"Report: {report}\nPage:   {page}", soft_wrap=True)
+    return _conclude(console, results, records, rules)
+
+
+def _chosen(plan: list[Row], actions: tuple[ActionName, ...], contexts: str) -> list[Row]:
+    """Return the rows that are asked for, by the action's name before a direction and the row's name."""
+    wanted = [
+        row
+        for row in plan
+        if (not actions or any(verb in row.name.split("/")[0].split("+") for verb in _verbs(actions)))
+        and fnmatchcase(row.name, contexts)
+    ]
+    if not wanted:
+        raise InputError(
+            f"no row matches '{contexts}' with these actions; a row's name is such as '{plan[0].name}'"
+        )
+    return wanted
+
+
+def _verbs(actions: tuple[ActionName, ...]) -> list[str]:
+    moves = [f"MOVE-{way}" for way in ("forward", "left", "back", "right")]
+    return [*actions, *(moves if "MOVE" in actions else [])]
+
+
+def _page(results: Results, records: Sequence[TrialRecord], config: dict[str, Any], seed: int) -> Any:
+    from craftsim.report import plain
+    from craftsim.validation.audit.results import suspects_table
+    from craftsim.validation.html.audit import audit_page
+    from craftsim.validation.html.provenance import Provenance
+    from craftsim.validation.statistics.figures import campaign_figures
+
+    words = ["craftsim", "audit", "--rules", config["rules"], "--randomize", config["randomize"]]
+    words += ["--actions", *config["actions"]] if config["actions"] else []
+    words += ["--contexts", config["contexts"]] if config["contexts"] != "*" else []
+    words += ["--quick"] if config["quick"] else ["--trials", str(config["trials"])]
+    words += ["--seed", str(seed)]
+    told = {key: value for key, value in plain(config).items() if key != "settings"}
+    provenance = Provenance(shlex.join(words), seed, told, plain(config["settings"].thresholds))
+    kept = [record for record in records if not record["group"].endswith("order=at-once")]
+    figures = campaign_figures(kept, seed)
+    return audit_page(
+        results.rows, kept, figures, provenance, config["rules"], suspects_table(results.suspects)
+    )
+
+
+def _print(console: Console, results: Results) -> None:
+    from craftsim.validation.statistics.audit_rows import Judgement
+
+    def say(text: str) -> None:
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+
+    for judgement in (Judgement.UNSOUND, Judgement.CONSERVATIVE):
+        rows = results.of_kind(judgement)
+        console.print(f"[bold]{judgement.value}: {len(rows)} rows")
+        for row in rows[:_SHOWN]:
+            share = f"{row.as_predicted} of {row.trials} as predicted"
+            share += f" ({row.wilson_low:.2f} to {row.wilson_high:.2f})"
+            say(f"  {row.action}/{row.context}: {share}" + (f"; {row.reason}" if row.reason else ""))
+        if len(rows) > _SHOWN:
+            say(f"  and {len(rows) - _SHOWN} more in the reports")
+    table = Table("", "suspect", "verdict", title="suspects", title_justify="left", box=None, pad_edge=False)
+    for found in results.suspects:
+        table.add_row(str(found.number), found.question, found.verdict)
+    console.print(table)
+
+
+def _conclude(console: Console, results: Results, records: Sequence[TrialRecord], rules: str) -> int:
+    from craftsim.validation.statistics.audit_rows import Judgement
+
+    n = {judgement: len(results.of_kind(judgement)) for judgement in Judgement}
+    errors = sum(record["error"] is not None for record in records)
+    allowed = n[Judgement.UNSOUND] + n[Judgement.SOUND]
+    console.print(
+        f"{rules}: {n[Judgement.UNSOUND]} of {allowed} rows that the rules allow are unsound; "
+        f"{n[Judgement.CONSERVATIVE]} that they forbid would have worked, "
+        f"{n[Judgement.RIGHTLY_FORBIDDEN]} are rightly forbidden."
+        + (f" {errors} trials came to no end." if errors else ""),
+        soft_wrap=True,
+    )
+    return 1 if n[Judgement.UNSOUND] or errors else 0

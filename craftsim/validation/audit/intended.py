@@ -1,0 +1,80 @@
+"""What a forbidden action would have done, had the rules allowed it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.rules import LAWS
+from craftsim.discrete.rules.effects import apply
+from craftsim.discrete.rules.sets import world_of
+
+_LIFTED: Final = (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
+_LEVEL: Final = (Kind.GROUND, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
+"""What has a level top at the height of the next floor, whether the rules let anything stand on it or not."""
+_ROOMY: Final = (Kind.AIR, Kind.GEAR, Kind.FOOT)
+"""What leaves room for a carried thing in its cell, as far as cells can tell."""
+
+
+class NoPredictionError(Exception):
+    """The action would have no effect that the rules have a world for; the reason in a few words."""
+
+
+def intended(grid: Grid, car: int, action: Action) -> Grid:
+    """Return the world that an action leads to by the effects of the physical rules, whether it is legal or not.
+
+    Raises NoPredictionError where there is nothing to do, no room for what would be there, or no such state.
+    """
+    x, y, z, _, load, _, slope = (int(v) for v in grid.cars[car])
+    own = Kind(grid.kind[x, y, z]) if z < grid.kind.shape[2] else Kind.AIR
+    if action is Action.LIFT and (load != Kind.AIR or own not in _LIFTED):
+        raise NoPredictionError("there is nothing to lift")
+    if action is Action.DROP and load == Kind.AIR:
+        raise NoPredictionError("there is nothing to drop")
+    if action is Action.DROP and slope:
+        raise NoPredictionError("nothing stands on a slope")
+    if action is Action.FOLD and own != Kind.BODY:
+        raise NoPredictionError("there is nothing to fold")
+    if action is Action.UNFOLD and own != Kind.FSLOPE:
+        raise NoPredictionError("there is nothing to unfold")
+    if action in MOVE_DIRECTION:
+        _check_target(grid, beside((x, y, z), MOVE_DIRECTION[action]), Kind(load))
+    after = grid.copy()
+    apply(world_of(after, LAWS["physical"]), car, int(action))
+    after.derive_marks()
+    _check_state(after, car)
+    return after
+
+
+def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
+    """Raise NoPredictionError where a move leads to no place for the car and its load."""
+    x, y, z = cell
+    if not (0 <= x < grid.kind.shape[0] and 0 <= y < grid.kind.shape[1]):
+        raise NoPredictionError("the map ends there")
+    there = Kind(grid.kind[cell]) if z < grid.kind.shape[2] else Kind.AIR
+    if there == Kind.WALL:
+        raise NoPredictionError("a wall is there")
+    if load != Kind.AIR and there not in _ROOMY:
+        raise NoPredictionError("two things would share a cell")
+    if (grid.cars[:, : CarField.Z + 1] == cell).all(axis=1).any():
+        raise NoPredictionError("a car is there")
+
+
+def _check_state(grid: Grid, car: int) -> None:
+    """Raise NoPredictionError where the rules have no such state of a car."""
+    x, y, z, yaw, load, load_yaw, slope = (int(v) for v in grid.cars[car])
+    here = Kind(grid.kind[x, y, z]) if z < grid.kind.shape[2] else Kind.AIR
+    below = Kind(grid.kind[x, y, z - 1])
+    if (slope == 1) != (here == Kind.FOOT) or (slope == 2) != (below == Kind.BODY):
+        raise NoPredictionError("there is no ground to stand on")
+    if slope == 0 and below not in _LEVEL:
+        raise NoPredictionError("there is no ground to stand on")
+    if slope and (yaw - int(grid.yaw[x, y, z if slope == 1 else z - 1])) % 2:
+        raise NoPredictionError("a car across a slope is no state of the rules")
+    if load == Kind.FSLOPE:
+        gx, gy, _ = beside((x, y, z), load_yaw)
+        if not (0 <= gx < grid.kind.shape[0] and 0 <= gy < grid.kind.shape[1]):
+            raise NoPredictionError("the map ends there")
+        if Kind(grid.kind[gx, gy, z]) not in _ROOMY:
+            raise NoPredictionError("two things would share a cell")

@@ -10,9 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from craftsim.validation.contexts import Context, Survey
+from craftsim.validation.statistics.proportions import wilson
 from craftsim.validation.trials import TrialRecord
-
-CONFIDENCE: Final = 0.95
 
 
 def _action(context: Context) -> str:
@@ -84,16 +83,6 @@ def summarise(records: Iterable[TrialRecord]) -> Summary:
     )
 
 
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Return Wilson's score interval of a success rate at 95 % confidence; (0, 1) when nothing was tried."""
-    from scipy.stats import binomtest
-
-    if trials == 0:
-        return 0.0, 1.0
-    interval = binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
-    return float(interval.low), float(interval.high)
-
-
 def grouped(
     records: Iterable[TrialRecord], contexts: Mapping[str, Context], key: Callable[[Context], str]
 ) -> dict[str, Summary]:
@@ -112,29 +101,15 @@ def reasons(records: Iterable[TrialRecord]) -> dict[str, int]:
 def campaign_figures(
     records: Sequence[TrialRecord], contexts: Mapping[str, Context], survey: Survey
 ) -> dict[str, Any]:
-    """Return what a report says of a campaign.
-
-    Trials in contexts that are known to be unsound, where the rules allow what physics refuses, are told apart and
-    do not count in the success rate.
-    """
-    sound = [r for r in records if not contexts[r.context].unsound]
-    unsound = [r for r in records if contexts[r.context].unsound]
+    """Return what a report says of a campaign."""
     return {
         "contexts": len(survey.contexts),
         "contexts_tried": len({record.context for record in records}),
-        "contexts_unsound": sum(bool(context.unsound) for context in survey.contexts),
         "combinations": survey.n_combinations,
         "impossible": dict(survey.impossible),
         "forbidden": dict(survey.forbidden),
-        "all": summarise(sound),
-        "success_rate": summarise(sound).rate,
-        "by": {name: grouped(sound, contexts, key) for name, key in GROUPS.items()},
-        "failures": reasons(sound),
-        "unsound": {
-            why: {
-                "figures": figures,
-                "failures": reasons(r for r in unsound if contexts[r.context].unsound == why),
-            }
-            for why, figures in grouped(unsound, contexts, lambda context: context.unsound).items()
-        },
+        "all": summarise(records),
+        "success_rate": summarise(records).rate,
+        "by": {name: grouped(records, contexts, key) for name, key in GROUPS.items()},
+        "failures": reasons(records),
     }

@@ -24,6 +24,11 @@ from craftsim.skills.outcome import Reason
 from craftsim.skills.profile import Profile
 from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
 
+Triple = tuple[float, float, float]
+"""A pose (x, y, heading), or a way or speed of it. Plain numbers: arrays of three take several times as long, and this
+runs for every car in every control period."""
+
+_LEVER_M = SMARTCAR.turn_radius_m
 _AT_REST_RAD_S = 0.03
 _AT_REST_M_S = 0.0015
 _REST_PERIODS = 2
@@ -43,7 +48,7 @@ class DrivingSkill(Skill):
         """Prepare for a control period in seconds and these gains."""
         super().__init__(period_s)
         self.gains = gains
-        self._integral = np.zeros(3)
+        self._integral = (0.0, 0.0, 0.0)
         self._rest_periods = 0
         self._at_rest = False
         self._stuck_s = self._rolled_m = self._moved_m = 0.0
@@ -51,13 +56,12 @@ class DrivingSkill(Skill):
     def _begin(self, now: CarMeasurement) -> None:
         """Lay the path from the measured pose to the target pose."""
         self._loaded = feels_load(now)
-        self._origin = self._last = np.array([now.x, now.y, now.heading])
-        target = self._target(now)
-        self._delta = target - self._origin
-        self._delta[2] = wrap(self._delta[2])
+        self._origin = self._last = (now.x, now.y, now.heading)
+        x, y, heading = self._target(now).tolist()
+        self._delta = (x - now.x, y - now.y, wrap(heading - now.heading))
         self._profile = self._make_profile()
         travel = self._profile.distance(self._profile.duration_s)
-        self._direction = self._delta / travel if travel else np.zeros(3)
+        self._direction = _divided(self._delta, travel) if travel else (0.0, 0.0, 0.0)
 
     @abstractmethod
     def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
@@ -70,8 +74,8 @@ class DrivingSkill(Skill):
     def _control(self, now: CarMeasurement) -> Command:
         if self._loaded:
             self._check_load(now)
-        error = self._reference(self.elapsed_s) - np.array([now.x, now.y, now.heading])
-        error[2] = wrap(error[2])
+        x, y, heading = self._reference(self.elapsed_s)
+        error = (x - now.x, y - now.y, wrap(heading - now.heading))
         self._check_progress(now, error)
         if self.elapsed_s >= self._profile.duration_s:
             self._check_arrival(now, error)
@@ -79,43 +83,57 @@ class DrivingSkill(Skill):
             return Command()
         return Command(wheels=self._wheels(now, error))
 
-    def _reference(self, t: float) -> NDArray[np.float64]:
-        return self._origin + self._direction * self._profile.distance(t)
+    def _reference(self, t: float) -> Triple:
+        (x, y, heading), (dx, dy, dh) = self._origin, self._direction
+        way = self._profile.distance(t)
+        return x + dx * way, y + dy * way, heading + dh * way
 
-    def _wheels(self, now: CarMeasurement, error: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _wheels(self, now: CarMeasurement, error: Triple) -> NDArray[np.float64]:
         # The command holds for one period, so the path's motion in the middle of that period is fed forward.
         gains, t = self.gains, self.elapsed_s + self.period_s / 2
         if self.elapsed_s > self._profile.duration_s:
-            self._integral += gains.integral_gain * error * self.period_s
-        gain = np.array([gains.position_gain, gains.position_gain, gains.heading_gain])
-        velocity = self._direction * self._profile.speed(t) + gain * error + self._integral
-        acceleration = self._direction * self._profile.acceleration(t)
-        slip = np.array([1.0, gains.sideways_slip, gains.turn_slip])
-        speeds = wheel_speeds(slip * _to_body(velocity, now)) * self._stretch(now)
+            ix, iy, ih = self._integral
+            x, y, heading = (gains.integral_gain * e * self.period_s for e in error)
+            self._integral = (ix + x, iy + y, ih + heading)
+        speed = self._profile.speed(t)
+        (dx, dy, dh), (ex, ey, eh), (ix, iy, ih) = self._direction, error, self._integral
+        velocity = (
+            dx * speed + gains.position_gain * ex + ix,
+            dy * speed + gains.position_gain * ey + iy,
+            dh * speed + gains.heading_gain * eh + ih,
+        )
+        forward, left, turn = _to_body(velocity, now)
+        speeds = wheel_speeds((forward, gains.sideways_slip * left, gains.turn_slip * turn))
+        stretch = self._stretch(now)
+        if stretch is not None:
+            speeds = speeds * stretch
         mass = SMARTCAR.mass_kg + (max(0.0, now.board_force_n) / GRAVITY if self._loaded else 0.0)
-        inertia = np.array([mass + _SPIN_MASS_KG, mass + _SPIN_MASS_KG, _TURN_INERTIA_KGM2])
-        weight = mass * GRAVITY * np.array([math.sin(now.pitch), math.sin(now.roll), 0.0])
-        torque = wheel_torques(inertia * _to_body(acceleration, now) + weight)
+        weight, inertia = mass * GRAVITY, mass + _SPIN_MASS_KG
+        forward, left, turn = _to_body(_scaled(self._direction, self._profile.acceleration(t)), now)
+        torque = wheel_torques(
+            (
+                inertia * forward + weight * math.sin(now.pitch),
+                inertia * left + weight * math.sin(now.roll),
+                _TURN_INERTIA_KGM2 * turn,
+            )
+        )
         torque += SMARTCAR.gear_friction_nm * np.tanh(speeds / gains.friction_speed)
         # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
         return speeds + torque / SMARTCAR.wheel_gain_nms_rad
 
-    def _stretch(self, now: CarMeasurement) -> NDArray[np.float64]:
-        """Return by how much each wheel must outrun the body's forward speed, shape (4,)."""
-        return np.ones(4)
+    def _stretch(self, now: CarMeasurement) -> NDArray[np.float64] | None:
+        """Return by how much each wheel must outrun the body's forward speed, shape (4,), if it must."""
+        return None
 
-    def _check_progress(self, now: CarMeasurement, error: NDArray[np.float64]) -> None:
-        pose = np.array([now.x, now.y, now.heading])
-        step, self._last = pose - self._last, pose
-        step[2] = wrap(step[2])
-        lever = np.array([1.0, 1.0, SMARTCAR.turn_radius_m])
-        moved = float(np.linalg.norm(lever * step))
+    def _check_progress(self, now: CarMeasurement, error: Triple) -> None:
+        (x, y, heading), self._last = self._last, (now.x, now.y, now.heading)
+        moved = _length(now.x - x, now.y - y, wrap(now.heading - heading))
         # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
         # Localisations jitter, so they do not tell.
-        rolled = float(np.linalg.norm(lever * body_twist(now.wheel_speeds)))
-        third = float(np.sort(np.abs(now.wheel_speeds))[2])
+        rolled = _length(*body_twist(now.wheel_speeds).tolist())
+        third = sorted(map(abs, now.wheel_speeds.tolist()))[2]
         self._at_rest = rolled < _AT_REST_M_S or third < _AT_REST_RAD_S
-        behind = float(np.hypot(error[0], error[1]) + SMARTCAR.turn_radius_m * abs(error[2]))
+        behind = math.hypot(error[0], error[1]) + _LEVER_M * abs(error[2])
         if behind <= self.gains.blocked_error:
             self._stuck_s = self._rolled_m = self._moved_m = 0.0
             return
@@ -127,9 +145,9 @@ class DrivingSkill(Skill):
             reason = Reason.SLIPPED if slipped else Reason.BLOCKED
             self._fail(reason, f"{behind * 1e3:.0f} mm behind the path")
 
-    def _check_arrival(self, now: CarMeasurement, error: NDArray[np.float64]) -> None:
+    def _check_arrival(self, now: CarMeasurement, error: Triple) -> None:
         gains = self.gains
-        offset, turn = float(np.hypot(error[0], error[1])), abs(float(error[2]))
+        offset, turn = math.hypot(error[0], error[1]), abs(error[2])
         there = offset < gains.position_tolerance and turn < gains.heading_tolerance
         sure = now.position_std_m < gains.position_certainty and now.heading_std_rad < gains.heading_certainty
         self._rest_periods = self._rest_periods + 1 if there and sure and self._at_rest else 0
@@ -152,11 +170,24 @@ _TURN_INERTIA_KGM2 = (
 """Inertia of the car about its vertical axis, the spin of its wheels included."""
 
 
-def _to_body(vector: NDArray[np.float64], now: CarMeasurement) -> NDArray[np.float64]:
+def _scaled(vector: Triple, factor: float) -> Triple:
+    return vector[0] * factor, vector[1] * factor, vector[2] * factor
+
+
+def _divided(vector: Triple, by: float) -> Triple:
+    return vector[0] / by, vector[1] / by, vector[2] / by
+
+
+def _length(x: float, y: float, heading: float) -> float:
+    """Return the length of a way (m, m, rad) in metres, a turn by what the wheels roll for it."""
+    return math.sqrt(x * x + y * y + (_LEVER_M * heading) ** 2)
+
+
+def _to_body(vector: Triple, now: CarMeasurement) -> Triple:
     """Turn a horizontal world vector (x, y, rotation) into the body frame; on an incline forward is longer."""
     c, s = math.cos(now.heading), math.sin(now.heading)
     forward, left = c * vector[0] + s * vector[1], -s * vector[0] + c * vector[1]
-    return np.array([forward / math.cos(now.pitch), left / math.cos(now.roll), vector[2]])
+    return forward / math.cos(now.pitch), left / math.cos(now.roll), vector[2]
 
 
 @dataclass(frozen=True)
@@ -186,13 +217,14 @@ class Move(DrivingSkill):
         yaw, _ = nearest_yaw(now.heading)
         return np.array([*cell_position(cell[0], cell[1], 1)[:2], yaw_angle(yaw)])
 
-    def _stretch(self, now: CarMeasurement) -> NDArray[np.float64]:
+    def _stretch(self, now: CarMeasurement) -> NDArray[np.float64] | None:
         # Where the ground bends, at the cell border, the axles roll on different inclines, but the stiff body gives
         # both the same speed along itself: an axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
         if not self.terrain.sloping:
-            return np.ones(4)
+            return None
         step = DIRECTIONS[self.direction]
-        past_border = float((np.array([now.x, now.y]) - self._origin[:2] - 0.5 * self._delta[:2]) @ step)
+        way = np.array([now.x, now.y]) - self._origin[:2] - 0.5 * np.array(self._delta[:2])
+        past_border = float(way @ step)
         forward = math.cos(now.heading) * step[0] + math.sin(now.heading) * step[1]
         reach = SMARTCAR.wheel_x_m * forward * math.cos(now.pitch)
 

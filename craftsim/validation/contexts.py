@@ -210,7 +210,9 @@ def survey(rule_set: RuleSet = "physical") -> Survey:
                     impossible["no neighbour cell can be filled"] += 1
     every = frozenset(found)
     forbidden = Counter(_why_forbidden(context, every) for context in illegal)
-    return Survey(tuple(found), tuple(illegal), tuple(impossible.most_common()), tuple(forbidden.most_common()))
+    return Survey(
+        tuple(found), tuple(illegal), tuple(impossible.most_common()), tuple(forbidden.most_common())
+    )
 
 
 def _legal(rules: Rules, context: Context, drawing: Drawing) -> bool:

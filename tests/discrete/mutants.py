@@ -15,7 +15,13 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).parents[2]
-TESTS: Final = ("test_actions_in_place.py", "test_moves.py", "test_marks.py", "test_helper.py", "test_corrections.py")
+TESTS: Final = (
+    "test_actions_in_place.py",
+    "test_moves.py",
+    "test_marks.py",
+    "test_helper.py",
+    "test_corrections.py",
+)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,89 @@
+"""The audit finds known unsound rules unsound and known needless ones conservative, the same way every time."""
+
+import json
+
+import pytest
+
+from craftsim import cli
+from craftsim.validation.audit.results import Results
+from craftsim.validation.audit.rows import audit_plan
+from craftsim.validation.audit.trial import BATCH, items_of, try_it
+from craftsim.validation.bundle import read_bundle
+from craftsim.validation.campaign import Header, run_campaign
+from craftsim.validation.replay import replay
+from craftsim.validation.settings import MILDLY
+
+UNSOUND = (
+    "FOLD/level=1/ground=flat/own=body-back/load=none/beyond=taken/room=free",
+    "MOVE-forward/level=2+/ground=high-up/own=air/load=none/next=above-body-forward/room=free",
+    "UNFOLD/scene=car in the foot's cell",
+    "ROTATE_LEFT/scene=car beside, block turns",
+    "MOVE/scene=behind a load that leans",
+    "MOVE/scene=onto a second ramp",
+)
+CONSERVATIVE = "MOVE-back/level=2+/ground=high-up/own=air/load=none/next=air/room=free"
+AT_ONCE = "MOVE+MOVE/scene=unloaded at a right angle/order=at-once"
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    """What a small audit of the published rules records, with one and with two workers."""
+    wanted = {*UNSOUND, CONSERVATIVE, AT_ONCE, "STOP/level=1/ground=flat/own=air/load=none/room=free"}
+    plan = [row for row in audit_plan("published") if row.name in wanted]
+    assert {row.name for row in plan} == wanted
+    items = items_of(plan, 2, 0, "published", MILDLY)
+    return [
+        run_campaign(
+            items, try_it, tmp_path_factory.mktemp("audit"), Header("audit", 0, {}), workers=n, batch=BATCH
+        )
+        for n in (1, 2)
+    ]
+
+
+def test_records_are_equal_at_one_and_at_two_workers(records):
+    assert records[0] == records[1]
+    assert all(record["error"] is None for record in records[0])
+
+
+def test_known_unsound_rules_are_found_unsound_with_a_reason(records):
+    rows = {f"{row.action}/{row.context}": row for row in Results.of(records[0]).rows}
+    for name in UNSOUND:
+        assert rows[name].verdict == "unsound", rows[name]
+        assert rows[name].reason
+    assert rows[CONSERVATIVE].verdict == "conservative"
+    assert sum(row.verdict == "sound" for row in rows.values()) == 1
+
+
+def test_what_is_begun_at_once_is_evidence_only(records):
+    results = Results.of(records[0])
+    assert [f"{row.action}/{row.context}" for row in results.at_once] == [AT_ONCE]
+    assert not any("at-once" in row.context for row in results.rows)
+    third = next(finding for finding in results.suspects if finding.number == 3)
+    assert "begun all at once" in third.evidence
+
+
+def test_physical_forbids_each_of_them():
+    legal = {row.name: row.legal for row in audit_plan("physical")}
+    for name in UNSOUND:
+        if name != "MOVE/scene=onto a second ramp":  # only its effect was wrong
+            assert not any(allowed for row, allowed in legal.items() if row == name), name
+
+
+def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_sound(tmp_path, capsys):
+    words = ["--contexts", "MOVE/scene=on* a second ramp", "--trials", "2", "--out"]
+    assert cli.main(["audit", *words, str(tmp_path / "published")]) == 1
+    assert "1 of 1 rows that the rules allow are unsound" in capsys.readouterr().out
+    report = json.loads((tmp_path / "published" / "report.json").read_text())
+    (row,) = report["figures"]["audit"]["rows"]
+    assert (row["trials"], row["as_predicted"], row["contexts"]) == (2, 0, 1)
+    assert "second ramp" in (tmp_path / "published" / "report.html").read_text()
+    (bundle,) = row["bundles"]
+    assert replay(read_bundle(tmp_path / "published" / bundle)).reproduced
+    assert cli.main(["audit", *words, str(tmp_path / "physical"), "--rules", "physical"]) == 0
+    assert "0 of 1 rows that the rules allow are unsound" in capsys.readouterr().out
+
+
+def test_the_command_refuses_wrong_input(tmp_path, capsys):
+    assert cli.main(["audit", "--trials", "0", "--out", str(tmp_path)]) == 2
+    assert cli.main(["audit", "--contexts", "nothing like it", "--out", str(tmp_path)]) == 2
+    assert "no row matches 'nothing like it'" in capsys.readouterr().err

@@ -1,0 +1,111 @@
+"""The audit's rows cover every context once, and forbidden actions have an intended effect or a reason for none."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.rules import Rules
+from craftsim.validation.audit.intended import NoPredictionError, intended
+from craftsim.validation.audit.rows import action_in, audit_plan, spread_trials, world_of
+from craftsim.validation.audit.scenes import SCENES, Scene
+from craftsim.validation.audit.suspects import SUSPECTS, find
+from craftsim.validation.audit.trial import items_of
+from craftsim.validation.contexts import survey
+from craftsim.validation.settings import NOMINAL
+
+PLAN = {rules: audit_plan(rules) for rules in ("published", "physical")}
+BOTH = pytest.mark.parametrize("rules", PLAN)
+
+
+@BOTH
+def test_every_context_and_every_scene_is_in_exactly_one_row(rules):
+    found = survey(rules)
+    members = [member.id for row in PLAN[rules] for member in row.members]
+    every = [*found.contexts, *found.illegal, *SCENES]
+    assert Counter(members) == Counter(situation.id for situation in every)
+    assert len({row.name for row in PLAN[rules]}) == len(PLAN[rules])
+
+
+@BOTH
+def test_what_a_row_says_of_legality_holds_for_all_its_members(rules):
+    for row in PLAN[rules][::7]:
+        for member in row.members[:4]:
+            if isinstance(member, Scene):
+                assert member.legal(Rules(rules)) == row.legal
+                continue
+            grid = world_of(member, np.random.default_rng(3), rules)
+            assert Rules(rules).legal(grid, 0, action_in(member, grid)) == row.legal
+
+
+def test_what_is_legal_has_its_effect_intended():
+    for row in PLAN["physical"]:
+        member = row.members[0]
+        if row.legal and not isinstance(member, Scene):
+            grid = world_of(member, np.random.default_rng(5), "physical")
+            action = action_in(member, grid)
+            assert intended(grid, 0, action).same_visible(Rules("physical").apply(grid, 0, action)), member.id
+
+
+def test_physical_allows_nothing_that_published_forbids():
+    allowed = {rules: {c.id for c in survey(rules).contexts if not c.tight} for rules in PLAN}
+    assert allowed["physical"] < allowed["published"]
+
+
+@BOTH
+def test_a_full_audit_tries_each_row_often_and_each_context_and_stays_within_its_time(rules):
+    items = items_of(PLAN[rules], 20, 0, rules, NOMINAL)
+    assert len({item.key for item in items}) == len(items) < 25_000
+    tried = Counter(item.group for item in items if item.job is not None)
+    assert min(tried.values()) >= 20
+    assert set(tried) == {row.name for row in PLAN[rules] if not row.no_prediction}
+    contexts = {item.context for item in items if item.job is not None}
+    assert contexts == {m.id for row in PLAN[rules] if not row.no_prediction for m in row.members}
+
+
+def test_trials_are_spread_evenly_over_the_members_of_a_row():
+    row = max(PLAN["published"], key=lambda row: (not row.no_prediction, len(row.members)))
+    counts = Counter(member.id for member, _ in spread_trials(row, 2 * len(row.members) + 1))
+    assert sorted(set(counts.values())) == [2, 3]
+    assert len(list(spread_trials(row, 1))) == len(row.members)
+
+
+def test_every_suspect_has_rows():
+    for suspect, finding in zip(SUSPECTS, find([], []), strict=True):
+        assert finding.verdict == "not tried"
+        assert suspect.patterns
+    assert [suspect.number for suspect in SUSPECTS] == list(range(1, 15))
+
+
+def _alone(car, *things) -> Grid:
+    grid = Grid.empty((4, 4, 3), 1)
+    grid.cars[0] = car
+    for kind, cell in things:
+        grid.kind[cell] = kind
+    grid.derive_marks()
+    return grid
+
+
+@pytest.mark.parametrize(
+    ("grid", "action", "reason"),
+    [
+        (_alone((1, 1, 1, 0, 0, 0, 0)), Action.LIFT, "nothing to lift"),
+        (_alone((1, 1, 1, 0, 0, 0, 0)), Action.DROP, "nothing to drop"),
+        (_alone((1, 1, 1, 0, 0, 0, 0)), Action.UNFOLD, "nothing to unfold"),
+        (_alone((0, 1, 1, 0, 0, 0, 0)), Action.MOVE_LEFT, "the map ends there"),
+        (_alone((1, 1, 1, 0, 0, 0, 0), (Kind.WALL, (2, 1, 1))), Action.MOVE_RIGHT, "a wall is there"),
+        (_alone((1, 1, 1, 0, Kind.BLOCK, 0, 0), (Kind.BLOCK, (2, 1, 1))), Action.MOVE_RIGHT, "share a cell"),
+        (_alone((1, 1, 2, 0, 0, 0, 0), (Kind.BLOCK, (1, 1, 1))), Action.MOVE_RIGHT, "no ground"),
+    ],
+)
+def test_where_nothing_is_intended_there_is_a_reason(grid, action, reason):
+    with pytest.raises(NoPredictionError, match=reason):
+        intended(grid, 0, action)
+
+
+def test_a_forbidden_move_leads_to_the_next_cell():
+    grid = _alone((1, 1, 1, 0, 0, 0, 0), (Kind.BLOCK, (1, 1, 1)))
+    assert not Rules("physical").legal(grid, 0, Action.MOVE_FORWARD)
+    assert intended(grid, 0, Action.MOVE_FORWARD).cars[0, [CarField.X, CarField.Y]].tolist() == [1, 2]

@@ -38,10 +38,11 @@ def intended(grid: Grid, car: int, action: Action) -> Grid:
         raise NoPredictionError("there is nothing to fold")
     if action is Action.UNFOLD and own != Kind.FSLOPE:
         raise NoPredictionError("there is nothing to unfold")
-    if action in MOVE_DIRECTION:
-        _check_target(grid, beside((x, y, z), MOVE_DIRECTION[action]), Kind(load))
     after = grid.copy()
     apply(world_of(after, LAWS["physical"]), car, int(action))
+    if action in MOVE_DIRECTION:
+        ax, ay, az = (int(v) for v in after.cars[car, : CarField.Z + 1])
+        _check_target(grid, (ax, ay, az), Kind(load))
     after.derive_marks()
     _check_state(after, car)
     return after
@@ -76,5 +77,5 @@ def _check_state(grid: Grid, car: int) -> None:
         gx, gy, _ = beside((x, y, z), load_yaw)
         if not (0 <= gx < grid.kind.shape[0] and 0 <= gy < grid.kind.shape[1]):
             raise NoPredictionError("the map ends there")
-        if Kind(grid.kind[gx, gy, z]) not in _ROOMY:
+        if not slope and Kind(grid.kind[gx, gy, z]) not in _ROOMY:
             raise NoPredictionError("two things would share a cell")

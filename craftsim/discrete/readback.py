@@ -110,14 +110,22 @@ def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.intege
 
 def rotation_matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (3, 3) rotation of a quaternion (w, x, y, z); its columns are the body's axes in the world."""
-    # Plain numbers: this runs for every car in every control period.
-    w, x, y, z = (quaternion / math.sqrt(quaternion.dot(quaternion))).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+    return np.array(body_axes(*quaternion.tolist())).T
+
+
+def body_axes(
+    w: float, x: float, y: float, z: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+    """Return the axes (forward, left, up) of a body of this orientation, in the world frame.
+
+    Plain numbers: this runs for every car in every control period.
+    """
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / norm, x / norm, y / norm, z / norm
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
     )
 
 

@@ -7,17 +7,22 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import mul
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.readback import Poses, rotation_matrix
+from craftsim.discrete.readback import Poses, body_axes
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.parameters import BLOCK
 from craftsim.models.parts import Drive
 from craftsim.models.site import Site
+
+PerWheel = tuple[float, float, float, float]
+"""A number for each wheel, in the order of WHEELS."""
 
 _DOCKING_RANGE_M = 0.04
 _DOCKING_REACH_M = 2 * math.hypot(_DOCKING_RANGE_M, BLOCK.underside_m / 2)
@@ -38,8 +43,8 @@ class CarMeasurement:
     """Nose up positive."""
     roll: float
     """Left side up positive."""
-    wheel_speeds: NDArray[np.float64]
-    """(4,) rad/s, in the order of WHEELS."""
+    wheel_speeds: PerWheel
+    """In rad/s."""
     board_m: float
     """Height of the board above its lower stop."""
     board_force_n: float
@@ -57,26 +62,29 @@ class CarMeasurement:
 def measure(site: Site, car: int) -> CarMeasurement:
     """Return what car number ``car`` measures now."""
     handle = site.cars[car]
-    position, quaternion = site.free_body_state(handle.base)
-    turn = rotation_matrix(quaternion)
-    slope = _docked_slope(site, position, turn)
-    data = site.data
-    x, y, z = position.tolist()
-    (forward_x, _, _), (forward_y, _, _), (forward_z, left_z, _) = turn.tolist()
+    data, start = site.data, handle.base.qpos
+    x, y, z, *quaternion = data.qpos[start : start + 7].tolist()
+    forward, left, up = body_axes(*quaternion)
+    slope = _docked_slope(site, (x, y, z), (forward, left, up)) if site.slopes else None
     return CarMeasurement(
         time_s=site.time_s,
         x=x,
         y=y,
         z=z,
-        heading=math.atan2(forward_y, forward_x),
-        pitch=math.asin(max(-1.0, min(1.0, forward_z))),
-        roll=math.asin(max(-1.0, min(1.0, left_z))),
-        wheel_speeds=data.qvel[handle.wheel_dofs],
+        heading=math.atan2(forward[1], forward[0]),
+        pitch=math.asin(max(-1.0, min(1.0, forward[2]))),
+        roll=math.asin(max(-1.0, min(1.0, left[2]))),
+        wheel_speeds=_per_wheel(data.qvel[handle.wheel_dofs]),
         board_m=data.qpos.item(handle.board.qpos),
         board_force_n=_drive_force(site, handle.board),
         slope=slope,
         hinge_rad=None if slope is None else data.qpos.item(site.slopes[slope].hinge.qpos),
     )
+
+
+def _per_wheel(values: NDArray[np.float64]) -> PerWheel:
+    fl, fr, rl, rr = values.tolist()
+    return fl, fr, rl, rr
 
 
 def _drive_force(site: Site, drive: Drive) -> float:
@@ -98,8 +106,9 @@ class Sensors:
     ) -> None:
         """Sense a Site with this noise; ``rng`` draws it and is needed only where there is some."""
         self.site, self.noise, self._rng = site, noise, rng
+        self._exact = noise.silent
         n = len(site.cars)
-        if noise.silent:
+        if self._exact:
             return
         if rng is None:
             raise ValueError("noisy sensors need a random generator")
@@ -114,13 +123,13 @@ class Sensors:
 
     def observe(self) -> None:
         """Take the readings of this moment; call it once after each control period."""
-        if self.noise.silent:
+        if self._exact:
             return
         self._readings = [self._read(car) for car in range(len(self.site.cars))]
 
     def measure(self, car: int) -> CarMeasurement:
         """Return the newest reading of a car."""
-        return measure(self.site, car) if self.noise.silent else self._readings[car]
+        return measure(self.site, car) if self._exact else self._readings[car]
 
     def _read(self, car: int) -> CarMeasurement:
         assert self._rng is not None
@@ -131,7 +140,7 @@ class Sensors:
         newer, share = math.floor(back), back - math.floor(back)
         a, b = past[-1 - newer], past[-1 - min(newer + 1, len(past) - 1)]
         noise = self._rng.normal(size=4)
-        self._speeds[car] = self._speeds[car] + self._encoder_share * (true.wheel_speeds - self._speeds[car])
+        self._speeds[car] += self._encoder_share * (np.array(true.wheel_speeds) - self._speeds[car])
         turned = math.remainder(b.heading - a.heading, math.tau)
         return replace(
             true,
@@ -139,18 +148,19 @@ class Sensors:
             y=a.y + share * (b.y - a.y) + self.noise.position_m * noise[1],
             z=a.z + share * (b.z - a.z) + self.noise.position_m * noise[2],
             heading=math.remainder(a.heading + share * turned + self.noise.heading_rad * noise[3], math.tau),
-            wheel_speeds=self._speeds[car].copy(),
+            wheel_speeds=_per_wheel(self._speeds[car]),
         )
 
 
-def _docked_slope(site: Site, position: NDArray[np.float64], turn: NDArray[np.float64]) -> int | None:
+def _docked_slope(site: Site, position: Sequence[float], axes: Sequence[Sequence[float]]) -> int | None:
     """Return the slope right above a car: its plug reaches a car that is centred below it."""
     for index, slope in enumerate(site.slopes):
-        offset = site.data.qpos[slope.base.qpos : slope.base.qpos + 3] - position
-        if offset.dot(offset) > _DOCKING_REACH_M**2:
+        there = site.data.qpos[slope.base.qpos : slope.base.qpos + 3].tolist()
+        if math.dist(there, position) > _DOCKING_REACH_M:
             continue
-        relative = turn.T @ offset
-        if np.hypot(relative[0], relative[1]) < _DOCKING_RANGE_M and abs(relative[2]) < BLOCK.underside_m / 2:
+        offset = [a - b for a, b in zip(there, position, strict=True)]
+        forward, left, up = (sum(map(mul, axis, offset)) for axis in axes)
+        if math.hypot(forward, left) < _DOCKING_RANGE_M and abs(up) < BLOCK.underside_m / 2:
             return index
     return None
 

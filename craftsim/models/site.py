@@ -73,6 +73,8 @@ class Site:
         self.model: mujoco.MjModel = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._policies = self.model.tree_sleep_policy.copy()
+        self._commanded = b""
+        """Which motors had a command in the last period; empty where the policies may not fit it."""
         self._tree_of_motor = self.model.dof_treeid[
             self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]]
         ].astype(np.intp)
@@ -86,7 +88,7 @@ class Site:
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
         mujoco.mj_resetData(self.model, self.data)
-        self.model.tree_sleep_policy[:] = self._policies
+        self._set_policies(self._policies)
         joints: dict[str, list[float]] = {"smartcar": [], "slope": []}
         for placed in self._placements:
             if placed.kind in joints:
@@ -146,16 +148,24 @@ class Site:
                 "this state was saved by a Site with other parts; restore it on one of an equal grid"
             )
         mujoco.mj_copyData(self.data, self.model, state.data)
-        self.model.tree_sleep_policy[:] = state.policies
+        self._set_policies(state.policies)
 
     def free_body_state(self, body: FreeBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return copies of a body's position (3,) in metres and unit quaternion (4,), w first, in the world frame."""
         pose = self.data.qpos[body.qpos : body.qpos + 7].copy()
         return pose[:3], pose[3:]
 
+    def _set_policies(self, policies: NDArray[np.int32]) -> None:
+        self.model.tree_sleep_policy[:] = policies
+        self._commanded = b""
+
     def _rouse(self) -> bool:
         """Keep commanded trees awake, let the others sleep; return whether a commanded one is asleep."""
+        commanded = self.data.ctrl != 0
+        if commanded.tobytes() == self._commanded:
+            return False
+        self._commanded = commanded.tobytes()
         self.model.tree_sleep_policy[self._tree_of_motor] = _MAY_SLEEP
-        busy = self._tree_of_motor[self.data.ctrl != 0]
+        busy = self._tree_of_motor[commanded]
         self.model.tree_sleep_policy[busy] = _STAY_AWAKE
         return bool((self.data.tree_asleep[busy] >= 0).any())

@@ -17,16 +17,12 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, cell_position, yaw_angle
 from craftsim.discrete.readback import nearest_yaw
 from craftsim.models.parameters import SMARTCAR
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.sensing import CarMeasurement, PerWheel
 from craftsim.skills.gains import DriveGains
-from craftsim.skills.mecanum import body_twist, wheel_speeds, wheel_torques
+from craftsim.skills.mecanum import Triple, body_twist, wheel_speeds, wheel_torques
 from craftsim.skills.outcome import Reason
 from craftsim.skills.profile import Profile
 from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
-
-Triple = tuple[float, float, float]
-"""A pose (x, y, heading), or a way or speed of it. Plain numbers: arrays of three take several times as long, and this
-runs for every car in every control period."""
 
 _LEVER_M = SMARTCAR.turn_radius_m
 _AT_REST_RAD_S = 0.03
@@ -88,7 +84,7 @@ class DrivingSkill(Skill):
         way = self._profile.distance(t)
         return x + dx * way, y + dy * way, heading + dh * way
 
-    def _wheels(self, now: CarMeasurement, error: Triple) -> NDArray[np.float64]:
+    def _wheels(self, now: CarMeasurement, error: Triple) -> PerWheel:
         # The command holds for one period, so the path's motion in the middle of that period is fed forward.
         gains, t = self.gains, self.elapsed_s + self.period_s / 2
         if self.elapsed_s > self._profile.duration_s:
@@ -103,35 +99,39 @@ class DrivingSkill(Skill):
             dh * speed + gains.heading_gain * eh + ih,
         )
         forward, left, turn = _to_body(velocity, now)
-        speeds = wheel_speeds((forward, gains.sideways_slip * left, gains.turn_slip * turn))
-        stretch = self._stretch(now)
-        if stretch is not None:
-            speeds = speeds * stretch
+        fl, fr, rl, rr = wheel_speeds((forward, gains.sideways_slip * left, gains.turn_slip * turn))
+        front, rear = self._stretch(now)
+        speeds = fl * front, fr * front, rl * rear, rr * rear
         mass = SMARTCAR.mass_kg + (max(0.0, now.board_force_n) / GRAVITY if self._loaded else 0.0)
         weight, inertia = mass * GRAVITY, mass + _SPIN_MASS_KG
         forward, left, turn = _to_body(_scaled(self._direction, self._profile.acceleration(t)), now)
-        torque = wheel_torques(
+        torques = wheel_torques(
             (
                 inertia * forward + weight * math.sin(now.pitch),
                 inertia * left + weight * math.sin(now.roll),
                 _TURN_INERTIA_KGM2 * turn,
             )
         )
-        torque += SMARTCAR.gear_friction_nm * np.tanh(speeds / gains.friction_speed)
-        # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
-        return speeds + torque / SMARTCAR.wheel_gain_nms_rad
+        fl, fr, rl, rr = map(self._command, speeds, torques)
+        return fl, fr, rl, rr
 
-    def _stretch(self, now: CarMeasurement) -> NDArray[np.float64] | None:
-        """Return by how much each wheel must outrun the body's forward speed, shape (4,), if it must."""
-        return None
+    def _command(self, speed: float, torque: float) -> float:
+        """Return the speed to command to a wheel's servo for a speed in rad/s and a torque in Nm beyond friction's."""
+        torque += SMARTCAR.gear_friction_nm * math.tanh(speed / self.gains.friction_speed)
+        # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
+        return speed + torque / SMARTCAR.wheel_gain_nms_rad
+
+    def _stretch(self, now: CarMeasurement) -> tuple[float, float]:
+        """Return by what factors the front and the rear wheels must outrun the body's forward speed."""
+        return 1.0, 1.0
 
     def _check_progress(self, now: CarMeasurement, error: Triple) -> None:
         (x, y, heading), self._last = self._last, (now.x, now.y, now.heading)
         moved = _length(now.x - x, now.y - y, wrap(now.heading - heading))
         # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
         # Localisations jitter, so they do not tell.
-        rolled = _length(*body_twist(now.wheel_speeds).tolist())
-        third = sorted(map(abs, now.wheel_speeds.tolist()))[2]
+        rolled = _length(*body_twist(now.wheel_speeds))
+        third = sorted(map(abs, now.wheel_speeds))[2]
         self._at_rest = rolled < _AT_REST_M_S or third < _AT_REST_RAD_S
         behind = math.hypot(error[0], error[1]) + _LEVER_M * abs(error[2])
         if behind <= self.gains.blocked_error:
@@ -217,23 +217,22 @@ class Move(DrivingSkill):
         yaw, _ = nearest_yaw(now.heading)
         return np.array([*cell_position(cell[0], cell[1], 1)[:2], yaw_angle(yaw)])
 
-    def _stretch(self, now: CarMeasurement) -> NDArray[np.float64] | None:
+    def _stretch(self, now: CarMeasurement) -> tuple[float, float]:
         # Where the ground bends, at the cell border, the axles roll on different inclines, but the stiff body gives
         # both the same speed along itself: an axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
         if not self.terrain.sloping:
-            return None
-        step = DIRECTIONS[self.direction]
-        way = np.array([now.x, now.y]) - self._origin[:2] - 0.5 * np.array(self._delta[:2])
-        past_border = float(way @ step)
-        forward = math.cos(now.heading) * step[0] + math.sin(now.heading) * step[1]
+            return 1.0, 1.0
+        (x, y, _), (way_x, way_y, _) = self._origin, self._delta
+        step_x, step_y = DIRECTIONS[self.direction].tolist()
+        past_border = (now.x - x - way_x / 2) * step_x + (now.y - y - way_y / 2) * step_y
+        forward = math.cos(now.heading) * step_x + math.sin(now.heading) * step_y
         reach = SMARTCAR.wheel_x_m * forward * math.cos(now.pitch)
 
         def outrun(axle: float) -> float:
             ground = self.terrain.end_rad if past_border + axle > 0 else self.terrain.start_rad
             return 1 / math.cos(ground - now.pitch)
 
-        front, rear = outrun(reach), outrun(-reach)
-        return np.array([front, front, rear, rear])
+        return outrun(reach), outrun(-reach)
 
     def _make_profile(self) -> Profile:
         gains = self.gains

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.models.sensing import CarMeasurement, Sensors
@@ -42,7 +41,7 @@ class Executor:
         noise, period = self.sensors.noise, site.config.control_period_s
         self._localisers = [] if noise.silent else [Localiser(noise, period) for _ in site.cars]
         self._motor_share = 1 - math.exp(-period / noise.motor_lag_s) if noise.motor_lag_s else 1.0
-        self._wheels: NDArray[np.float64] = np.zeros((len(site.cars), 4))
+        self._wheels = np.zeros((len(site.cars), 4))
         self._skills: dict[int, Skill] = {}
         self._docked: dict[int, int] = {}
         self._views: list[CarMeasurement] = []
@@ -98,8 +97,11 @@ class Executor:
 
     def _apply(self, car: int, command: Command, slope: int | None) -> None:
         # A stopped drive brakes at once; only a commanded speed is late.
-        share = self._motor_share if command.wheels.any() else 1.0
-        self._wheels[car] += share * (command.wheels - self._wheels[car])
+        share = self._motor_share if any(command.wheels) else 1.0
+        if share == 1.0:
+            self._wheels[car] = command.wheels
+        else:
+            self._wheels[car] += share * (np.array(command.wheels) - self._wheels[car])
         self.site.drive(car, self._wheels[car])
         self.site.move_board(car, command.board)
         # A slope that loses its car loses the command.

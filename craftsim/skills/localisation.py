@@ -63,7 +63,7 @@ class Localiser:
 
     def _predict(self, now: CarMeasurement) -> None:
         assert self._pose is not None
-        forward, left, turn = body_twist(now.wheel_speeds) * self._period_s
+        forward, left, turn = (self._period_s * speed for speed in body_twist(now.wheel_speeds))
         forward, left = forward * math.cos(now.pitch), left * math.cos(now.roll)
         middle = self._pose[2] + turn / 2
         c, s = math.cos(middle), math.sin(middle)

@@ -3,39 +3,44 @@
 With wheel radius R and lever l = half wheelbase + half track (rollers at 45 degrees, X arrangement), a body twist
 (vx, vy, omega) needs the wheel speeds R w = (vx - vy - l omega, vx + vy + l omega, vx + vy - l omega,
 vx - vy + l omega) at front left, front right, rear left and rear right.
+
+Plain numbers: this runs for every car in every control period, where small arrays would take several times as long.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from craftsim.models.parameters import SMARTCAR
+from craftsim.models.sensing import PerWheel
 
-_L = SMARTCAR.turn_radius_m
-TWIST_TO_WHEELS: Final[NDArray[np.float64]] = (
-    np.array([[1, -1, -_L], [1, 1, _L], [1, 1, -_L], [1, -1, _L]]) / SMARTCAR.wheel_radius_m
-)
-"""(4, 3): wheel speeds in rad/s from a body twist in m/s, m/s and rad/s."""
-WHEELS_TO_TWIST: Final[NDArray[np.float64]] = np.linalg.pinv(TWIST_TO_WHEELS).astype(np.float64)
-"""(3, 4): the body twist that fits four wheel speeds best in the sense of least squares."""
+_L: Final = SMARTCAR.turn_radius_m
+_R: Final = SMARTCAR.wheel_radius_m
 
-
-def wheel_speeds(twist: ArrayLike) -> NDArray[np.float64]:
-    """Return the four wheel speeds in rad/s, shape (4,), of a body twist (vx, vy, omega)."""
-    return TWIST_TO_WHEELS @ np.asarray(twist, float)
+Triple = tuple[float, float, float]
+"""(x, y, heading) or (vx, vy, omega): a pose, a way or a speed."""
 
 
-def wheel_torques(wrench: ArrayLike) -> NDArray[np.float64]:
-    """Return the four wheel torques in Nm, shape (4,), that push the body with a wrench (fx, fy, mz) in N, N and Nm.
+def wheel_speeds(twist: Iterable[float]) -> PerWheel:
+    """Return the four wheel speeds in rad/s of a body twist (vx, vy, omega) in m/s, m/s and rad/s."""
+    x, y, turn = twist
+    along, across, spin = x / _R, y / _R, _L * turn / _R
+    return along - across - spin, along + across + spin, along + across - spin, along - across + spin
+
+
+def wheel_torques(wrench: Iterable[float]) -> PerWheel:
+    """Return the four wheel torques in Nm that push the body with a wrench (fx, fy, mz) in N, N and Nm.
 
     By equal power, torque . speed = wrench . twist; of all torques that do it these are the smallest.
     """
-    return WHEELS_TO_TWIST.T @ np.asarray(wrench, float)
+    x, y, turn = wrench
+    along, across, spin = _R / 4 * x, _R / 4 * y, _R / 4 * turn / _L
+    return along - across - spin, along + across + spin, along + across - spin, along - across + spin
 
 
-def body_twist(speeds: ArrayLike) -> NDArray[np.float64]:
-    """Return the body twist (vx, vy, omega), shape (3,), that four wheel speeds in rad/s imply without slip."""
-    return WHEELS_TO_TWIST @ np.asarray(speeds, float)
+def body_twist(speeds: Iterable[float]) -> Triple:
+    """Return the body twist (vx, vy, omega) that fits four wheel speeds in rad/s best in the sense of least squares."""
+    fl, fr, rl, rr = speeds
+    quarter = _R / 4
+    return quarter * (fl + fr + rl + rr), quarter * (fr + rl - fl - rr), quarter / _L * (fr + rr - fl - rl)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass
 
 from craftsim.models.parameters import BLOCK, SMARTCAR
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.sensing import CarMeasurement, PerWheel
 from craftsim.skills.outcome import Outcome, Reason
 
 GRAVITY = 9.81
@@ -24,8 +21,8 @@ _LOST_S = 0.3
 class Command:
     """What a car tells its motors for one control period."""
 
-    wheels: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
-    """(4,) rad/s."""
+    wheels: PerWheel = (0.0, 0.0, 0.0, 0.0)
+    """In rad/s."""
     board: float = 0.0
     """m/s, up positive."""
     hinge: float = 0.0
@@ -83,9 +80,10 @@ class Skill(ABC):
         self.outcome = Outcome(reason, self.elapsed_s, detail)
 
     def _check_health(self, now: CarMeasurement) -> None:
-        pose = (now.x, now.y, now.z, now.heading, now.pitch, now.roll)
-        joints = (now.board_m, now.board_force_n, now.hinge_rad or 0.0, *now.wheel_speeds)
-        if not all(math.isfinite(v) for v in (*pose, *joints)):
+        # A sum is finite only if all its terms are.
+        pose = now.x + now.y + now.z + now.heading + now.pitch + now.roll
+        joints = now.board_m + now.board_force_n + (now.hinge_rad or 0.0) + sum(now.wheel_speeds)
+        if not math.isfinite(pose + joints):
             self._fail(Reason.DIVERGED, "a measurement is not finite")
         elif max(abs(now.pitch), abs(now.roll)) > _TIPPED_RAD:
             self._fail(Reason.TIPPED, f"pitch {now.pitch:+.2f} rad, roll {now.roll:+.2f} rad")

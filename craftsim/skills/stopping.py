@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command, Skill
@@ -19,7 +17,7 @@ class Stop(Skill):
         """Need nothing."""
 
     def _control(self, now: CarMeasurement) -> Command:
-        if self.elapsed_s > 0 and float(np.abs(now.wheel_speeds).max()) < _AT_REST_RAD_S:
+        if self.elapsed_s > 0 and max(map(abs, now.wheel_speeds)) < _AT_REST_RAD_S:
             self._succeed()
         elif self.elapsed_s > _ALLOWANCE_S:
             self._fail(Reason.TIMEOUT, "the wheels still turn")

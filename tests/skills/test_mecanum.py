@@ -1,19 +1,25 @@
-"""Ideal mecanum kinematics: the two matrices undo each other, and their signs are those of the documented formula."""
+"""Ideal mecanum kinematics: twist and wheels undo each other, power agrees, and signs are those of the formula."""
 
 import numpy as np
 import pytest
 
 from craftsim.models.parameters import SMARTCAR
-from craftsim.skills.mecanum import TWIST_TO_WHEELS, WHEELS_TO_TWIST, body_twist, wheel_speeds
+from craftsim.skills.mecanum import body_twist, wheel_speeds, wheel_torques
 
 R = 0.0496
 LEVER = 0.060 + 0.083
 
 
 def test_every_twist_survives_the_way_through_the_wheels():
-    np.testing.assert_allclose(WHEELS_TO_TWIST @ TWIST_TO_WHEELS, np.eye(3), atol=1e-12)
     twist = np.array([0.3, -0.2, 1.7])
     np.testing.assert_allclose(body_twist(wheel_speeds(twist)), twist, atol=1e-12)
+
+
+def test_torques_do_the_work_of_the_wrench_and_are_the_smallest_that_do():
+    wrench, twist = np.array([2.0, -3.0, 0.5]), np.array([0.3, -0.2, 1.7])
+    assert np.dot(wheel_torques(wrench), wheel_speeds(twist)) == pytest.approx(wrench @ twist)
+    matrix = np.array([wheel_speeds(axis) for axis in np.eye(3)])
+    np.testing.assert_allclose(wheel_torques(wrench), np.linalg.lstsq(matrix, wrench)[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

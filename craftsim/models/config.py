@@ -31,9 +31,9 @@ class SimulationConfig:
     """Contact solver: Newton converges on these stiff contacts in a few iterations; pgs, which does not, is slower and
     there to compare. MuJoCo's third solver, cg, is not stable on them."""
 
-    friction_impedance_ratio: float = 100.0
-    """How much stiffer friction is than normal contact (MuJoCo's impratio): at 100 a loaded car parked on the slope
-    creeps by less than 0.1 mm/s, at 10 by 0.7 (tests/models/test_parking.py)."""
+    friction_impedance_ratio: float = 300.0
+    """How much stiffer friction is than normal contact (MuJoCo's impratio): at 300 a loaded car parked on the slope
+    creeps by less than 0.03 mm/s, at 10 by 0.7 (tests/models/test_parking.py)."""
 
     sleep: bool = True
     """Let resting islands, idle cars included, drop out of the computation until something touches or commands them."""

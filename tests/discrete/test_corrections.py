@@ -204,6 +204,16 @@ def test_from_a_top_onto_a_second_foot_a_car_is_on_the_second_ramp(scene, car):
         assert after.cars[0, [CarField.X, CarField.Z, CarField.SLOPE]].tolist() == [3, 2, slope]
 
 
+def test_off_a_ramp_no_car_drives_right_under_something(scene, car):
+    for thing in (BLOCK, FLAG):
+        grid = scene([*RAMP, (thing, (4, 3, 1))], [car(3, 3, yaw=0, slope=1)])
+        assert corrected(grid, 0, RIGHT, "run_out")
+        away = scene([*RAMP, (thing, (5, 3, 1))], [car(3, 3, yaw=0, slope=1)])
+        assert allows(away, 0, RIGHT) == (True, True)
+    top = scene([*RAMP, (BLOCK, (1, 3, 2))], [car(2, 3, 2, yaw=2, slope=2)])
+    assert allows(top, 0, LEFT) == (True, True)
+
+
 def test_below_a_gear_a_ramp_is_driven_down_in_its_own_direction_only(scene, car):
     world = [*RAMP, (BLOCK, (2, 4, 1)), (FSLOPE, (2, 4, 2), 3), (BLOCK, (2, 2, 1))]
     assert allows(scene(world, [car(1, 3, 2, yaw=0)]), 0, RIGHT) == (True, True)

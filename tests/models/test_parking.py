@@ -22,21 +22,21 @@ def creep_m_s(grid, **settings) -> float:
 
 @pytest.mark.parametrize("state", [1, 2])
 @pytest.mark.parametrize("load", [Kind.AIR, Kind.BLOCK, Kind.FSLOPE])
-def test_a_parked_car_creeps_less_than_a_tenth_of_a_millimetre_a_second(ramp, state, load):
-    assert creep_m_s(ramp(state, load)) < 1e-4
+def test_a_parked_car_creeps_less_than_two_millimetres_a_minute(ramp, state, load):
+    assert creep_m_s(ramp(state, load)) < 3e-5
 
 
 @pytest.mark.parametrize("yaw", [0, 2])
 def test_a_car_parked_downhill_creeps_no_more_than_uphill(ramp, yaw):
-    assert creep_m_s(ramp(1, Kind.BLOCK, yaw)) < 1e-4
+    assert creep_m_s(ramp(1, Kind.BLOCK, yaw)) < 3e-5
 
 
 def test_softer_friction_would_let_it_creep(ramp):
-    """At MuJoCo's impratio 10 the creep is ten times that at 100: 0.7 mm/s. This is why 100 is the default."""
+    """At MuJoCo's impratio 10 the creep is thirty times that at 300: 0.7 mm/s. This is why 300 is the default."""
     grid = ramp(1, Kind.BLOCK)
     soft = creep_m_s(grid, friction_impedance_ratio=10)
     assert 0.5e-3 < soft < 1e-3
-    assert soft == pytest.approx(10 * creep_m_s(grid), rel=0.1)
+    assert soft == pytest.approx(30 * creep_m_s(grid), rel=0.1)
 
 
 PERCHED = (3.6089, 2.4767, 6.2331, 5.8041)

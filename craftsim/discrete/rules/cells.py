@@ -53,6 +53,8 @@ class Law(NamedTuple):
     """Who drives from a ramp's top onto the foot of a second ramp is then on that (docs/rules.md#second-ramp)."""
     ramp_below_gear: bool = False
     """A ramp below a gear is driven down in its own direction only (docs/rules.md#through-a-gear)."""
+    run_out: bool = False
+    """Who comes down a ramp does not drive under a block or flag right behind its foot (docs/rules.md#run-out)."""
     lasting_gears: bool = False
     """A gear gives way to what stands, and lasts as long as its slope (docs/rules.md#lift-erases-gear-cell)."""
 

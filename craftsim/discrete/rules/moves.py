@@ -142,6 +142,8 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     if target == AIR:
         return below != BODY or descent_legal(w, me, car, m)
     if target in (BLOCK, FLAG):
+        if w.law.run_out and car.slope == 1:
+            return False
         return not loaded and (forward or backward)
     if target in (FSLOPE, BODY):
         return not loaded and backward and car.yaw == (yaw_at(w, nx, ny, car.z) + 2) & 3

@@ -27,6 +27,7 @@ LAWS: Final[dict[RuleSet, Law]] = {
         own_ramp=True,
         second_ramp=True,
         ramp_below_gear=True,
+        run_out=True,
         lasting_gears=True,
     ),
 }

@@ -50,7 +50,7 @@ def test_all_tasks_give_one_summary_and_one_report(tmp_path, capsys, monkeypatch
 
 
 def test_one_failure_among_all_tasks_is_named_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
-    from craftsim.validation import job
+    from craftsim.validation.jobs import job
 
     plan = tmp_path / "wrong.plan"
     plan.write_text("0 0 DROP\n", encoding="utf-8")
@@ -65,7 +65,7 @@ def test_one_failure_among_all_tasks_is_named_and_ends_with_status_1(tmp_path, c
 
 @pytest.mark.usefixtures("rendering")
 def test_each_task_has_its_own_film(tmp_path, capsys, monkeypatch):
-    from craftsim.validation import job
+    from craftsim.validation.jobs import job
 
     plan = tmp_path / "short.plan"
     plan.write_text("0 0 STOP\n", encoding="utf-8")

@@ -6,8 +6,8 @@ import pytest
 
 from craftsim import cli
 from craftsim.commands import tasks as tasks_module
-from craftsim.validation import episodes as episodes_module
-from craftsim.validation import job_trials
+from craftsim.validation.jobs import episodes as episodes_module
+from craftsim.validation.jobs import trials as job_trials
 
 
 @pytest.fixture(autouse=True)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from craftsim.discrete.actions import Action
     from craftsim.models.site import Site
     from craftsim.rendering.film import Film
-    from craftsim.validation.job import Job, JobResult
+    from craftsim.validation.jobs.job import Job, JobResult
 
 _FILM_SPEED: Final = 3.0
 
@@ -57,8 +57,8 @@ def demo(
 
     # MuJoCo must not be imported before the rendering backend is chosen.
     from craftsim.commands import demo_text
-    from craftsim.validation.job import read_job
-    from craftsim.validation.job_figures import job_figures, job_files
+    from craftsim.validation.jobs.figures import job_figures, job_files
+    from craftsim.validation.jobs.job import read_job
 
     jobs = (
         [read_job(name) for name in TASK_NAMES] if task == "all" else [read_job(task, blueprint, plan, goal)]
@@ -97,7 +97,7 @@ def demo(
 
 def _perform(console: Console, job: Job, seed: int, out: Path, films: list[str] | None) -> JobResult:
     """Run a job with progress on the screen; film it and add the film to the list, if there is one."""
-    from craftsim.validation.job import run_job
+    from craftsim.validation.jobs.job import run_job
 
     site = job.site(seed)
     path = out / f"{job.name}.mp4"

@@ -8,9 +8,9 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from craftsim.validation.checked_run import CheckedRun
-from craftsim.validation.job import Job, JobResult
-from craftsim.validation.job_figures import job_figures
+from craftsim.validation.attempts.checked_run import CheckedRun
+from craftsim.validation.jobs.figures import job_figures
+from craftsim.validation.jobs.job import Job, JobResult
 
 _OTHER_GOALS: Final[dict[str, tuple[str, str]]] = {
     "free_building": ("all blocks form one platform", "the blocks do NOT form one platform"),

@@ -16,7 +16,7 @@ from craftsim.discrete.errors import InputError
 from craftsim.report import output_directory, write_report
 
 if TYPE_CHECKING:
-    from craftsim.validation.episodes import EpisodeRecord
+    from craftsim.validation.jobs.episodes import EpisodeRecord
 
 
 def episodes(
@@ -48,7 +48,7 @@ def episodes(
     output_directory(out)
 
     from craftsim.skills.gains import load_gains
-    from craftsim.validation.episodes import EARLY, EpisodeTrial, run_episode
+    from craftsim.validation.jobs.episodes import EARLY, EpisodeTrial, run_episode
     from craftsim.validation.workers import in_order
 
     trials = [EpisodeTrial(seed + i, actions, cars, noise) for i in range(episodes)]

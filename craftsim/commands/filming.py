@@ -15,8 +15,8 @@ from craftsim.rendering.backend import RenderingUnavailable, choose_backend
 if TYPE_CHECKING:
     from craftsim.models.site import Site
     from craftsim.skills.executor import Observer
-    from craftsim.validation.bundle import Recorded
-    from craftsim.validation.replay import Replay
+    from craftsim.validation.replays.bundle import Recorded
+    from craftsim.validation.replays.replay import Replay
 
 _LINE: Final = 66
 """Characters that fit into a line of a clip's caption."""
@@ -37,7 +37,7 @@ def rendering_works(console: Console) -> bool:
 def film_bundle(recorded: Recorded, path: Path) -> Replay:
     """Replay a bundle, film its last step, and return what came of it; :func:`rendering_works` must have said yes."""
     from craftsim.rendering.clip import clip
-    from craftsim.validation.replay import replay
+    from craftsim.validation.replays.replay import replay
 
     bundle = recorded.bundle
     attempt = bundle.attempts[0]

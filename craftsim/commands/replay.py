@@ -18,8 +18,8 @@ from craftsim.report import output_directory, versions, write_report
 if TYPE_CHECKING:
     from craftsim.models.site import Site
     from craftsim.skills.executor import Observer
-    from craftsim.validation.bundle import Recorded
-    from craftsim.validation.replay import Replay
+    from craftsim.validation.replays.bundle import Recorded
+    from craftsim.validation.replays.replay import Replay
 
 
 def replay(
@@ -48,8 +48,8 @@ def replay(
     filming = video and rendering_works(console)
 
     # MuJoCo must not be imported before the rendering backend is chosen.
-    from craftsim.validation import replay as again
-    from craftsim.validation.bundle import read_bundle
+    from craftsim.validation.replays import replay as again
+    from craftsim.validation.replays.bundle import read_bundle
 
     recorded = read_bundle(bundle)
     output_directory(out)

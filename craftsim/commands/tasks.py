@@ -14,7 +14,7 @@ from craftsim.discrete.errors import InputError
 from craftsim.report import output_directory, write_report
 
 if TYPE_CHECKING:
-    from craftsim.validation.job_trials import JobRecord
+    from craftsim.validation.jobs.trials import JobRecord
 
 Task = Literal["strip", "block", "simple_two_story", "complex_two_story", "free_building", "breaking_barrier"]
 
@@ -47,7 +47,7 @@ def tasks(
     output_directory(out)
 
     from craftsim.skills.gains import load_gains
-    from craftsim.validation.job_trials import JobTrial, run_job_trial
+    from craftsim.validation.jobs.trials import JobTrial, run_job_trial
     from craftsim.validation.workers import in_order
 
     names = get_args(Task) if task == "all" else (task,)

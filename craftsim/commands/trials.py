@@ -17,9 +17,9 @@ from craftsim.discrete.errors import InputError
 from craftsim.report import output_directory, write_report
 
 if TYPE_CHECKING:
-    from craftsim.validation.contexts import Survey
-    from craftsim.validation.trial_figures import Quantiles, Summary
-    from craftsim.validation.trials import TrialRecord
+    from craftsim.validation.contexts.figures import Quantiles, Summary
+    from craftsim.validation.contexts.survey import Survey
+    from craftsim.validation.contexts.trials import TrialRecord
 
 ActionName = Literal["LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP"]
 
@@ -62,9 +62,9 @@ def trials(
     console = Console()
 
     from craftsim.skills.gains import load_gains
-    from craftsim.validation.contexts import survey
-    from craftsim.validation.trial_figures import campaign_figures
-    from craftsim.validation.trials import NOMINAL, WITH_NOISE, plan_trials, run_trials
+    from craftsim.validation.contexts.figures import campaign_figures
+    from craftsim.validation.contexts.survey import survey
+    from craftsim.validation.contexts.trials import NOMINAL, WITH_NOISE, plan_trials, run_trials
 
     found = survey()
     _print_survey(console, found)

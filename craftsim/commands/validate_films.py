@@ -13,9 +13,9 @@ from craftsim.commands.progress import counting
 from craftsim.models.site import Site
 from craftsim.rendering.film import Film
 from craftsim.report import output_directory
-from craftsim.validation.bundle import FILM, read_bundle
 from craftsim.validation.campaign import Item, TrialRecord
-from craftsim.validation.recipe import Act, Step, do, prepare
+from craftsim.validation.replays.bundle import FILM, read_bundle
+from craftsim.validation.replays.recipe import Act, Step, do, prepare
 from craftsim.validation.runs.run import Run, start_recipe
 
 FILMS = "films"

@@ -9,7 +9,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.models.config import SimulationConfig
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
-from craftsim.validation.checked_run import CheckedSite
+from craftsim.validation.attempts.checked_run import CheckedSite
 
 
 def _draw(size, cars: Sequence[Sequence[int]], objects: Sequence[tuple] = ()) -> Grid:

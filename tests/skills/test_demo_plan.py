@@ -17,7 +17,7 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
-from craftsim.validation.checked_run import ActionRecord, CheckedRun, CheckedSite, run_plan
+from craftsim.validation.attempts.checked_run import ActionRecord, CheckedRun, CheckedSite, run_plan
 
 NAME = "simple_two_story"
 

@@ -17,7 +17,7 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.localisation import Localiser
 from craftsim.skills.mecanum import wheel_speeds
 from craftsim.skills.profile import Profile
-from craftsim.validation.checked_run import CheckedSite
+from craftsim.validation.attempts.checked_run import CheckedSite
 
 PERIOD_S = 0.02
 LATE = SensorNoise(position_m=0.001, heading_rad=0.003, min_delay_s=0.03, max_delay_s=0.03)

@@ -14,7 +14,7 @@ from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Reason
 from craftsim.skills.scheduled_run import ScheduledRun, run_schedule
-from craftsim.validation.job import read_job
+from craftsim.validation.jobs.job import read_job
 
 RULES = Rules("physical")
 RIGHT, FORWARD = Action.MOVE_RIGHT, Action.MOVE_FORWARD

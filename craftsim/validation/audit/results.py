@@ -8,13 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.validation.attempt import Attempt
+from craftsim.validation.attempts.attempt import Attempt
 from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.suspects import Finding, find
 from craftsim.validation.audit.trial import recipe_of
-from craftsim.validation.bundle import TEXT, write_bundle
 from craftsim.validation.campaign import Item, TrialRecord
 from craftsim.validation.html.page import Cell, Column, Table
+from craftsim.validation.replays.bundle import TEXT, write_bundle
 from craftsim.validation.statistics.audit_rows import AuditRow, Judgement, audit_rows, verdict_counts
 from craftsim.validation.workers import in_order
 

@@ -9,9 +9,9 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Grid, Kind, beside
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Order
-from craftsim.validation.attempt import verb_of
+from craftsim.validation.attempts.attempt import verb_of
 from craftsim.validation.audit.intended import NoPredictionError, intended
-from craftsim.validation.recipe import Step
+from craftsim.validation.replays.recipe import Step
 
 _SIZE: Final = (8, 7, 4)
 _BLOCK, _FLAG, _WALL, _FOLDED, _OPEN = Kind.BLOCK, Kind.FLAG, Kind.WALL, Kind.FSLOPE, Kind.BODY

@@ -19,12 +19,12 @@ from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
 from craftsim.models.variation import Varied
 from craftsim.skills.gains import load_gains
-from craftsim.validation.attempt import Result
+from craftsim.validation.attempts.attempt import Result
 from craftsim.validation.audit.intended import intended
 from craftsim.validation.audit.rows import Row, Situation, action_in, spread_trials, world_of
 from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.campaign import Done, Item
-from craftsim.validation.recipe import Recipe, Seed, Step, perform
+from craftsim.validation.replays.recipe import Recipe, Seed, Step, perform
 from craftsim.validation.settings import TrialSettings
 
 BATCH: Final = 20

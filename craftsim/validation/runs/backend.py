@@ -11,8 +11,8 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
-from craftsim.validation.checked_run import ActionRecord
-from craftsim.validation.recipe import Recipe, Step, do, prepare
+from craftsim.validation.attempts.checked_run import ActionRecord
+from craftsim.validation.replays.recipe import Recipe, Step, do, prepare
 
 
 class CheckedBackend:

@@ -19,10 +19,10 @@ from craftsim.discrete.tasks.measures import Complexity
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.envs.core import Options
 from craftsim.envs.parallel import ParallelConstruction
-from craftsim.validation.attempt import Attempt, Result, attempt_of
-from craftsim.validation.bundle import write_bundle
+from craftsim.validation.attempts.attempt import Attempt, Result, attempt_of
 from craftsim.validation.campaign import Done
-from craftsim.validation.recipe import Recipe, Seed, Step
+from craftsim.validation.replays.bundle import write_bundle
+from craftsim.validation.replays.recipe import Recipe, Seed, Step
 from craftsim.validation.runs.backend import CheckedBackend
 from craftsim.validation.runs.policies import Policy, make_policy
 from craftsim.validation.settings import TrialSettings

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from craftsim.discrete.verdict import Finding
-from craftsim.validation.attempt import Result
+from craftsim.validation.attempts.attempt import Result
 from craftsim.validation.statistics.proportions import CONFIDENCE
 from craftsim.validation.statistics.records import AttemptRecord, Record, as_predicted, carried_out
 

@@ -8,9 +8,9 @@ from craftsim import cli
 from craftsim.validation.audit.results import Results
 from craftsim.validation.audit.rows import audit_plan
 from craftsim.validation.audit.trial import BATCH, items_of, try_it
-from craftsim.validation.bundle import read_bundle
 from craftsim.validation.campaign import Header, run_campaign
-from craftsim.validation.replay import replay
+from craftsim.validation.replays.bundle import read_bundle
+from craftsim.validation.replays.replay import replay
 from craftsim.validation.settings import MILDLY
 
 UNSOUND = (

@@ -13,7 +13,7 @@ from craftsim.validation.audit.rows import action_in, audit_plan, spread_trials,
 from craftsim.validation.audit.scenes import SCENES, Scene
 from craftsim.validation.audit.suspects import SUSPECTS, find
 from craftsim.validation.audit.trial import items_of
-from craftsim.validation.contexts import survey
+from craftsim.validation.contexts.survey import survey
 from craftsim.validation.settings import NOMINAL
 
 PLAN = {rules: audit_plan(rules) for rules in ("published", "physical")}

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import pytest
 from synthetic import attempt, audit, episodes, record
 
-from craftsim.validation.attempt import Result
+from craftsim.validation.attempts.attempt import Result
 from craftsim.validation.html import films as films_module
 from craftsim.validation.html.audit import audit_page
 from craftsim.validation.html.page import Column, Table

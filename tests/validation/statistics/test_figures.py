@@ -9,7 +9,7 @@ from synthetic import attempt, audit, episodes, record
 
 from craftsim.discrete.errors import InputError
 from craftsim.report import write_report
-from craftsim.validation.attempt import Result
+from craftsim.validation.attempts.attempt import Result
 from craftsim.validation.statistics.audit_rows import Judgement, audit_rows, judge, verdict_counts
 from craftsim.validation.statistics.durations import (
     DurationKey,

@@ -5,7 +5,7 @@ import pytest
 from synthetic import attempt, record
 
 from craftsim.discrete.errors import InputError
-from craftsim.validation.attempt import Result
+from craftsim.validation.attempts.attempt import Result
 from craftsim.validation.statistics.matrix import legality_matrix
 from craftsim.validation.statistics.paired import compare_paired
 from craftsim.validation.statistics.proportions import Proportion, wilson

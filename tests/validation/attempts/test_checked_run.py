@@ -13,7 +13,7 @@ from craftsim.discrete.verdict import Finding
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Reason
-from craftsim.validation.checked_run import CheckedSite, run_plan
+from craftsim.validation.attempts.checked_run import CheckedSite, run_plan
 
 SIZE = (4, 1, 2)
 

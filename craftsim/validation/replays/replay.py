@@ -15,9 +15,9 @@ from craftsim.discrete.errors import InputError
 from craftsim.models.site import Site
 from craftsim.report import versions
 from craftsim.skills.executor import Observer
-from craftsim.validation.attempt import Attempt
-from craftsim.validation.bundle import AFTER, BEFORE, PHYSICS, Arrays, Recorded, physics_of, state_of
-from craftsim.validation.recipe import do_last, run_up
+from craftsim.validation.attempts.attempt import Attempt
+from craftsim.validation.replays.bundle import AFTER, BEFORE, PHYSICS, Arrays, Recorded, physics_of, state_of
+from craftsim.validation.replays.recipe import do_last, run_up
 
 DECISIVE: Final = ("craftsim", "mujoco", "numpy")
 """Packages whose version decides every bit; with other versions poses are compared with a tolerance."""

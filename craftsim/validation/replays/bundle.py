@@ -24,9 +24,9 @@ from craftsim.models.placement import placements
 from craftsim.models.site import Site
 from craftsim.models.variation import Nominal
 from craftsim.report import output_directory, versions
-from craftsim.validation.attempt import Attempt
-from craftsim.validation.checked_run import CheckedSite
-from craftsim.validation.recipe import Recipe, do_last, run_up
+from craftsim.validation.attempts.attempt import Attempt
+from craftsim.validation.attempts.checked_run import CheckedSite
+from craftsim.validation.replays.recipe import Recipe, do_last, run_up
 
 SCHEMA_VERSION: Final = 1
 """Raised whenever something in a bundle changes its meaning or goes away."""

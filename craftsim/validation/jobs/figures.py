@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from craftsim.validation.checked_run import ActionRecord
-from craftsim.validation.job import Job, JobResult
+from craftsim.validation.attempts.checked_run import ActionRecord
+from craftsim.validation.jobs.job import Job, JobResult
 
 
 def job_figures(result: JobResult) -> dict[str, Any]:

@@ -5,8 +5,8 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
-from craftsim.validation import episodes
-from craftsim.validation.episodes import (
+from craftsim.validation.jobs import episodes
+from craftsim.validation.jobs.episodes import (
     EARLY,
     N_BLOCKS,
     N_SLOPES,

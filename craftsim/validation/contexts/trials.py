@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.grid import CarField
-from craftsim.validation.attempt import excesses
-from craftsim.validation.checked_run import ActionRecord, CheckedSite
-from craftsim.validation.contexts import Context, make_world
-from craftsim.validation.recipe import Recipe, Seed, Step, set_up
+from craftsim.validation.attempts.attempt import excesses
+from craftsim.validation.attempts.checked_run import ActionRecord, CheckedSite
+from craftsim.validation.contexts.survey import Context, make_world
+from craftsim.validation.replays.recipe import Recipe, Seed, Step, set_up
 from craftsim.validation.settings import NOMINAL, WITH_NOISE, Thresholds, TrialSettings
 from craftsim.validation.workers import in_order
 

@@ -17,8 +17,10 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.variation import Varied
-from craftsim.validation import replay as replaying
-from craftsim.validation.bundle import (
+from craftsim.validation.contexts.survey import Verb, survey
+from craftsim.validation.contexts.trials import Trial, recipe_of, run_trial
+from craftsim.validation.replays import replay as replaying
+from craftsim.validation.replays.bundle import (
     AFTER,
     BEFORE,
     PHYSICS,
@@ -27,11 +29,9 @@ from craftsim.validation.bundle import (
     read_bundle,
     write_bundle,
 )
-from craftsim.validation.contexts import Verb, survey
-from craftsim.validation.recipe import Recipe, Seed, Step, perform, prepare
-from craftsim.validation.replay import replay
+from craftsim.validation.replays.recipe import Recipe, Seed, Step, perform, prepare
+from craftsim.validation.replays.replay import replay
 from craftsim.validation.settings import NOMINAL, WITH_NOISE
-from craftsim.validation.trials import Trial, recipe_of, run_trial
 
 
 def _world() -> Grid:

@@ -19,7 +19,7 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor, Observer
 from craftsim.skills.gains import Gains
-from craftsim.validation.checked_run import ActionRecord, CheckedRun, CheckedSite, run_plan
+from craftsim.validation.attempts.checked_run import ActionRecord, CheckedRun, CheckedSite, run_plan
 
 
 @dataclass(frozen=True)

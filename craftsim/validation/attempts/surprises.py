@@ -8,7 +8,7 @@ import numpy as np
 
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.readback import Poses, Reading
-from craftsim.validation.contact_log import GROUND, WALL, Contact
+from craftsim.validation.attempts.contact_log import GROUND, WALL, Contact
 
 
 def surprises(

@@ -10,7 +10,7 @@ from typing import Final
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.verdict import Finding
-from craftsim.validation.checked_run import ActionRecord
+from craftsim.validation.attempts.checked_run import ActionRecord
 from craftsim.validation.settings import Thresholds
 
 _SHOWN: Final = 2

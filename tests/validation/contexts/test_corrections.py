@@ -7,7 +7,7 @@ from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Grid, Kind, besi
 from craftsim.discrete.rules import Rules
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
-from craftsim.validation.checked_run import CheckedSite
+from craftsim.validation.attempts.checked_run import CheckedSite
 
 PUBLISHED, PHYSICAL = Rules("published"), Rules("physical")
 BLOCK = Kind.BLOCK

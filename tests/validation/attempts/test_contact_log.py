@@ -11,8 +11,8 @@ from craftsim.models.parameters import BLOCK, SMARTCAR
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.skill import GRAVITY
-from craftsim.validation.contact_log import ContactLog
-from craftsim.validation.safety import FALL_M_S, TIPPED_RAD, hazards
+from craftsim.validation.attempts.contact_log import ContactLog
+from craftsim.validation.attempts.safety import FALL_M_S, TIPPED_RAD, hazards
 
 SIZE = (4, 3, 3)
 

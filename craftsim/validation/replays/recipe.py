@@ -3,7 +3,7 @@
 A recipe always starts from a reset. MuJoCo's state vector leaves out which trees sleep and what it keeps of them, and
 skills, localisers and noise have states of their own; a start and the actions since say it all, and nothing can be
 forgotten. That the world before the last step is the same again is checked, not assumed
-(:mod:`craftsim.validation.bundle`).
+(:mod:`craftsim.validation.replays.bundle`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from craftsim.models.site import Site
 from craftsim.models.variation import Varied
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import Gains, load_gains
-from craftsim.validation.attempt import Attempt, attempt_of
-from craftsim.validation.checked_run import ActionRecord, CheckedSite
+from craftsim.validation.attempts.attempt import Attempt, attempt_of
+from craftsim.validation.attempts.checked_run import ActionRecord, CheckedSite
 from craftsim.validation.settings import NOMINAL, TrialSettings
 
 _NAMES: Final = [action.name for action in Action]

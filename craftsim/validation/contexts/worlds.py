@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
 
 if TYPE_CHECKING:
-    from craftsim.validation.contexts import Context, Ground, Thing
+    from craftsim.validation.contexts.survey import Context, Ground, Thing
 
 FORWARD, LEFT, BACK, RIGHT = range(4)
 STANDS_ON: Final = (Kind.WALL, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.FOOT)

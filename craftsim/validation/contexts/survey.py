@@ -1,6 +1,6 @@
 """Every situation in which an action is legal: the contexts, found by walking the product of what can differ.
 
-Nothing is listed by hand. Each combination is drawn as a small world (:mod:`craftsim.validation.context_worlds`); what
+Nothing is listed by hand. Each combination is drawn as a small world (:mod:`craftsim.validation.contexts.worlds`); what
 cannot be drawn cannot exist, and what a rule set forbids there is kept apart. Both come with a reason.
 """
 
@@ -19,7 +19,7 @@ from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
 from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.validation.context_worlds import (
+from craftsim.validation.contexts.worlds import (
     BACK,
     FORWARD,
     Drawing,

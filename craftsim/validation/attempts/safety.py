@@ -8,7 +8,7 @@ from typing import Final
 
 from craftsim.models.parameters import SLOPE, SMARTCAR
 from craftsim.skills.skill import GRAVITY
-from craftsim.validation.contact_log import ContactLog
+from craftsim.validation.attempts.contact_log import ContactLog
 
 TIPPED_RAD: Final = 0.5
 """How far anything may lean: the incline is 0.28 rad, and a car on it slides before it leans further."""

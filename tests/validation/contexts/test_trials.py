@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from craftsim import cli
-from craftsim.validation.contexts import Verb, survey
-from craftsim.validation.trial_figures import GROUPS, campaign_figures, grouped, reasons, summarise
-from craftsim.validation.trials import (
+from craftsim.validation.contexts.figures import GROUPS, campaign_figures, grouped, reasons, summarise
+from craftsim.validation.contexts.survey import Verb, survey
+from craftsim.validation.contexts.trials import (
     NOMINAL,
     WITH_NOISE,
     Thresholds,
@@ -97,7 +97,7 @@ def test_the_command_writes_a_report_and_a_line_for_each_trial(tmp_path, capsys)
 
 
 def test_the_command_fails_below_its_bar_and_refuses_wrong_input(tmp_path, capsys, monkeypatch):
-    from craftsim.validation import trials as module
+    from craftsim.validation.contexts import trials as module
 
     strict = replace(NOMINAL, thresholds=Thresholds(car_m=-1.0))
     monkeypatch.setattr(module, "NOMINAL", strict)

@@ -22,9 +22,9 @@ from craftsim.skills.driving import Terrain
 from craftsim.skills.executor import Executor
 from craftsim.skills.joint import CarStep, JointSite
 from craftsim.skills.outcome import Outcome
-from craftsim.validation.contact_log import Contact, ContactLog
-from craftsim.validation.safety import Hazard, hazards
-from craftsim.validation.surprises import handled, surprises
+from craftsim.validation.attempts.contact_log import Contact, ContactLog
+from craftsim.validation.attempts.safety import Hazard, hazards
+from craftsim.validation.attempts.surprises import handled, surprises
 
 SETTLED_M_S: Final = 0.01
 """Below this speed a thing counts as at rest: eight times what was seen at the end of any good action."""

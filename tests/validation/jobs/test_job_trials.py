@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from craftsim.validation import job_trials
-from craftsim.validation.job import read_job
-from craftsim.validation.job_trials import JobTrial, run_job_trial
+from craftsim.validation.jobs import trials as job_trials
+from craftsim.validation.jobs.job import read_job
+from craftsim.validation.jobs.trials import JobTrial, run_job_trial
 from craftsim.validation.workers import in_order
 
 

@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from craftsim.validation.contexts import Context, Survey
+from craftsim.validation.contexts.survey import Context, Survey
+from craftsim.validation.contexts.trials import TrialRecord
 from craftsim.validation.statistics.proportions import wilson
-from craftsim.validation.trials import TrialRecord
 
 
 def _action(context: Context) -> str:

@@ -13,7 +13,7 @@ from craftsim.models.sensing import Sensors
 from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
 from craftsim.skills.scheduled_run import run_schedule
-from craftsim.validation.job import read_job
+from craftsim.validation.jobs.job import read_job
 
 
 @dataclass(frozen=True)

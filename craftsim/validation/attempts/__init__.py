@@ -1,0 +1,1 @@
+"""One action tried in physics: what it did, what it touched, and how it is judged."""

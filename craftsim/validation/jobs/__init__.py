@@ -1,0 +1,1 @@
+"""Whole plans and long episodes in physics."""

@@ -1,0 +1,1 @@
+"""Attempts that can be repeated bit for bit, from a folder without pickles."""

@@ -6,6 +6,8 @@ import pytest
 
 from craftsim import cli
 from craftsim.commands import tasks as tasks_module
+from craftsim.validation.campaign import local
+from craftsim.validation.campaign.items import perform
 from craftsim.validation.jobs import episodes as episodes_module
 from craftsim.validation.jobs import trials as job_trials
 
@@ -13,6 +15,23 @@ from craftsim.validation.jobs import trials as job_trials
 @pytest.fixture(autouse=True)
 def _a_screen_of_80_columns(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Let the work be done in this process, so that what is patched here is what is done."""
+
+    class Here:
+        def __init__(self, work):
+            self.work = work
+
+        def run(self, items, timeout_s):
+            return perform(self.work, [item.job for item in items])
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(local, "LocalWorker", Here)
 
 
 def _report(out):
@@ -27,7 +46,7 @@ def test_tasks_builds_a_task_and_writes_its_figures(tmp_path, capsys):
     assert report["seed"] == 5
     assert report["config"]["noise"] is True
     assert report["config"]["tasks"] == ["strip"]
-    assert set(report["wall"]) == {"total_s", "workers"}
+    assert set(report["wall"]) == {"total_s", "workers", "engine"}
     strip = report["figures"]["tasks"]["strip"]
     assert set(strip) == {
         "built",
@@ -53,19 +72,39 @@ def test_tasks_builds_a_task_and_writes_its_figures(tmp_path, capsys):
     assert max(len(line) for line in lines if "Report:" not in line) <= 80
 
 
-def test_a_building_that_misses_its_goal_is_explained_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
+def test_a_building_that_misses_its_goal_is_explained_and_ends_with_status_1(
+    tmp_path, capsys, monkeypatch, here
+):
     def broken(trial):
         return job_trials.JobRecord(trial, False, False, 2.0, 0.0, 0.0, 0.0, ("car 0 LIFT: load lost",))
 
     monkeypatch.setattr(job_trials, "run_job_trial", broken)
     assert cli.main(["tasks", "--task", "block", "--seeds", "1", "--out", str(tmp_path)]) == 1
     output = capsys.readouterr().out
-    assert "block seed 0: car 0 LIFT: load lost" in output
+    assert "block/0: car 0 LIFT: load lost" in output
     assert output.splitlines()[-1] == "0 of 3 buildings reached their goal."
     assert _report(tmp_path)["figures"]["tasks"]["block"]["built"] == 0
 
 
-def test_all_means_the_six_tasks_of_the_paper(tmp_path, monkeypatch):
+def test_a_building_without_an_end_is_an_error_and_none_that_was_built(tmp_path, capsys, monkeypatch, here):
+    def raising(trial):
+        if trial.order == "sequential":
+            raise RuntimeError("out of bolts")
+        return job_trials.JobRecord(trial, True, True, 2.0, 0.001, 0.0, 0.0, ())
+
+    monkeypatch.setattr(job_trials, "run_job_trial", raising)
+    assert cli.main(["tasks", "--task", "block", "--seeds", "1", "--out", str(tmp_path)]) == 1
+    output = capsys.readouterr().out
+    assert "block/nominal/sequential: RuntimeError: out of bolts" in output
+    assert output.splitlines()[-1] == "2 of 3 buildings reached their goal."
+    figures = _report(tmp_path)["figures"]
+    assert figures["errors"] == {"RuntimeError: out of bolts": 1}
+    block = figures["tasks"]["block"]
+    assert (block["built"], block["nominal_built"], block["max_car_error_mm"]) == (1, False, 1.0)
+    assert (block["sequential_s"], block["concurrent_s"], block["makespan_ratio"]) == (None, 2.0, None)
+
+
+def test_all_means_the_six_tasks_of_the_paper(tmp_path, monkeypatch, here):
     asked = []
 
     def instant(trial):
@@ -95,7 +134,7 @@ def test_episodes_writes_its_figures_equal_at_one_and_two_workers(tmp_path, caps
     assert {key: one[key] for key in one if key != "wall"} == {key: two[key] for key in two if key != "wall"}
     assert one["command"] == "episodes"
     assert one["seed"] == 2
-    assert set(one["figures"]) == {"set_down_mm", "records", "good"}
+    assert set(one["figures"]) == {"set_down_mm", "records", "good", "errors"}
     assert one["figures"]["good"] == 2
     assert [record["trial"]["seed"] for record in one["figures"]["records"]] == [2, 3]
     assert set(one["figures"]["records"][0]) == {
@@ -112,7 +151,7 @@ def test_episodes_writes_its_figures_equal_at_one_and_two_workers(tmp_path, caps
     assert "2 of 2 episodes went as predicted to the end." in capsys.readouterr().out
 
 
-def test_an_episode_that_goes_wrong_is_explained_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
+def test_an_episode_that_goes_wrong_is_explained_and_ends_with_status_1(tmp_path, capsys, monkeypatch, here):
     def broken(trial):
         return episodes_module.EpisodeRecord(
             trial, 7, ("it fell",), 0.0, 0.0, 0.0, 0.0, ((4, 0.0003), (7, 0.0005))
@@ -124,6 +163,30 @@ def test_an_episode_that_goes_wrong_is_explained_and_ends_with_status_1(tmp_path
     assert "it fell" in output
     assert "first third: 2 things, median 0.40 mm, worst 0.50 mm" in " ".join(output.split())
     assert output.splitlines()[-1] == "0 of 1 episodes went as predicted to the end."
+
+
+def test_an_episode_without_an_end_is_no_good_one_and_is_tried_again(tmp_path, capsys, monkeypatch, here):
+    def raising(trial):
+        if trial.seed == 1:
+            raise RuntimeError("lost")
+        return episodes_module.EpisodeRecord(trial, 7, (), 0.0, 0.0, 0.0, 0.0, ())
+
+    words = ["episodes", "--episodes", "3", "--out", str(tmp_path)]
+    with monkeypatch.context() as patched:
+        patched.setattr(episodes_module, "run_episode", raising)
+        assert cli.main(words) == 1
+    output = capsys.readouterr().out
+    assert "RuntimeError: lost" in output
+    assert output.splitlines()[-1] == "2 of 3 episodes went as predicted to the end."
+    figures = _report(tmp_path)["figures"]
+    assert [record["trial"]["seed"] for record in figures["records"]] == [0, 2]
+    assert (figures["good"], figures["errors"]) == (2, {"RuntimeError: lost": 1})
+    done = []
+    good = episodes_module.EpisodeRecord(episodes_module.EpisodeTrial(1), 7, (), 0.0, 0.0, 0.0, 0.0, ())
+    monkeypatch.setattr(episodes_module, "run_episode", lambda trial: done.append(trial.seed) or good)
+    assert cli.main([*words, "--resume"]) == 0
+    assert done == [1]
+    assert _report(tmp_path)["figures"]["good"] == 3
 
 
 @pytest.mark.parametrize(

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
-from rich.console import Console
 from rich.table import Table
 
-from craftsim.commands.progress import counting
+from craftsim.commands.campaigning import CampaignCommand
 from craftsim.discrete.errors import InputError
-from craftsim.report import output_directory, write_report
-
-if TYPE_CHECKING:
-    from craftsim.validation.jobs.trials import JobRecord
+from craftsim.validation.campaign import Engine
 
 Task = Literal["strip", "block", "simple_two_story", "complex_two_story", "free_building", "breaking_barrier"]
 
@@ -25,6 +20,8 @@ def tasks(
     seed: int = 0,
     noise: bool = True,
     workers: int = 1,
+    engine: Engine = "local",
+    resume: bool = False,
     out: Path = Path("out/tasks"),
 ) -> int:
     """Build the paper's tasks in physics, many cars at once, under noise and randomised physics.
@@ -38,53 +35,30 @@ def tasks(
         seed: the first of that many seeds in a row.
         noise: draw senses and physics from the seed; without it all seeds are alike.
         workers: processes to share the work; results do not depend on it.
-        out: folder for report.json.
+        engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
+        resume: go on with what an interrupted run has left in the output folder.
+        out: folder for report.json and trials.jsonl.
     """
-    if seeds < 0 or workers < 1:
-        raise InputError("--seeds must be at least 0 and --workers at least 1")
-    started = time.perf_counter()
-    console = Console()
-    output_directory(out)
+    if seeds < 0:
+        raise InputError(f"--seeds must be at least 0, not {seeds}")
+    command = CampaignCommand("tasks", seed, out, workers, engine, resume)
+    console = command.console
 
     from craftsim.skills.gains import load_gains
-    from craftsim.validation.jobs.trials import JobTrial, run_job_trial
-    from craftsim.validation.workers import in_order
+    from craftsim.validation.jobs.trials import TIMEOUT_S, do_job, items_of, job_trial_figures, reached
 
     names = get_args(Task) if task == "all" else (task,)
-    trials = [JobTrial(name, seed, order, False) for name in names for order in ("sequential", "concurrent")]
-    trials += [JobTrial(name, seed + i, "concurrent", noise) for name in names for i in range(seeds)]
-    records: list[JobRecord] = []
-    with counting(console, "buildings", len(trials)) as tell:
-        for record in in_order(run_job_trial, trials, workers):
-            records.append(record)
-            tell(record.agrees)
-    figures: dict[str, Any] = {"tasks": {}, "records": records[2 * len(names) :]}
-    for i, name in enumerate(names):
-        one_by_one, at_once = records[2 * i], records[2 * i + 1]
-        own = [record for record in figures["records"] if record.trial.task == name]
-        figures["tasks"][name] = {
-            "built": sum(record.reached for record in own),
-            "without_failure": sum(record.agrees for record in own),
-            "seeds": len(own),
-            "max_car_error_mm": 1e3 * max((r.car_error_m for r in own), default=0.0),
-            "max_heading_error_mrad": 1e3 * max((r.heading_error_rad for r in own), default=0.0),
-            "max_placed_error_mm": 1e3 * max((r.placed_error_m for r in own), default=0.0),
-            "sequential_s": one_by_one.makespan_s,
-            "concurrent_s": at_once.makespan_s,
-            "makespan_ratio": at_once.makespan_s / one_by_one.makespan_s,
-            "nominal_built": one_by_one.agrees and at_once.agrees,
-        }
+    config = {"gains": load_gains(), "noise": noise, "seeds": seeds, "tasks": names}
+    items = items_of(names, seeds, seed, noise)
+    records = command.run("buildings", items, do_job, config, timeout_s=TIMEOUT_S)
+    figures = job_trial_figures(names, records)
     console.print(_table(figures["tasks"]))
     for record in records:
-        for failure in record.failures:
-            console.print(
-                f"{record.trial.task} seed {record.trial.seed}: {failure}", soft_wrap=True, markup=False
-            )
-    config = {"gains": load_gains(), "noise": noise, "seeds": seeds, "tasks": names}
-    wall = {"total_s": time.perf_counter() - started, "workers": workers}
-    report = write_report(out, figures, command="tasks", seed=seed, config=config, wall=wall)
+        for failure in [record["error"]] if record["error"] else record["extra"]["failures"]:
+            console.print(f"{record['key']}: {failure}", soft_wrap=True, markup=False)
+    report = command.report(figures, config)
     console.print(f"Report: {report}", soft_wrap=True)
-    built = sum(record.reached for record in records)
+    built = sum(map(reached, records))
     console.print(f"{built} of {len(records)} buildings reached their goal.")
     return 0 if built == len(records) else 1
 
@@ -100,8 +74,13 @@ def _table(rows: dict[str, dict[str, Any]]) -> Table:
             f"{row['max_car_error_mm']:.2f}",
             f"{row['max_heading_error_mrad']:.2f}",
             f"{row['max_placed_error_mm']:.2f}",
-            f"{row['sequential_s']:.1f} s",
-            f"{row['concurrent_s']:.1f} s",
-            f"{100 * row['makespan_ratio']:.0f} %",
+            _figure(row["sequential_s"], "s"),
+            _figure(row["concurrent_s"], "s"),
+            _figure(row["makespan_ratio"], "%", scale=100, digits=0),
         )
     return table
+
+
+def _figure(value: float | None, unit: str, scale: float = 1, digits: int = 1) -> str:
+    """Return a figure with its unit; there is none of a building that came to no end."""
+    return "-" if value is None else f"{scale * value:.{digits}f} {unit}"

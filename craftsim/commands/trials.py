@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -12,14 +12,14 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from craftsim.commands.progress import counting
+from craftsim.commands.campaigning import CampaignCommand
 from craftsim.discrete.errors import InputError
-from craftsim.report import output_directory, write_report
+from craftsim.validation.campaign import Engine
 
 if TYPE_CHECKING:
+    from craftsim.validation.campaign import TrialRecord
     from craftsim.validation.contexts.figures import Quantiles, Summary
     from craftsim.validation.contexts.survey import Survey
-    from craftsim.validation.contexts.trials import TrialRecord
 
 ActionName = Literal["LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP"]
 
@@ -32,10 +32,12 @@ def trials(
     trials: int = 2000,
     seed: int = 0,
     workers: int = 1,
+    engine: Engine = "local",
     noise: bool = False,
     actions: tuple[ActionName, ...] = (),
     contexts: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",
     at_least: float | None = None,
+    resume: bool = False,
     out: Path = Path("out/trials"),
 ) -> int:
     """Try each action in physics in every situation where the rules allow it.
@@ -46,25 +48,34 @@ def trials(
         trials: how many trials to spread over the contexts.
         seed: decides the places, and with noise the physics and the noise, of all trials.
         workers: processes to share the work; results do not depend on it.
+        engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
         noise: randomise the physics, and give the cars noisy senses.
         actions: only these actions.
         contexts: only contexts whose name matches, such as '*load=block*room=tight'.
         at_least: the success rate to reach; 0.999, or 0.99 with noise, unless given.
+        resume: go on with what an interrupted run has left in the output folder.
         out: folder for report.json and trials.jsonl.
     """
-    if trials < 1 or workers < 1:
-        raise InputError("--trials and --workers must be at least 1")
+    if trials < 1:
+        raise InputError(f"--trials must be at least 1, not {trials}")
     bar = BAR[noise] if at_least is None else at_least
     if not 0 <= bar <= 1:
         raise InputError(f"--at-least is a share from 0 to 1, not {bar}")
-    started = time.perf_counter()
-    output_directory(out)
-    console = Console()
+    command = CampaignCommand("trials", seed, out, workers, engine, resume)
+    console = command.console
 
     from craftsim.skills.gains import load_gains
     from craftsim.validation.contexts.figures import campaign_figures
     from craftsim.validation.contexts.survey import survey
-    from craftsim.validation.contexts.trials import NOMINAL, WITH_NOISE, plan_trials, run_trials
+    from craftsim.validation.contexts.trials import (
+        BATCH,
+        NOMINAL,
+        TIMEOUT_S,
+        WITH_NOISE,
+        do_trial,
+        items_of,
+        plan_trials,
+    )
 
     found = survey()
     _print_survey(console, found)
@@ -74,19 +85,6 @@ def trials(
             f"no context matches '{contexts}'; 'craftsim trials' writes their names to trials.jsonl"
         )
     settings = WITH_NOISE if noise else NOMINAL
-    planned = plan_trials(chosen, trials, seed)
-    records: list[TrialRecord] = []
-    with (
-        (out / "trials.jsonl").open("w", encoding="utf-8") as lines,
-        counting(console, "trials", len(planned)) as tell,
-    ):
-        for record in run_trials(planned, seed, settings, workers):
-            records.append(record)
-            lines.write(record.line() + "\n")
-            lines.flush()
-            tell(record.succeeded)
-    by_id = {context.id: context for context in chosen}
-    figures: dict[str, Any] = campaign_figures(records, by_id, found)
     config = {
         "settings": settings,
         "gains": load_gains(),
@@ -96,10 +94,13 @@ def trials(
         "contexts": contexts,
         "at_least": bar,
     }
-    wall = {"total_s": time.perf_counter() - started, "workers": workers}
+    items = items_of(plan_trials(chosen, trials, seed), seed)
+    work = partial(do_trial, seed=seed, settings=settings)
+    records = command.run("trials", items, work, config, timeout_s=TIMEOUT_S, batch=BATCH)
+    figures = campaign_figures(records, {context.id: context for context in chosen}, found)
     _print_figures(console, figures)
     _print_failures(console, records)
-    report = write_report(out, figures, command="trials", seed=seed, config=config, wall=wall)
+    report = command.report(figures, config)
     console.print(f"Report: {report}", soft_wrap=True)
     return _conclude(console, figures["all"], bar)
 
@@ -143,15 +144,14 @@ def _pair(quantiles: Quantiles | None) -> str:
 
 
 def _print_failures(console: Console, records: Sequence[TrialRecord]) -> None:
-    failures = [r for r in records if not r.succeeded]
+    from craftsim.validation.contexts.figures import reason
+
+    failures = [record for record in records if not record["agrees"]]
     for record in failures[:_SHOWN_FAILURES]:
-        details = "; ".join((record.outcome, *record.differences))
-        console.print(
-            f"trial {record.index} {record.context}: {', '.join(record.reasons)} ({details})",
-            soft_wrap=True,
-            markup=False,
-            highlight=False,
-        )
+        told = f"trial {record['index']} {record['context']}: {reason(record)}"
+        if record["error"] is None:
+            told += f" ({'; '.join((record['extra']['outcome'], *record['extra']['differences']))})"
+        console.print(told, soft_wrap=True, markup=False, highlight=False)
     if len(failures) > _SHOWN_FAILURES:
         console.print(f"and {len(failures) - _SHOWN_FAILURES} more failures in trials.jsonl")
 

@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from craftsim.validation.contexts.survey import Context, Survey
-from craftsim.validation.contexts.trials import TrialRecord
 from craftsim.validation.statistics.proportions import wilson
+from craftsim.validation.statistics.records import Record, carried_out, error_counts, grouped
 
 
 def _action(context: Context) -> str:
@@ -63,53 +63,60 @@ class Summary:
         return self.successes / self.trials if self.trials else 0.0
 
 
-def summarise(records: Iterable[TrialRecord]) -> Summary:
-    """Return the figures of some trials."""
+def summarise(records: Iterable[Record]) -> Summary:
+    """Return the figures of some trials; one that came to no end counts as failed."""
     trials = list(records)
-    successes = sum(record.succeeded for record in trials)
+    results = [record["extra"] for record in carried_out(trials)]
+    successes = sum(record["agrees"] for record in trials)
     low, high = wilson(successes, len(trials))
+
+    def quantiles(name: str, scale: float = 1.0) -> Quantiles | None:
+        return Quantiles.of([scale * result[name] for result in results if result[name] is not None])
+
     return Summary(
         trials=len(trials),
         successes=successes,
         wilson_low=low,
         wilson_high=high,
-        car_error_mm=Quantiles.of([1e3 * r.car_error_m for r in trials]),
-        heading_error_mrad=Quantiles.of([1e3 * r.heading_error_rad for r in trials]),
-        placed_error_mm=Quantiles.of(
-            [1e3 * r.placed_error_m for r in trials if r.placed_error_m is not None]
-        ),
-        others_moved_mm=Quantiles.of([1e3 * r.others_moved_m for r in trials]),
-        duration_s=Quantiles.of([r.duration_s for r in trials]),
+        car_error_mm=quantiles("car_error_m", 1e3),
+        heading_error_mrad=quantiles("heading_error_rad", 1e3),
+        placed_error_mm=quantiles("placed_error_m", 1e3),
+        others_moved_mm=quantiles("others_moved_m", 1e3),
+        duration_s=quantiles("duration_s"),
     )
 
 
-def grouped(
-    records: Iterable[TrialRecord], contexts: Mapping[str, Context], key: Callable[[Context], str]
+def summaries(
+    records: Iterable[Record], contexts: Mapping[str, Context], key: Callable[[Context], str]
 ) -> dict[str, Summary]:
     """Return the figures of each group of trials; ``contexts`` gives the context of each id."""
-    groups: dict[str, list[TrialRecord]] = {}
-    for record in records:
-        groups.setdefault(key(contexts[record.context]), []).append(record)
-    return {name: summarise(groups[name]) for name in sorted(groups)}
+    groups = grouped(records, lambda record: key(contexts[str(record["context"])]))
+    return {name: summarise(group) for name, group in groups.items()}
 
 
-def reasons(records: Iterable[TrialRecord]) -> dict[str, int]:
+def reason(record: Record) -> str:
+    """Return why a trial failed, or what kept it from an end."""
+    return record["error"] or "; ".join(record["extra"]["reasons"])
+
+
+def reasons(records: Iterable[Record]) -> dict[str, int]:
     """Return how many trials failed for which reasons, commonest first."""
-    return dict(Counter("; ".join(r.reasons) for r in records if not r.succeeded).most_common())
+    return dict(Counter(reason(record) for record in records if not record["agrees"]).most_common())
 
 
 def campaign_figures(
-    records: Sequence[TrialRecord], contexts: Mapping[str, Context], survey: Survey
+    records: Sequence[Record], contexts: Mapping[str, Context], survey: Survey
 ) -> dict[str, Any]:
     """Return what a report says of a campaign."""
     return {
         "contexts": len(survey.contexts),
-        "contexts_tried": len({record.context for record in records}),
+        "contexts_tried": len({record["context"] for record in records}),
         "combinations": survey.n_combinations,
         "impossible": dict(survey.impossible),
         "forbidden": dict(survey.forbidden),
         "all": summarise(records),
         "success_rate": summarise(records).rate,
-        "by": {name: grouped(records, contexts, key) for name, key in GROUPS.items()},
+        "by": {name: summaries(records, contexts, key) for name, key in GROUPS.items()},
         "failures": reasons(records),
+        "errors": error_counts(records),
     }

@@ -6,10 +6,8 @@ workers, and one trial can be repeated alone.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -17,31 +15,36 @@ import numpy as np
 from craftsim.discrete.grid import CarField
 from craftsim.validation.attempts.attempt import excesses
 from craftsim.validation.attempts.checked_run import ActionRecord, CheckedSite
+from craftsim.validation.campaign import Done, Item
 from craftsim.validation.contexts.survey import Context, make_world
 from craftsim.validation.replays.recipe import Recipe, Seed, Step, set_up
 from craftsim.validation.settings import NOMINAL, WITH_NOISE, Thresholds, TrialSettings
-from craftsim.validation.workers import in_order
 
 __all__ = [
+    "BATCH",
     "NOMINAL",
+    "TIMEOUT_S",
     "WITH_NOISE",
     "Thresholds",
     "Trial",
-    "TrialRecord",
+    "TrialResult",
     "TrialSettings",
+    "do_trial",
+    "items_of",
     "plan_trials",
     "prepare",
     "recipe_of",
     "run_trial",
-    "run_trials",
 ]
 
-_BATCH: Final = 4
+BATCH: Final = 4
 """Trials that a worker takes at once: few, so that results come steadily."""
+TIMEOUT_S: Final = 120.0
+"""After which a trial counts as hanging; most take about a second."""
 
 
 @dataclass(frozen=True)
-class TrialRecord:
+class TrialResult:
     """What came of one trial; errors in metres and radians."""
 
     index: int
@@ -64,10 +67,6 @@ class TrialRecord:
     def succeeded(self) -> bool:
         """Whether the skill succeeded, the verdict agrees, and every error is within its threshold."""
         return not self.reasons
-
-    def line(self) -> str:
-        """Return the record as one line of JSON."""
-        return json.dumps({**asdict(self), "succeeded": self.succeeded}, sort_keys=True)
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,7 @@ def recipe_of(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> Rec
     return replace(recipe, physics=Seed.of(physics), senses=Seed.of(senses))
 
 
-def run_trial(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> TrialRecord:
+def run_trial(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> TrialResult:
     """Make the trial's world, perform its action, and judge it."""
     checked = prepare(trial, seed, settings)
     drawn = make_world(trial.context, np.random.default_rng(_sequence(trial, seed).spawn(1)[0]))
@@ -109,7 +108,7 @@ def run_trial(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> Tri
     start = () if stands else ("the world does not stand as drawn", *checked.reading.problems)
     action = trial.context.action(int(drawn.cars[0, 3]))
     record = checked.perform(0, 0, action)
-    return TrialRecord(
+    return TrialResult(
         index=trial.index,
         context=trial.context.id,
         seed=seed,
@@ -126,11 +125,18 @@ def run_trial(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> Tri
     )
 
 
-def run_trials(
-    trials: Sequence[Trial], seed: int, settings: TrialSettings = NOMINAL, workers: int = 1
-) -> Iterator[TrialRecord]:
-    """Yield the records of trials in their order, as soon as each is known."""
-    yield from in_order(partial(run_trial, seed=seed, settings=settings), trials, workers, _BATCH)
+def items_of(trials: Sequence[Trial], seed: int) -> list[Item]:
+    """Return trials as items of a campaign, grouped by their action."""
+    return [
+        Item(f"{t.context.id}#{t.index}", t.context.id.split("/")[0], seed, t, context=t.context.id)
+        for t in trials
+    ]
+
+
+def do_trial(trial: Trial, seed: int, settings: TrialSettings) -> Done:
+    """Do the work of an item; ``extra`` is the :class:`TrialResult`."""
+    result = run_trial(trial, seed, settings)
+    return Done(agrees=result.succeeded, extra=asdict(result))
 
 
 def _sequence(trial: Trial, seed: int) -> np.random.SeedSequence:

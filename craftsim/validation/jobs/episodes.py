@@ -5,8 +5,9 @@ Each tick every car draws one of the actions that the rules allow it on the pred
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,12 +23,16 @@ from craftsim.models.site import Site
 from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
 from craftsim.skills.scheduled_run import run_schedule
+from craftsim.validation.campaign import Done, Item
+from craftsim.validation.statistics.records import Record, carried_out, error_counts
 
 SIZE: Final = (6, 6, 4)
 N_SLOPES: Final = 2
 N_BLOCKS: Final = 10
 EARLY: Final = 30
 """Actions after which the placement error is noted, to be compared with the end."""
+TIMEOUT_S: Final = (60.0, 10.0)
+"""An episode counts as hanging after so many seconds, and so many more for each action; most take a tenth of one."""
 _WEIGHTS: Final = {
     Action.STOP: 0.0,
     Action.ROTATE_LEFT: 0.3,
@@ -157,3 +162,35 @@ def _draw_tick(grid: Grid, rules: Rules, rng: np.random.Generator) -> list[tuple
         joint.append((car, action))
         grid = rules.apply(grid, car, action)
     return joint
+
+
+def items_of(episodes: int, seed: int, n_actions: int, n_cars: int, noise: bool) -> list[Item]:
+    """Return the episodes of a campaign, of that many seeds in a row."""
+    seeds = range(seed, seed + episodes)
+    return [
+        Item(f"episode {s}", "random", s, EpisodeTrial(s, n_actions, n_cars, noise), episode=s) for s in seeds
+    ]
+
+
+def do_episode(trial: EpisodeTrial) -> Done:
+    """Do the work of an item; ``extra`` is the :class:`EpisodeRecord`."""
+    record = run_episode(trial)
+    return Done(agrees=not record.disagreement, extra=asdict(record))
+
+
+def episode_figures(records: Sequence[Record], n_actions: int) -> dict[str, Any]:
+    """Return what a report says of episodes of so many actions."""
+    done = [record["extra"] for record in carried_out(records)]
+    thirds: dict[str, list[float]] = {"first": [], "middle": [], "last": []}
+    for episode in done:
+        for n, error_m in episode["set_down"]:
+            thirds[list(thirds)[min(2, 3 * n // (n_actions + 1))]].append(1e3 * error_m)
+    return {
+        "set_down_mm": {
+            name: {"n": len(errors), "p50": float(np.median(errors or [0])), "max": max(errors, default=0.0)}
+            for name, errors in thirds.items()
+        },
+        "records": done,
+        "good": sum(record["agrees"] for record in records),
+        "errors": error_counts(records),
+    }

@@ -1,21 +1,28 @@
 """Trials: equal at any number of workers, honest about failures, and a quick sample of all contexts succeeds."""
 
 import json
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
 from craftsim import cli
-from craftsim.validation.contexts.figures import GROUPS, campaign_figures, grouped, reasons, summarise
+from craftsim.validation.campaign import Done, Header, run_campaign
+from craftsim.validation.campaign.items import Failure, make_record
+from craftsim.validation.contexts.figures import GROUPS, campaign_figures, reasons, summaries, summarise
 from craftsim.validation.contexts.survey import Verb, survey
 from craftsim.validation.contexts.trials import (
     NOMINAL,
     WITH_NOISE,
     Thresholds,
     Trial,
+    do_trial,
+    items_of,
     plan_trials,
     run_trial,
-    run_trials,
 )
 
 CONTEXTS = survey().contexts
@@ -40,17 +47,24 @@ def test_a_quick_sample_of_the_contexts_succeeds(index):
     assert record.succeeded, record
 
 
-def test_records_are_equal_at_any_number_of_workers():
+def test_records_are_equal_at_any_number_of_workers(tmp_path):
     trials = plan_trials([context for context in CONTEXTS if context.level == 1], 6, seed=4)
-    alone = [record.line() for record in run_trials(trials, 4, WITH_NOISE, workers=1)]
-    shared = [record.line() for record in run_trials(trials, 4, WITH_NOISE, workers=2)]
+    items, work = items_of(trials, 4), partial(do_trial, seed=4, settings=WITH_NOISE)
+    header = Header("trials", 4, {})
+    alone, shared = (run_campaign(items, work, tmp_path / str(n), header, workers=n, batch=2) for n in (1, 2))
     assert alone == shared
+    assert [record["error"] for record in alone] == [None] * 6
 
 
-def test_a_trial_alone_is_the_trial_of_the_campaign():
+def test_a_trial_alone_is_the_trial_of_the_campaign(tmp_path):
     trials = plan_trials(CONTEXTS, 3, seed=5)
-    records = list(run_trials(trials, 5))
-    assert run_trial(trials[2], 5) == records[2]
+    work = partial(do_trial, seed=5, settings=NOMINAL)
+    records = run_campaign(items_of(trials, 5), work, tmp_path, Header("trials", 5, {}))
+    alone = run_trial(trials[2], 5)
+    assert records[2]["context"] == trials[2].context.id == alone.context
+    assert records[2]["agrees"] == alone.succeeded
+    assert records[2]["extra"]["car_error_m"] == alone.car_error_m
+    assert records[2]["extra"]["duration_s"] == alone.duration_s
 
 
 def test_trials_are_spread_evenly_and_reproducibly():
@@ -69,19 +83,27 @@ def test_errors_beyond_a_threshold_are_failures_with_a_reason():
     record = run_trial(Trial(0, drop), 0, strict)
     assert not record.succeeded
     assert record.reasons == ("car error", "heading error", "placed error", "others moved")
-    assert json.loads(record.line())["succeeded"] is False
+    assert not do_trial(Trial(0, drop), 0, strict).agrees
 
 
-def test_figures_group_trials():
-    good = run_trial(Trial(0, CONTEXTS[0]), 0)
-    bad = replace(good, index=1, reasons=("blocked", "not executed"))
-    contexts = {CONTEXTS[0].id: CONTEXTS[0]}
-    figures = campaign_figures([good, bad], contexts, survey())
-    assert (figures["all"].trials, figures["all"].successes) == (2, 1)
-    assert figures["failures"] == {"blocked; not executed": 1}
+def test_figures_group_trials_and_count_one_without_an_end_as_failed():
+    context = CONTEXTS[0]
+    done = do_trial(Trial(0, context), 0, NOMINAL)
+    blocked = Done(False, extra={**done.extra, "reasons": ["blocked", "not executed"]})
+    answers = (done, blocked, Failure("no answer within 120 s"))
+    items = items_of([Trial(index, context) for index in range(3)], 0)
+    records = [make_record(*item) for item in zip(items, range(3), answers, strict=True)]
+    contexts = {context.id: context}
+    figures = campaign_figures(records, contexts, survey())
+    assert (figures["all"].trials, figures["all"].successes) == (3, 1)
+    assert figures["failures"] == {"blocked; not executed": 1, "no answer within 120 s": 1}
+    assert figures["errors"] == {"no answer within 120 s": 1}
+    assert figures["all"].car_error_mm.p50 == 1e3 * done.extra["car_error_m"]
     assert set(figures["by"]) == set(GROUPS)
-    assert grouped([good], contexts, GROUPS["level"])[str(CONTEXTS[0].level)] == summarise([good])
-    assert reasons([good]) == {}
+    good = records[:1]
+    assert summaries(good, contexts, GROUPS["level"])[str(context.level)] == summarise(good)
+    assert reasons(good) == {}
+    assert summarise(records[2:]).car_error_mm is None
 
 
 def test_the_command_writes_a_report_and_a_line_for_each_trial(tmp_path, capsys):
@@ -108,3 +130,31 @@ def test_the_command_fails_below_its_bar_and_refuses_wrong_input(tmp_path, capsy
     assert cli.main([*words, "--at-least", "2"]) == 2
     assert cli.main([*words, "--contexts", "nothing like it"]) == 2
     assert "no context matches 'nothing like it'" in capsys.readouterr().err
+
+
+def test_a_killed_command_goes_on_to_the_report_of_an_undisturbed_one(tmp_path):
+    words = [sys.executable, "-m", "craftsim.cli", "trials", "--trials", "16", "--actions", "STOP", "--out"]
+
+    def results(out):
+        report = json.loads((out / "report.json").read_text())
+        del report["wall"]
+        return report, (out / "trials.jsonl").read_bytes()
+
+    lines = tmp_path / "killed" / "trials.jsonl"
+    process = subprocess.Popen([*words, str(tmp_path / "killed")], stdout=subprocess.DEVNULL)
+    end = time.monotonic() + 60
+    while not (lines.exists() and lines.read_bytes().count(b"\n")):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    kept = lines.read_bytes()
+    assert 0 < kept.count(b"\n") < 16
+    assert not (tmp_path / "killed" / "report.json").exists()
+    assert (
+        subprocess.run([*words, str(tmp_path / "killed")], capture_output=True, check=False).returncode == 2
+    )
+    assert lines.read_bytes() == kept
+    assert cli.main([*words[3:], str(tmp_path / "killed"), "--resume"]) == 0
+    assert cli.main([*words[3:], str(tmp_path / "whole")]) == 0
+    assert results(tmp_path / "killed") == results(tmp_path / "whole")

@@ -5,6 +5,7 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
+from craftsim.validation.campaign import Header, run_campaign
 from craftsim.validation.jobs import episodes
 from craftsim.validation.jobs.episodes import (
     EARLY,
@@ -12,10 +13,11 @@ from craftsim.validation.jobs.episodes import (
     N_SLOPES,
     SIZE,
     EpisodeTrial,
+    do_episode,
+    items_of,
     random_world,
     run_episode,
 )
-from craftsim.validation.workers import in_order
 
 
 def test_four_cars_do_sixty_actions_as_predicted_and_nothing_drifts():
@@ -36,11 +38,15 @@ def test_noise_is_drawn_from_the_seed():
     assert noisy.car_error_m != exact.car_error_m
 
 
-def test_episodes_are_equal_bit_for_bit_at_one_and_at_two_workers():
-    trials = [EpisodeTrial(seed, 6, 2) for seed in (0, 1)]
-    alone = list(in_order(run_episode, trials, 1))
-    assert list(in_order(run_episode, trials, 2)) == alone
-    assert [record.trial for record in alone] == trials
+def test_episodes_are_equal_bit_for_bit_at_one_and_at_two_workers(tmp_path):
+    items = items_of(2, 0, 6, 2, noise=False)
+    header = Header("episodes", 0, {})
+    alone, shared = (run_campaign(items, do_episode, tmp_path / str(n), header, workers=n) for n in (1, 2))
+    assert alone == shared
+    assert [record["extra"]["trial"]["seed"] for record in alone] == [0, 1]
+    assert [record["error"] for record in alone] == [None, None]
+    here = run_episode(EpisodeTrial(0, 6, 2))
+    assert alone[0]["extra"]["worst_error_m"] == here.worst_error_m
 
 
 @pytest.mark.parametrize("seed", range(20))

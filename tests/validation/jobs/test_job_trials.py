@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from craftsim.validation.campaign import Header, run_campaign
 from craftsim.validation.jobs import trials as job_trials
 from craftsim.validation.jobs.job import read_job
-from craftsim.validation.jobs.trials import JobTrial, run_job_trial
-from craftsim.validation.workers import in_order
+from craftsim.validation.jobs.trials import JobTrial, do_job, items_of, run_job_trial
 
 
 @pytest.mark.parametrize("task", ["strip", "simple_two_story"])
@@ -30,12 +30,15 @@ def test_without_noise_the_seed_changes_nothing_but_the_order_does():
     assert one.makespan_s < sequential.makespan_s
 
 
-def test_records_are_equal_bit_for_bit_at_one_and_at_two_workers():
-    trials = [JobTrial("strip", seed, "concurrent", noise=True) for seed in (0, 1)]
-    alone = list(in_order(run_job_trial, trials, 1))
-    assert list(in_order(run_job_trial, trials, 2)) == alone
-    assert [record.trial for record in alone] == trials
-    assert alone[0].makespan_s != alone[1].makespan_s or alone[0].car_error_m != alone[1].car_error_m
+def test_records_are_equal_bit_for_bit_at_one_and_at_two_workers(tmp_path):
+    items = items_of(["strip"], 2, 0, noise=True)[2:]
+    header = Header("tasks", 0, {})
+    alone, shared = (run_campaign(items, do_job, tmp_path / str(n), header, workers=n) for n in (1, 2))
+    assert alone == shared
+    one, other = (record["extra"] for record in alone)
+    assert (one["trial"]["seed"], other["trial"]["seed"]) == (0, 1)
+    assert one["makespan_s"] != other["makespan_s"] or one["car_error_m"] != other["car_error_m"]
+    assert one["car_error_m"] == run_job_trial(JobTrial("strip", 0, "concurrent", noise=True)).car_error_m
 
 
 def test_a_plan_that_does_not_build_the_goal_does_not_reach_it(monkeypatch):

@@ -29,12 +29,12 @@ def parallel_env(task: Task | str, backend: BackendName = "physics", **options: 
         options: the other fields of :class:`craftsim.envs.core.Options`.
 
     Raises:
-        InputError: there is no such task, backend or option value.
+        InputError: there is no such task, backend, option or option value.
     """
     from craftsim.envs.core import Options
     from craftsim.envs.parallel import ParallelConstruction
 
-    return ParallelConstruction(task, Options(backend, **options))
+    return ParallelConstruction(task, Options.named(backend=backend, **options))
 
 
 def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> AECEnv[str, Any, Any]:

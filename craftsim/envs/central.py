@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task
-from craftsim.envs.core import RENDER_MODES, Core, Options
+from craftsim.envs.core import RENDER_FPS, RENDER_MODES, Core, Options
 from craftsim.envs.spaces import central_space, joint_action_space
 
 Observation = dict[str, NDArray[Any]]
@@ -18,11 +18,17 @@ Observation = dict[str, NDArray[Any]]
 class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
     """A task for one who sees the global state and chooses an action for every car."""
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012 (as Gymnasium declares it)
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
+        "render_modes": list(RENDER_MODES),
+        "render_fps": RENDER_FPS,
+    }
 
     def __init__(self, task: Task | str, render_mode: Any = None, **options: Any) -> None:
-        """Prepare a task; ``options`` are the fields of :class:`craftsim.envs.core.Options`."""
-        self.core = Core(task, Options(render_mode=render_mode, **options))
+        """Prepare a task; ``options`` are the fields of :class:`craftsim.envs.core.Options`.
+
+        Raises InputError for a task, an option or an option value that there is not.
+        """
+        self.core = Core(task, Options.named(render_mode=render_mode, **options))
         self.render_mode = render_mode
         self.observation_space = central_space(self.core.task)
         self.action_space = joint_action_space(self.core.task)
@@ -36,8 +42,11 @@ class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
         return self._observe(), {"action_mask": self.core.masks.copy()}
 
     def step(self, action: NDArray[np.int64]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Let all cars act once; ``action`` (n,) by car. Infos are those of the cars, each a tuple by car."""
-        result = self.core.step(np.asarray(action, np.int64))
+        """Let all cars act once; ``action`` (n,) by car. Infos are those of the cars, each a tuple by car.
+
+        Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.
+        """
+        result = self.core.step(action)
         info: dict[str, Any] = {key: tuple(of_car[key] for of_car in result.infos) for key in result.infos[0]}
         info["action_mask"] = self.core.masks.copy()
         for key in ("success", "duration_s", "problems"):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
@@ -10,14 +11,15 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.files.blueprint import read_blueprint
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.discrete.tasks import Task, make_task
+from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.observation import car_vectors
+from craftsim.discrete.tasks.starts import check_start
 from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.envs.actions import checked, illegal
 from craftsim.envs.backend import Backend
 from craftsim.envs.grid_backend import GridBackend
 
@@ -29,6 +31,10 @@ if TYPE_CHECKING:
 BackendName = Literal["physics", "grid"]
 RenderMode = Literal["rgb_array", "human", "ansi"]
 RENDER_MODES: Final[tuple[str, ...]] = get_args(RenderMode)
+RENDER_FPS: Final = 2
+"""Pictures a second in films that Gymnasium's wrappers make: one a tick, which is about what a move takes."""
+
+_RESET_FIRST: Final = "call reset() before anything else"
 
 
 @dataclass(frozen=True)
@@ -58,13 +64,27 @@ class Options:
                 raise InputError(
                     f"unknown {name} '{value}'{suggestion(str(value), words)}; there are {', '.join(words)}"
                 )
-        if self.helper_depth is not None and self.helper_depth < 0:
-            raise InputError(f"helper_depth is {self.helper_depth}; allowed: None, or 0 and more")
+        depth, weight = self.helper_depth, self.time_weight
+        if depth is not None and not (isinstance(depth, int) and depth >= 0):
+            raise InputError(f"helper_depth is {depth!r}; allowed: None, or 0 and more")
+        if not (isinstance(weight, int | float) and 0 <= weight < math.inf):
+            raise InputError(f"time_weight is {weight!r}; allowed: 0 and more, and finite")
         for name in ("noise", "spread", "config"):
             if self.backend == "grid" and getattr(self, name) is not None:
                 raise InputError(
                     f"the grid backend knows no '{name}'; leave it out, or take backend='physics'"
                 )
+
+    @classmethod
+    def named(cls, **options: Any) -> Options:
+        """Return options given by name; raises InputError for a name that is none of them."""
+        known = [field.name for field in fields(cls)]
+        for name in options:
+            if name not in known:
+                raise InputError(
+                    f"unknown option '{name}'{suggestion(name, known)}; there are {', '.join(known)}"
+                )
+        return cls(**options)
 
     def make_backend(self, task: Task) -> Backend:
         """Return the backend; only here does the physics get imported."""
@@ -75,7 +95,14 @@ class Options:
 
             choose_backend()
         from craftsim.envs.physics_backend import PhysicsBackend
+        from craftsim.models.config import SimulationConfig
+        from craftsim.models.noise import SensorNoise
+        from craftsim.models.variation import Spread
 
+        for name, kind in (("noise", SensorNoise), ("spread", Spread), ("config", SimulationConfig)):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, kind):
+                raise InputError(f"the option '{name}' must be a {kind.__name__}, not {value!r}")
         goals = [target.cell for target in task.design.targets] if task.design else [task.starts[0].goal]
         floor = [cell for cell in goals if cell is not None and cell[2] == 1]
         return PhysicsBackend(
@@ -102,7 +129,7 @@ class Core:
 
     def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
         """Prepare; the first episode begins with :meth:`reset`. ``backend`` replaces the one of the options."""
-        self.task = make_task(task) if isinstance(task, str) else task
+        self.task = as_task(task)
         self.options = options
         self.layout = self.task.layout
         self.n_cars = self.layout.n_cars
@@ -110,18 +137,22 @@ class Core:
         self.rules = Rules(options.rule_set)
         self._success = self.task.success_measure
         self._worlds: Worlds | None = None
+        self._runs = False
         self._seed(None)
 
     def _seed(self, seed: int | None) -> None:
         # The backend draws from a generator of its own, so that both backends see the same starts and orders.
-        spawned = np.random.SeedSequence(seed).spawn(2)
+        try:
+            spawned = np.random.SeedSequence(seed).spawn(2)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"the seed is {seed!r}; allowed: None, or whole numbers from 0") from error
         self._rng, self._backend_rng = (np.random.default_rng(s) for s in spawned)
 
     @property
     def worlds(self) -> Worlds:
         """The world as it is seen, a batch of one, with the queues of the action helper."""
         if self._worlds is None:
-            raise InputError("call reset() before anything else")
+            raise InputError(_RESET_FIRST)
         return self._worlds
 
     @property
@@ -133,7 +164,8 @@ class Core:
         """Begin an episode and return the infos by car.
 
         Without a seed the generators go on. ``options`` may give the start: ``blueprint``, the path of a start file, or
-        ``grid``, a Grid; other keys are ignored. Raises InputError for a start that does not fit the task.
+        ``grid``, a Grid; other keys are ignored. The goal stays the task's. Raises InputError for a seed that is none
+        and for a start that does not fit the task.
         """
         if seed is not None:
             self._seed(seed)
@@ -143,36 +175,32 @@ class Core:
         self._worlds.put(0, seen)
         self._t = np.zeros(1, np.int64)
         self._paid = np.zeros(1, np.bool_)
+        self._runs = True
         self._worth = self.task.reward.measure.of_worlds(self._worlds.arrays)
         self._look()
         self._show()
         return [{"action_mask": self.masks[car]} for car in range(self.n_cars)]
 
     def _draw(self, options: dict[str, Any]) -> Grid:
-        if options.get("grid") is not None:
-            grid = options["grid"]
-        elif options.get("blueprint") is not None:
-            grid = read_blueprint(Path(options["blueprint"])).grid(self._rng, self.task.placement)
-        else:
+        grid, path = options.get("grid"), options.get("blueprint")
+        if grid is None and path is None:
             return self.task.draw(self._rng)
+        if grid is not None and path is not None:
+            raise InputError("the options 'grid' and 'blueprint' both say where to start; give one of them")
+        if path is not None:
+            if not isinstance(path, str | Path):
+                raise InputError(f"the option 'blueprint' must be a path, not a {type(path).__name__}")
+            grid = read_blueprint(Path(path)).grid(self._rng, self.task.placement)
         if not isinstance(grid, Grid):
             raise InputError(f"the option 'grid' must be a Grid, not a {type(grid).__name__}")
-        size = self.task.starts[0].size
-        if (grid.size, grid.n_cars) != (size, self.n_cars):
-            raise InputError(
-                f"the start has size {grid.size} and {grid.n_cars} cars; task '{self.task.name}' has {size} and "
-                f"{self.n_cars}"
-            )
+        check_start(self.task, grid)
         return grid.copy()
 
     def _look(self) -> None:
         """Bring what the cars observe up to date: fresh arrays, that the caller may keep."""
-        worlds, depth = self.worlds, self.options.helper_depth
-        allowed = worlds.legal() if depth is None else worlds.reachable(depth)
-        self.masks: NDArray[np.int8] = allowed[0].view(np.int8)
+        self.masks: NDArray[np.int8] = self.worlds.offered()[0].view(np.int8)
         """(n, 15): what each car is offered; STOP, which then does nothing, where the rules leave it nothing."""
-        self.masks[~allowed[0].any(1), Action.STOP] = 1
-        self.rows: NDArray[np.int32] = worlds.entity_rows(self.layout)[0]
+        self.rows: NDArray[np.int32] = self.worlds.entity_rows(self.layout)[0]
         """(n_rows, 13): what is where."""
 
     def vectors(self) -> NDArray[np.int32]:
@@ -180,14 +208,28 @@ class Core:
         return car_vectors(self.rows, self.n_cars)
 
     def state(self) -> NDArray[np.int32]:
-        """Return the global state: all rows, flattened."""
+        """Return the global state: all rows, flattened, shape (13 * n_rows,). Raises InputError before a reset."""
+        if self._worlds is None:
+            raise InputError(_RESET_FIRST)
         return self.rows.ravel().copy()
 
-    def step(self, actions: NDArray[np.int64]) -> CoreStep:
-        """Let all cars act once; ``actions`` (n,) by car. What the rules forbid counts as STOP and is flagged."""
-        offered, queued = self.masks, self.worlds.queue[0, :, 0] >= 0
+    def require_episode(self) -> None:
+        """Raise InputError where no episode runs."""
+        if not self._runs:
+            over = "no episode has begun" if self._worlds is None else "the episode is over"
+            raise InputError(f"{over}; call reset() to begin one")
+
+    def step(self, actions: Any) -> CoreStep:
+        """Let all cars act once; ``actions`` (n,) by car. What the rules forbid counts as STOP and is flagged.
+
+        Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.
+        """
+        self.require_episode()
+        told = checked(actions, (self.n_cars,))
+        offered, helped = self.masks, self.options.helper_depth is not None
+        queued = self.worlds.queue[0, :, 0] >= 0 if helped else None
         order = self._rng.permutation(self.n_cars)
-        tick = self.backend.tick(self.worlds, actions, order)
+        tick = self.backend.tick(self.worlds, told, order)
         arrays = self.worlds.arrays
         after = self._worth if tick.problems else self.task.reward.measure.of_worlds(arrays)
         reward, self._paid = self.task.reward.pay(self._worth, after, self._t, self._paid)
@@ -196,23 +238,20 @@ class Core:
         self._worth, self._t = after, self._t + 1
         self._look()
         self._show()
-        cars = range(self.n_cars)
-        # A helper that finds no way makes a STOP of a move, which is legal but not what was asked for.
-        forbidden = ~tick.applied | (
-            (offered[cars, actions] == 0) & ~queued & (self.options.helper_depth is not None)
-        )
-        illegal = forbidden & (actions != Action.STOP)
+        wrong = illegal(told, tick.applied, offered, queued)
         shared = {"success": success, "duration_s": tick.duration_s, "problems": tick.problems}
         extras = tick.of_car or ({},) * self.n_cars
         infos = [
-            {"action_mask": self.masks[car], "illegal": bool(illegal[car]), **shared, **extras[car]}
-            for car in cars
+            {"action_mask": self.masks[car], "illegal": bool(wrong[car]), **shared, **extras[car]}
+            for car in range(self.n_cars)
         ]
         terminated = success and self.task.ends_on_success
+        truncated = not terminated and (over or bool(tick.problems))
+        self._runs = not (terminated or truncated)
         return CoreStep(
             reward=float(reward[0]) - self.options.time_weight * tick.duration_s,
             terminated=terminated,
-            truncated=not terminated and (over or bool(tick.problems)),
+            truncated=truncated,
             infos=infos,
         )
 
@@ -234,7 +273,7 @@ class Core:
         self.backend.close()
 
 
-def _ansi(grid: Grid, goal: tuple[int, int, int] | None) -> str:
+def _ansi(grid: Grid, goal: Cell | None) -> str:
     from rich.console import Console
 
     from craftsim.discrete.drawing import world_text

@@ -12,9 +12,10 @@ from pettingzoo import ParallelEnv
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import Task
+from craftsim.envs.actions import N_ACTIONS
 from craftsim.envs.backend import Backend
-from craftsim.envs.core import RENDER_MODES, Core, Options
-from craftsim.envs.spaces import N_ACTIONS, car_space, state_space
+from craftsim.envs.core import RENDER_FPS, RENDER_MODES, Core, Options
+from craftsim.envs.spaces import car_space, state_space
 
 Observation = dict[str, NDArray[Any]]
 
@@ -25,10 +26,14 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
     An agent observes ``{"observation", "action_mask"}``; docs/envs.md describes both, and the infos.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "is_parallelizable": True}
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": list(RENDER_MODES),
+        "render_fps": RENDER_FPS,
+        "is_parallelizable": True,
+    }
 
     def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
-        """Prepare a task; the first episode begins with :meth:`reset`."""
+        """Prepare a task; the first episode begins with :meth:`reset`. ``backend`` replaces the one of the options."""
         self.core = Core(task, options, backend)
         self.metadata = type(self).metadata | {"name": f"craftsim_{self.core.task.name}_v0"}  # type: ignore[misc]
         self.render_mode = options.render_mode
@@ -68,9 +73,18 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Let all cars act once. Raises InputError if an agent's action is missing or no number from 0 to 14."""
+        """Let all cars act once.
+
+        Raises InputError where no episode runs, and if an agent's action is missing or no number from 0 to 14.
+        """
+        self.core.require_episode()
         agents = self.agents
-        result = self.core.step(self._numbers(actions))
+        missing = [agent for agent in agents if agent not in actions]
+        if missing:
+            raise InputError(
+                f"no action for {', '.join(missing)}; actions must be a dictionary with one for each agent"
+            )
+        result = self.core.step([actions[agent] for agent in agents])
         if result.terminated or result.truncated:
             self.agents = []
         return (
@@ -81,19 +95,6 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
             dict(zip(agents, result.infos, strict=True)),
         )
 
-    def _numbers(self, actions: dict[str, int]) -> NDArray[np.int64]:
-        if not self.agents:
-            raise InputError("the episode is over; call reset() to begin another")
-        try:
-            numbers = np.array([actions[agent] for agent in self.agents], np.int64)
-        except KeyError as error:
-            raise InputError(
-                f"no action for agent {error}; each of {', '.join(self.agents)} needs one"
-            ) from error
-        if numbers.shape != (len(self.agents),) or (numbers < 0).any() or (numbers >= N_ACTIONS).any():
-            raise InputError(f"actions must be numbers from 0 to {N_ACTIONS - 1}, not {actions}")
-        return numbers
-
     def _observe(self) -> dict[str, Observation]:
         vectors, masks = self.core.vectors(), self.core.masks
         return {
@@ -102,7 +103,7 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
         }
 
     def state(self) -> NDArray[np.int32]:
-        """Return the global state: the rows of all entities, flattened."""
+        """Return the global state: the rows of all entities, flattened, as ``state_space`` says."""
         return self.core.state()
 
     def render(self) -> NDArray[np.uint8] | str | None:

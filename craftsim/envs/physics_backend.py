@@ -87,7 +87,9 @@ class PhysicsBackend:
             told[done.car] = _tell(step, done, step.reading.cars[done.car])
             if not done.applied:
                 worlds.queue[0, done.car] = -1  # what was planned starts from where the car is not
-        return Tick(legal, step.duration_s, step.reading.problems, tuple(told))
+        # A simulation that has broken down has started over: what is read then is no consequence of what was done.
+        broken = ("the simulation broke down",) if self._site.diverged else ()
+        return Tick(legal, step.duration_s, broken + step.reading.problems, tuple(told))
 
     def _primitives(
         self, queue: NDArray[np.int8], actions: NDArray[np.int64], order: NDArray[np.int64]

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from gymnasium import spaces
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import ROW
-
-N_ACTIONS = len(Action)
+from craftsim.envs.actions import N_ACTIONS
 
 
 def entity_space(task: Task, n_rows: int) -> spaces.Box:

@@ -9,13 +9,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.durations import tick_durations
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules import RuleSet
-from craftsim.discrete.tasks import Task, make_task
+from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
+from craftsim.envs.actions import checked, illegal
+from craftsim.envs.core import BackendName, Options
 from craftsim.envs.spaces import central_space, joint_action_space
 
 Observation = dict[str, NDArray[Any]]
@@ -39,17 +40,28 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         task: Task | str,
         num_envs: int = 1,
         *,
+        backend: BackendName = "grid",
         rule_set: RuleSet = "physical",
         helper_depth: int | None = None,
         time_weight: float = 0.0,
     ) -> None:
-        """Prepare ``num_envs`` worlds; the options are as in :class:`craftsim.envs.core.Options`."""
-        if num_envs < 1:
+        """Prepare ``num_envs`` worlds; the options are as in :class:`craftsim.envs.core.Options`.
+
+        Raises InputError for a task or an option value that there is not, and for any backend but the grid.
+        """
+        if backend != "grid":
+            raise InputError(
+                f"a batch in one call is of grid worlds, not of backend '{backend}'; "
+                "for physics say vectorization_mode='async' (or 'sync')"
+            )
+        if not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")
-        self.task = make_task(task) if isinstance(task, str) else task
+        options = Options(backend, rule_set, helper_depth, time_weight)
+        self.task = as_task(task)
         self.num_envs = num_envs
-        self.time_weight = time_weight
+        self.time_weight = options.time_weight
         self.episodes = Episodes(self.task, np.random.default_rng(), num_envs, rule_set, helper_depth)
+        self._begun = False
         self.single_observation_space = central_space(self.task)
         self.single_action_space = joint_action_space(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -63,6 +75,7 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         if seed is not None:
             self.episodes.rng = np.random.default_rng(seed)
         self.episodes.reset()
+        self._begun = True
         self._look()
         return self._observe(), {}
 
@@ -72,22 +85,23 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         """Let all cars of all worlds act once; ``actions`` (B, n).
 
         Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n); and where
-        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset.
+        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset. Raises InputError before
+        the first reset, and for actions of another shape or that are no numbers from 0 to 14.
         """
-        episodes, told = self.episodes, np.asarray(actions, np.int64)
-        offered, queued = self._masks, episodes.worlds.queue[:, :, 0] >= 0
-        before = episodes.worlds.arrays.cars.copy()
+        if not self._begun:
+            raise InputError("call reset() before anything else")
+        episodes, told = self.episodes, checked(actions, (self.num_envs, self.task.layout.n_cars))
+        worlds, offered = episodes.worlds, self._masks
+        queued = None if worlds.depth is None else worlds.queue[:, :, 0] >= 0
+        before = worlds.arrays.cars.copy()
         steps = episodes.step(told)
-        duration = tick_durations(before, episodes.worlds.arrays.cars, told, steps.applied)
-        forbidden = ~steps.applied
-        if episodes.worlds.depth is not None:
-            forbidden |= (np.take_along_axis(offered, told[..., None], -1)[..., 0] == 0) & ~queued
+        duration = tick_durations(before, worlds.arrays.cars, told, steps.applied)
         terminated = steps.success & self.task.ends_on_success
         truncated = steps.done & ~terminated
         infos: dict[str, Any] = {
             "success": steps.success,
             "duration_s": duration,
-            "illegal": forbidden & (told != Action.STOP),
+            "illegal": illegal(told, steps.applied, offered, queued),
         }
         self._look()
         ended = np.flatnonzero(steps.done)
@@ -99,11 +113,8 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         return self._observe(), reward, terminated, truncated, infos
 
     def _look(self) -> None:
-        episodes = self.episodes
-        allowed = episodes.legal() if episodes.worlds.depth is None else episodes.reachable()
-        self._masks: NDArray[np.int8] = allowed.view(np.int8)
-        self._masks[..., Action.STOP] |= ~allowed.any(-1)
-        self._rows = episodes.entity_rows()
+        self._masks: NDArray[np.int8] = self.episodes.offered().view(np.int8)
+        self._rows = self.episodes.entity_rows()
 
     def _observe(self) -> Observation:
         return {"observation": self._rows.reshape(self.num_envs, -1), "action_mask": self._masks}

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.training.grid_env import offered
 from craftsim.training.networks import CarNet
 
 
@@ -36,7 +35,7 @@ def evaluate(net: CarNet, task: Task, episodes: int, seed: int) -> Played:
     running = np.ones(episodes, np.bool_)
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
     while running.any():
-        steps = worlds.step(best_actions(net, worlds.vectors(), offered(worlds)))
+        steps = worlds.step(best_actions(net, worlds.vectors(), worlds.offered()))
         won[running & steps.success] = 1
         total += steps.reward * running
         ticks += running

@@ -6,22 +6,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
-
-
-def offered(episodes: Episodes) -> NDArray[np.bool_]:
-    """Return (B, n, 15): the legal actions, and STOP for a car that has none."""
-    mask = episodes.legal()
-    mask[..., Action.STOP] |= ~mask.any(-1)
-    return mask
 
 
 class GridEnv(EnvBase):
@@ -55,7 +46,7 @@ class GridEnv(EnvBase):
         self.done_spec = Composite(**flags, shape=(n_worlds,))
 
     def _seen(self) -> TensorDict:
-        mask = offered(self.episodes)
+        mask = self.episodes.offered()
         cars = TensorDict(
             {
                 "observation": torch.from_numpy(self.episodes.vectors().astype(np.int16)),

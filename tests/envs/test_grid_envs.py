@@ -15,7 +15,6 @@ from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.testing import check_api, check_deterministic, check_masks, random_policy
 
 STOP = int(Action.STOP)
-pytestmark = pytest.mark.filterwarnings("ignore:.*render fps")
 
 
 @pytest.mark.parametrize("helper_depth", [None, 10])
@@ -160,28 +159,6 @@ def test_a_start_may_be_given_as_a_grid_or_as_a_blueprint(tmp_path):
     assert set(env.grid.cars[:, CarField.YAW]) == {2}
     env.reset()
     assert set(env.grid.cars[:, CarField.YAW]) == {0}, "an option holds for one episode"
-
-
-def test_wrong_input_is_refused_in_words():
-    for arguments, words in [
-        ({"task": "strap", "backend": "grid"}, "did you mean 'strip'"),
-        ({"task": "strip", "backend": "grit"}, "there are physics, grid"),
-        ({"task": "strip", "backend": "grid", "render_mode": "rgb"}, "rgb_array"),
-        ({"task": "strip", "backend": "grid", "helper_depth": -1}, "0 and more"),
-        ({"task": "strip", "backend": "grid", "spread": object()}, "backend='physics'"),
-    ]:
-        with pytest.raises(InputError, match=words):
-            parallel_env(**arguments)
-    env = parallel_env("strip", "grid")
-    with pytest.raises(InputError, match=r"reset\(\)"):
-        env.grid  # noqa: B018
-    with pytest.raises(InputError, match="4 cars"):
-        env.reset(options={"grid": make_task("complex_two_story").draw(np.random.default_rng(0))})
-    env.reset()
-    with pytest.raises(InputError, match="car_1"):
-        env.step({"car_0": STOP})
-    with pytest.raises(InputError, match="0 to 14"):
-        env.step({"car_0": 15, "car_1": STOP})
 
 
 def test_time_costs_what_its_weight_says_and_the_slowest_car_counts():

@@ -120,6 +120,21 @@ def test_a_world_that_cannot_be_read_truncates_the_episode_and_says_why():
     assert env.step({"car_0": STOP, "car_1": STOP})[4]["car_0"]["problems"] == ()
 
 
+def test_a_simulation_that_breaks_down_truncates_the_episode_and_says_so():
+    env = parallel_env("strip", "physics")
+    env.reset(seed=0)
+    site = env.core.backend.world.site
+    site.data.qvel[site.blocks[0].dof] = (
+        1e12  # MuJoCo then starts over, and all seems to stand where it stood
+    )
+    _, rewards, _, truncated, infos = env.step({"car_0": STOP, "car_1": STOP})
+    assert set(truncated.values()) == {True}
+    assert infos["car_0"]["problems"] == ("the simulation broke down",)
+    assert rewards["car_0"] == 0.0
+    env.reset(seed=0)
+    assert env.step({"car_0": STOP, "car_1": STOP})[4]["car_0"]["problems"] == ()
+
+
 def test_a_start_that_was_given_is_built_and_the_next_episode_starts_as_ever():
     env = parallel_env("strip", "physics")
     grid = make_task("strip").draw(np.random.default_rng(0))

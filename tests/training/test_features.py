@@ -8,7 +8,6 @@ from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import IS_BLOCK, ROW
 from craftsim.training.features import Encoder, Shape
-from craftsim.training.grid_env import offered
 
 
 @pytest.mark.parametrize("name", TASK_NAMES)
@@ -30,7 +29,7 @@ def test_different_entities_have_places_of_their_own(name):
             ):
                 if place != encoder.absent:
                     assert rows_at.setdefault(int(place), (own, *row)) == (own, *row)
-        mask = offered(episodes)
+        mask = episodes.offered()
         done = episodes.step((rng.random(mask.shape) * mask).argmax(-1)).done
         episodes.reset(done.nonzero()[0])
     shown = rows[..., 3:9].any(-1)
@@ -40,7 +39,7 @@ def test_different_entities_have_places_of_their_own(name):
 def test_the_order_of_blocks_plays_no_part():
     task = make_task("strip")
     episodes = Episodes(task, np.random.default_rng(0), 1)
-    seen, mask = torch.from_numpy(episodes.vectors()), torch.from_numpy(offered(episodes))
+    seen, mask = torch.from_numpy(episodes.vectors()), torch.from_numpy(episodes.offered())
     rows = seen.unflatten(-1, (-1, ROW))
     blocks = rows[0, 0, :, IS_BLOCK].nonzero()[:, 0]
     turned = rows.clone()

@@ -8,7 +8,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.training.grid_env import GridEnv, offered
+from craftsim.training.grid_env import GridEnv
 
 
 def test_it_keeps_to_its_specs():
@@ -31,7 +31,7 @@ def test_a_rollout_is_what_the_episodes_do():
     for t in range(12):
         tick = played[:, t]
         assert np.array_equal(tick["agents", "observation"].numpy(), twin.vectors())
-        assert np.array_equal(tick["agents", "action_mask"].numpy(), offered(twin))
+        assert np.array_equal(tick["agents", "action_mask"].numpy(), twin.offered())
         steps = twin.step(tick["agents", "action"].numpy())
         assert np.allclose(tick["next", "reward"][:, 0].numpy(), steps.reward)
         assert np.array_equal(tick["next", "done"][:, 0].numpy(), steps.done)
@@ -46,4 +46,4 @@ def test_a_car_that_can_do_nothing_is_offered_stop():
     cars = episodes.worlds.arrays.cars
     cars[0, 0, [CarField.YAW, CarField.SLOPE]] = 2, 1  # as if on a slope that leads up to the edge of the map
     assert not episodes.legal()[0, 0].any()
-    assert offered(episodes)[0, 0].nonzero()[0].tolist() == [Action.STOP]
+    assert episodes.offered()[0, 0].nonzero()[0].tolist() == [Action.STOP]

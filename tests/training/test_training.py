@@ -13,7 +13,6 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
 from craftsim.training.config import ALGO_NAMES, TrainConfig
-from craftsim.training.grid_env import offered
 from craftsim.training.policy import load_policy
 from craftsim.training.starts import with_starts
 from craftsim.training.trainer import Trainer
@@ -72,7 +71,7 @@ def _play(policy):
     episodes = Episodes(make_task("simple_two_story"), np.random.default_rng(0), 1)
     told = []
     for _ in range(60):
-        vectors, mask = episodes.vectors()[0], offered(episodes)[0].astype(np.int8)
+        vectors, mask = episodes.vectors()[0], episodes.offered()[0].astype(np.int8)
         actions = policy(
             {f"car_{i}": {"observation": vectors[i], "action_mask": mask[i]} for i in range(len(mask))}
         )

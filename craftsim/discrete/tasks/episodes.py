@@ -96,6 +96,10 @@ class Episodes:
         depth = self.worlds.depth
         return self.worlds.reachable(DEFAULT_DEPTH if depth is None else depth)
 
+    def offered(self) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what each car is offered to do, STOP where the rules leave it nothing; never all false."""
+        return self.worlds.offered()
+
     def entity_rows(self) -> NDArray[np.int32]:
         """Return (B, n_rows, 13): what is where, as :mod:`craftsim.discrete.tasks.observation` lays it out."""
         return self.worlds.entity_rows(self.layout)

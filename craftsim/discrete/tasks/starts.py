@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.errors import InputError
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.tasks.task import Task
 
 _ARRAYS: Final = tuple(field.name for field in fields(Grid))
@@ -39,6 +39,33 @@ def load_starts(path: Path) -> list[Grid]:
     return [Grid(*(arrays[name][i] for name in _ARRAYS)) for i in range(len(arrays["kind"]))]
 
 
+def check_start(task: Task, grid: Grid) -> None:
+    """Raise InputError for a world that cannot be a start of a task: another size, other things than it observes."""
+    first, layout = task.starts[0], task.layout
+    if (grid.size, grid.n_cars) != (first.size, first.n_cars):
+        raise InputError(
+            f"the start has size {grid.size} and {grid.n_cars} cars; task '{task.name}' has {first.size} and "
+            f"{first.n_cars}"
+        )
+    for car, cell in enumerate(grid.cars[:, : CarField.Z + 1].tolist()):
+        # A car may stand above the highest cell; compiled rules would read past their arrays elsewhere.
+        if not (
+            0 <= cell[0] < first.size[0]
+            and 0 <= cell[1] < first.size[1]
+            and 1 <= cell[2] <= first.size[2] + 1
+        ):
+            raise InputError(
+                f"car {car} of the start is at {tuple(cell)}, outside the map of size {first.size}"
+            )
+    things = [*grid.kind.ravel().tolist(), *grid.cars[:, CarField.LOAD].tolist()]
+    for what, count, most in (
+        ("blocks", things.count(Kind.BLOCK), layout.n_blocks),
+        ("slopes", things.count(Kind.FSLOPE) + things.count(Kind.BODY), layout.n_slopes),
+    ):
+        if count > most:
+            raise InputError(f"the start has {count} {what}; task '{task.name}' observes at most {most}")
+
+
 @dataclass(frozen=True)
 class StoredStarts(Task):
     """A task whose episodes start with worlds drawn from a list instead of its start files."""
@@ -47,15 +74,10 @@ class StoredStarts(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        first = self.starts[0]
         if not self.grids:
             raise InputError(f"task '{self.name}' needs at least one stored start")
         for grid in self.grids:
-            if (grid.size, grid.n_cars) != (first.size, first.n_cars):
-                raise InputError(
-                    f"a stored start has size {grid.size} and {grid.n_cars} cars; task '{self.name}' has "
-                    f"{first.size} and {first.n_cars}"
-                )
+            check_start(self, grid)
 
     def draw(self, rng: np.random.Generator) -> Grid:
         """Return a copy of one of the worlds."""
@@ -68,6 +90,6 @@ class StoredStarts(Task):
 
 
 def starting_from(task: Task, grids: Sequence[Grid]) -> Task:
-    """Return the task with the given worlds as its starts."""
+    """Return the task with the given worlds as its starts; raises InputError for one that does not fit it."""
     known = {field.name: getattr(task, field.name) for field in fields(Task)}
     return StoredStarts(**known, grids=tuple(grids))

@@ -118,6 +118,15 @@ class Task:
         return bool(self.success_measure.of(grid))
 
 
+def as_task(task: Task | str) -> Task:
+    """Return a task as it is, or the one of the paper's six that a name stands for; InputError for anything else."""
+    if isinstance(task, Task):
+        return task
+    if isinstance(task, str):
+        return make_task(task)
+    raise InputError(f"a task is a Task or the name of one, not {task!r}")
+
+
 def shipped_blueprint(name: str) -> Path:
     """Return the path of a shipped start or goal file, e.g. ``strip`` or ``strip_goal``."""
     with as_file(files("craftsim") / "data" / "blueprints" / f"{name}.yaml") as path:

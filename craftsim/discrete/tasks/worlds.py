@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.planning.planner import empty_queue, run_helper_tick
@@ -122,6 +123,15 @@ class Worlds:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
         _fill_reachable(self.arrays, self._space, depth, out)
         return out
+
+    def offered(self) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what is legal, with the helper also what is reachable; never all false.
+
+        A car that the rules leave nothing, on a ramp with both ways blocked, is offered STOP, which does nothing.
+        """
+        mask = self.legal() if self.depth is None else self.reachable(self.depth)
+        mask[..., Action.STOP] |= ~mask.any(-1)
+        return mask
 
     def tick(self, actions: NDArray[np.integer], order: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Let all cars act; return (B, n), by car, whether what each did was legal when its turn came.

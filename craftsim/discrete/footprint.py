@@ -13,9 +13,7 @@ from functools import reduce
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import CarField, Grid, Kind
-
-Cell = tuple[int, int, int]
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 
 
 @dataclass(frozen=True)

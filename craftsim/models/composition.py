@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import Cell, Grid
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parts import load_car, load_part, load_slope
 from craftsim.models.placement import Placement
-
-Cell = tuple[int, int, int]
 
 _MARGIN_CELLS = 2
 """Width of bare floor around the area; whole cells, so that the floor's lines are the cells' borders."""

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.errors import InputError
-from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.composition import Cell, compose
+from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parts import Car, FreeBody, Slope
 from craftsim.models.placement import placements

@@ -7,23 +7,24 @@ options and its integer result the exit status. It is imported only when it is c
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Annotated, Final, get_type_hints
 
 COMMANDS: Final[dict[str, str]] = {
     "demo": "Build the paper's tasks in physics, and check every action.",
-    "trials": "Try every action in every situation where it is legal, in physics.",
-    "replay": "Do again what a replay bundle shows, and compare it with what was recorded.",
+    "validate": "Run plans, actions or policies in physics, and check each step.",
+    "audit": "Try in physics what the rules allow, and what they forbid.",
+    "replay": "Do again what a replay bundle shows, and compare the two.",
+    "trials": "Try every action in every situation where the rules allow it.",
     "tasks": "Build the paper's tasks again and again, all cars at work at once.",
-    "episodes": "Run long random episodes with many cars, to see whether anything drifts.",
-    "train": "Let cars learn a task on the grid, with TorchRL.",
-    "audit": "Try the rules in physics: which allow what does not work, which forbid what would?",
-    "validate": "Run plans, actions or policies in physics, and check each action.",
-    "doctor": "Say what works on this machine, and the command that mends what does not.",
-    "show": "Show a blueprint as coloured text, and as a picture with --out.",
-    "conformance": "Compare the rules with recordings of CraftEnv.",
-    "bench": "Measure how fast the rules and the environments run.",
+    "episodes": "Run long random episodes with many cars: does anything drift?",
+    "train": "Let cars learn a task on the grid.",
+    "conformance": "Compare the grid rules with recordings of CraftEnv.",
+    "bench": "Measure how fast rules, environments and workers are.",
+    "show": "Show a world as coloured text, and as a picture with --out.",
+    "doctor": "Say what works on this machine, and what mends what does not.",
 }
 """One line on every command, in the order of the help text."""
 
@@ -70,8 +71,26 @@ def _run(name: str, words: list[str]) -> int:
     import tyro
 
     function = getattr(importlib.import_module(f"craftsim.commands.{name}"), name)
-    status: int = tyro.cli(function, args=words, prog=f"craftsim {name}")
+    status: int = tyro.cli(
+        _without_empty_defaults(function),
+        args=words,
+        prog=f"craftsim {name}",
+        config=(tyro.conf.DisallowNone,),
+    )
     return status
+
+
+def _without_empty_defaults(function: Callable[..., int]) -> Callable[..., int]:
+    """Mark what need not be given such that the help does not say "(default: None)"."""
+    import tyro
+
+    types = get_type_hints(function, include_extras=True)
+    unsaid = tyro.conf.arg(help_behavior_hint="")
+    for name, parameter in inspect.signature(function).parameters.items():
+        if parameter.default in (None, ()):
+            types[name] = Annotated[types[name], unsaid]
+    function.__annotations__ = types
+    return function
 
 
 def _overview() -> str:

@@ -15,7 +15,7 @@ from craftsim.discrete.errors import InputError
 
 def _run(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "craftsim.cli", *words], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "craftsim", *words], capture_output=True, text=True, check=False
     )
 
 
@@ -38,6 +38,7 @@ def test_help_names_every_command(capsys):
     for name, summary in cli.COMMANDS.items():
         assert f"{name} " in text
         assert summary in text
+    assert max(map(len, text.splitlines())) <= 80, "it must fit a narrow terminal"
 
 
 def test_no_command_is_a_usage_error(capsys):
@@ -50,7 +51,15 @@ def test_every_command_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as caught:
         cli.main([name, "--help"])
     assert caught.value.code == 0
-    assert f"usage: craftsim {name}" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert f"usage: craftsim {name}" in text
+    assert "None" not in text, "what need not be given is left out, not given as None"
+    assert "(default: )" not in text
+
+
+def test_python_runs_the_package_as_the_command():
+    result = _run("--version")
+    assert (result.returncode, result.stdout) == (0, f"craftsim {craftsim.__version__}\n")
 
 
 def test_version(capsys):

@@ -42,23 +42,27 @@ def bench(
 ) -> int:
     """Measure how fast the grid rules, the environments and worker processes are, or how long actions take.
 
-    Steps a second are those of one core. A step of the rules is one tick of one world, with reward, end of episode and
-    reset, and the masks of all cars for the next one; "helper" adds the helper's search to masks and moves, and the
-    global observation of every car. Actions are drawn from the masks, and drawing them is part of the time. Of the
-    environments in physics, the wall time of a step is compared with that of MuJoCo's steps alone under the same
-    commands. Two worker processes are compared with one by building a task again and again, their start included.
-    Durations are those that the grid environments tell; they are printed as craftsim/data/durations.yaml holds them.
+    rules: steps a second on one core, and the memory of many worlds. A step is one tick of one world, with reward,
+    end of episode and reset, and the masks of all cars for the next one; "helper" adds the helper's search to masks
+    and moves, and the global observation of every car. Drawing actions from the masks is part of the time.
+
+    env: the same through PettingZoo and in batches; and in physics, the wall time of a step against that of MuJoCo's
+    steps alone under the same commands.
+
+    workers: two worker processes against one, building a task again and again, their start included.
+
+    durations: how long actions take in physics, as craftsim/data/durations.yaml holds it for the grid environments.
 
     Args:
-        what: rules (and the memory of many worlds), env, workers, or durations.
+        what: what to measure.
         rules: the rule set to run; rules only.
         worlds: how many worlds a batch has.
         seconds: how long each measurement on the grid runs.
         memory_worlds: how many worlds to make for the memory figure; rules only.
         episode: ticks of the episode that is timed in physics, 2 or more; env only.
         runs: how often the task is built; workers only.
-        seed: seed of starts, actions and orders.
-        out: directory for report.json.
+        seed: decides starts, actions and orders.
+        out: folder for report.json.
     """
     from rich.console import Console
 

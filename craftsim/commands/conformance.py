@@ -19,22 +19,24 @@ if TYPE_CHECKING:
 
 
 def conformance(
-    files: tyro.conf.Positional[tuple[Path, ...]],
+    files: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE ...", help_behavior_hint="")
+    ],
     rules: RuleSet = "published",
     show: int = 3,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Replay recorded ticks or plans and compare all that they tell: masks, effects, rewards, plans.
 
-    The exit status is 1 when anything differs. With the physical rule set, records are left out in which
-    something happened that only the published rules follow, or in which a correction changes what is legal or
-    what follows.
+    With the physical rule set, records are left out in which something happened that only the published rules follow,
+    or in which a correction changes what is legal or what follows. Exit status 0 when nothing differs, 1 when anything
+    does, 2 for wrong input.
 
     Args:
-        files: recordings, gzip-compressed JSON lines.
+        files: recordings, gzip-compressed JSON lines; one or more.
         rules: the rule set to compare.
         show: how many of the first mismatches to draw.
-        out: directory for report.json.
+        out: folder for report.json.
     """
     from rich.console import Console
     from rich.table import Table

@@ -8,8 +8,9 @@ import sys
 from dataclasses import dataclass
 from importlib.metadata import requires
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
+import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -48,14 +49,14 @@ class Check:
     """The command that mends it."""
 
 
-def doctor(out: Path | None = None) -> int:
+def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> int:
     """Say what works on this machine, and the command that mends what does not.
 
-    Physics and rendering are really tried, each in a process of its own. Exit status 0 when physics runs
-    (films are optional: without them it warns), 2 when it does not.
+    Physics and rendering are really tried, each in a process of its own. Exit status 0 when physics runs, even if
+    films cannot be made, 2 when it does not.
 
     Args:
-        out: folder to write report.json into.
+        out: folder for report.json.
     """
     physics = _physics()
     films = [_rendering(), _encoder()]

@@ -13,12 +13,12 @@ def show(
     seed: int = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Print the world that a blueprint starts, level by level, and draw it as a PNG with --out.
+    """Print the world that a blueprint describes, level by level; with --out draw it as a PNG.
 
     Args:
         blueprint: start file, or the name of a shipped one such as simple_two_story.
-        seed: seed for what the file leaves to chance.
-        out: directory for the picture, named after the blueprint.
+        seed: decides what the file leaves to chance.
+        out: folder for the picture, which is named after the blueprint.
     """
     import numpy as np
     from rich.console import Console

@@ -18,7 +18,7 @@ COMMANDS: Final[dict[str, str]] = {
     "audit": "Try in physics what the rules allow, and what they forbid.",
     "replay": "Do again what a replay bundle shows, and compare the two.",
     "trials": "Try every action in every situation where the rules allow it.",
-    "tasks": "Build the paper's tasks again and again, all cars at work at once.",
+    "tasks": "Build the paper's tasks again and again, all cars at once.",
     "episodes": "Run long random episodes with many cars: does anything drift?",
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",

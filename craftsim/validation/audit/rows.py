@@ -20,8 +20,8 @@ from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Grid, Kind
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.validation.audit.intended import NoPredictionError, intended
 from craftsim.validation.audit.scenes import SCENES, Scene
-from craftsim.validation.contexts.survey import NOTHING, Context, Thing, Verb, make_world, survey
-from craftsim.validation.contexts.worlds import FORWARD
+from craftsim.validation.contexts.context import FORWARD, NOTHING, Context, Thing, Verb
+from craftsim.validation.contexts.survey import make_world, survey
 
 Situation = Context | Scene
 

@@ -9,7 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from craftsim.validation.contexts.survey import Context, Survey
+from craftsim.validation.contexts.context import Context
+from craftsim.validation.contexts.survey import Survey
 from craftsim.validation.statistics.proportions import wilson
 from craftsim.validation.statistics.records import Record, carried_out, error_counts, grouped
 

@@ -8,20 +8,17 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from enum import Enum, StrEnum
 from functools import cache
 from itertools import product
 from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
 from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.validation.contexts.context import FORWARD, NOTHING, Context, Ground, Thing, Verb
 from craftsim.validation.contexts.worlds import (
-    BACK,
-    FORWARD,
     Drawing,
     ImpossibleError,
     check_car,
@@ -29,106 +26,7 @@ from craftsim.validation.contexts.worlds import (
     fillable,
 )
 
-DIRECTION_NAMES: Final = ("forward", "left", "back", "right")
-"""Directions and yaws relative to the car's heading, by their number."""
 LEVELS: Final = (1, 2, 3)
-_MOVE_OF: Final = {direction: action for action, direction in MOVE_DIRECTION.items()}
-
-
-class Verb(StrEnum):
-    """An action whatever the map direction."""
-
-    LIFT = "LIFT"
-    DROP = "DROP"
-    FOLD = "FOLD"
-    UNFOLD = "UNFOLD"
-    ROTATE_LEFT = "ROTATE_LEFT"
-    ROTATE_RIGHT = "ROTATE_RIGHT"
-    MOVE = "MOVE"
-    STOP = "STOP"
-
-
-class Ground(Enum):
-    """What the car stands on: its half of a slope (0 none, 1 lower, 2 upper), and where downhill is."""
-
-    FLAT = ("flat", 0, FORWARD)
-    LOW_UP = ("low-up", 1, BACK)
-    HIGH_UP = ("high-up", 2, BACK)
-    LOW_DOWN = ("low-down", 1, FORWARD)
-    HIGH_DOWN = ("high-down", 2, FORWARD)
-
-    def __init__(self, label: str, half: int, downhill: int) -> None:
-        self.label, self.half, self.downhill = label, half, downhill
-
-
-@dataclass(frozen=True)
-class Thing:
-    """What is in a cell, its yaw relative to the car's heading."""
-
-    kind: Kind = Kind.AIR
-    yaw: int = 0
-    below: bool = False
-    """The thing is in the cell below, and this one is free: the body of a slope to drive down."""
-
-    def __str__(self) -> str:
-        name = self.kind.name.lower() + (
-            f"-{DIRECTION_NAMES[self.yaw]}" if self.kind in KINDS_WITH_YAW else ""
-        )
-        return f"above-{name}" if self.below else name
-
-
-NOTHING: Final = Thing()
-
-
-@dataclass(frozen=True)
-class Context:
-    """One situation of one action; directions and yaws are relative to the car's heading."""
-
-    verb: Verb
-    direction: int | None
-    """Of a move, else None."""
-    level: int
-    """The car's level before the action."""
-    ground: Ground
-    own: Thing
-    load: Kind
-    next: Thing | None
-    """In the cell that a move goes to."""
-    over: Thing = NOTHING
-    """In the cell above the own one (lift, fold, unfold); of a move onto a ramp, in the cell above the landing of the
-    climb, above the body or above the foot that comes next."""
-    beyond_taken: bool = False
-    """Whether a block stands beyond the foot of a slope that is folded or unfolded."""
-    tight: bool = False
-    """Whether blocks fill the neighbour cells of the way, as far as the rules let the action be."""
-
-    @property
-    def id(self) -> str:
-        """Stable name, such as ``MOVE-forward/level=1/ground=flat/own=block/load=none/next=air/room=free``."""
-        verb = self.verb if self.direction is None else f"{self.verb}-{DIRECTION_NAMES[self.direction]}"
-        load = "none" if self.load == Kind.AIR else self.load.name.lower()
-        parts = [
-            verb,
-            f"level={self.level}",
-            f"ground={self.ground.label}",
-            f"own={self.own}",
-            f"load={load}",
-        ]
-        parts += [f"next={self.next}"] if self.next is not None else []
-        parts += [f"over={self.over}"] if self.over != NOTHING else []
-        parts += ["beyond=taken"] if self.beyond_taken else []
-        return "/".join([*parts, f"room={'tight' if self.tight else 'free'}"])
-
-    @property
-    def swings(self) -> bool:
-        """Whether the action swings a flap."""
-        return self.verb in (Verb.FOLD, Verb.UNFOLD)
-
-    def action(self, heading: int) -> Action:
-        """Return the primitive action for a car of this grid yaw."""
-        if self.direction is None:
-            return Action[self.verb]
-        return _MOVE_OF[(heading + self.direction) % 4]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from craftsim.discrete.grid import CarField
 from craftsim.validation.attempts.attempt import excesses
 from craftsim.validation.attempts.checked_run import ActionRecord, CheckedSite
 from craftsim.validation.campaign import Done, Item
-from craftsim.validation.contexts.survey import Context, make_world
+from craftsim.validation.contexts.context import Context
+from craftsim.validation.contexts.survey import make_world
 from craftsim.validation.replays.recipe import Recipe, Seed, Step, set_up
 from craftsim.validation.settings import NOMINAL, WITH_NOISE, Thresholds, TrialSettings
 

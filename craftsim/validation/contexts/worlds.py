@@ -6,14 +6,11 @@ The car stands in cell (0, 0) of its level and heads +x, so that every yaw and d
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
+from craftsim.validation.contexts.context import BACK, FORWARD, Context, Ground, Thing
 
-if TYPE_CHECKING:
-    from craftsim.validation.contexts.survey import Context, Ground, Thing
-
-FORWARD, LEFT, BACK, RIGHT = range(4)
 STANDS_ON: Final = (Kind.WALL, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.FOOT)
 """What needs a floor or a block below it; a gear hangs on its slope."""
 

@@ -13,7 +13,8 @@ from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
-from craftsim.validation.contexts.survey import DIRECTION_NAMES, Ground, Thing, Verb, make_world, survey
+from craftsim.validation.contexts.context import DIRECTION_NAMES, Ground, Thing, Verb
+from craftsim.validation.contexts.survey import make_world, survey
 
 RULES = Rules("physical")
 SURVEY = survey()

@@ -17,7 +17,8 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.variation import Varied
-from craftsim.validation.contexts.survey import Verb, survey
+from craftsim.validation.contexts.context import Verb
+from craftsim.validation.contexts.survey import survey
 from craftsim.validation.contexts.trials import Trial, recipe_of, run_trial
 from craftsim.validation.replays import replay as replaying
 from craftsim.validation.replays.bundle import (

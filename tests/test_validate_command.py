@@ -111,10 +111,59 @@ def test_policies_that_raise_or_hang_or_talk_nonsense_are_errors_and_harm_no_oth
         assert len(record["attempts"]) + record["extra"]["forbidden"] == record["extra"]["ticks"] == 20
 
 
+@pytest.fixture
+def earlier(folder):
+    """Run a list that the rules forbid, and put one in its place that they allow."""
+    (folder / "list.txt").write_text("0 LIFT\n")
+    words = ["empty.yaml", "--actions", "list.txt", "--trials", "2"]
+    assert _validate(*words, out="earlier") == 1
+    (folder / "list.txt").write_text("0 STOP\n")
+    return words
+
+
+def test_against_pairs_the_runs_with_those_of_an_earlier_campaign(folder, earlier, capsys):
+    assert _validate(*earlier, "--against", "earlier") == 0
+    told = capsys.readouterr().out
+    assert (
+        "of 2 paired trials 0 agree with the rules in both, 0 only there, 2 only here, 0 in neither" in told
+    )
+    assert "p = 0.5" in told
+    report = _report(folder / "out")
+    assert report["config"]["against"] == "earlier"
+    paired = report["figures"]["paired"]
+    assert paired["against"] == "earlier"
+    assert list(paired["changed"]) == ["config.by.list"]
+    trials = paired["trials"]
+    assert [trials[key] for key in ("pairs", "only_first", "only_second", "p_value")] == [2, 0, 2, 0.5]
+    page = (folder / "out" / "report.html").read_text(encoding="utf-8")
+    assert "this run alone" in page
+    assert "p = 0.5" in page
+    assert "--against earlier" in page
+    # The earlier run decides nothing of this one, so that it can be compared later on, too.
+    assert _validate(*earlier, "--resume") == 0
+    assert _report(folder / "out")["figures"]["paired"] is None
+
+
+def test_against_refuses_what_cannot_be_paired_before_anything_is_tried(folder, earlier, capsys):
+    def refused(*words, out="out"):
+        assert _validate(*(words or earlier), "--against", "earlier", out=out) == 2
+        assert not (folder / "out" / "campaign.json").exists()
+        return capsys.readouterr().err
+
+    kept = (folder / "earlier" / "trials.jsonl").read_bytes()
+    assert "is the folder of this run" in refused(out="earlier")
+    assert (folder / "earlier" / "trials.jsonl").read_bytes() == kept
+    assert "has the seed 0, not 1" in refused(*earlier, "--seed", "1")
+    assert "no trial in common" in refused("crowded.yaml", *earlier[1:])
+    (folder / "earlier" / "trials.jsonl").write_bytes(kept[: kept.index(b"\n") + 1])
+    assert "an unfinished campaign (1 of 2 trials)" in refused()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["crowded.yaml"], "no shipped plan"),
+        (["strip", "--against", "nowhere"], "nowhere holds no campaign"),
         (["missing.yaml"], "missing.yaml"),
         (["crowded.yaml", "--actions", "missing.txt"], "missing.txt"),
         (["crowded.yaml", "--plan", "unfold.txt"], "unfold.txt:1: 2 words, but a line is: tick car ACTION"),

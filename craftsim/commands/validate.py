@@ -5,23 +5,20 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 
+from craftsim.commands.campaigning import CampaignCommand
+from craftsim.commands.comparing import compare, print_comparison, read_against
 from craftsim.commands.filming import rendering_works
-from craftsim.commands.progress import counting
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import TASK_NAMES
-from craftsim.report import output_directory, write_report
+from craftsim.validation.campaign import Engine
 
 if TYPE_CHECKING:
-    from craftsim.validation.campaign import TrialRecord
-    from craftsim.validation.statistics.figures import Figures
+    from craftsim.validation.html.provenance import Provenance
 
 Video = Literal["none", "failures", "all"]
 
@@ -37,9 +34,10 @@ def validate(
     randomize: Literal["none", "mild", "strong"] = "mild",
     rules: Literal["published", "physical"] = "physical",
     workers: int = 1,
-    engine: Literal["local", "ray"] = "local",
+    engine: Engine = "local",
     timeout: float = 600.0,
     video: Video = "failures",
+    against: Path | None = None,
     resume: bool = False,
     seed: int = 0,
     out: Path = Path("out/validate"),
@@ -62,20 +60,20 @@ def validate(
         engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
         timeout: seconds after which a run counts as hanging.
         video: films of the failures, or besides of every run from its start to its end.
+        against: folder of an earlier run under other settings, to compare run by run.
         resume: go on with what an interrupted run has left in the output folder.
         seed: decides all that is drawn; the same for every plan and policy.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
-    if trials < 1 or workers < 1 or not timeout > 0:
-        raise InputError("--trials and --workers must be at least 1, --timeout above 0")
+    if trials < 1 or not timeout > 0:
+        raise InputError("--trials must be at least 1, --timeout above 0")
     given = [name for name, value in (("plan", plan), ("actions", actions), ("policy", policy)) if value]
     if len(given) > 1:
         raise InputError(f"--{given[0]} and --{given[1]} exclude each other")
     if given and given[0] != "policy" and len(blueprints) != 1:
         raise InputError(f"--{given[0]} needs the one blueprint that it is for")
-    started = time.perf_counter()
-    console = Console()
-    output_directory(out)
+    command = CampaignCommand("validate", seed, out, workers, engine, resume)
+    console = command.console
     filming = video != "none" and rendering_works(console)
     # Workers find the modules of policies where this process finds them.
     sys.path.insert(0, os.getcwd())
@@ -84,7 +82,7 @@ def validate(
     from craftsim.commands.validate_films import film_failures, film_runs
     from craftsim.commands.validate_text import print_disagreements, runs_table
     from craftsim.skills.gains import load_gains
-    from craftsim.validation.campaign import Header, run_campaign
+    from craftsim.validation.html.validate import validate_page
     from craftsim.validation.html.writing import write_html
     from craftsim.validation.runs.choice import (
         PLANNER,
@@ -107,7 +105,7 @@ def validate(
     else:
         pilots = [policy_pilot(name, subjects) for name in dict.fromkeys(policy or (PLANNER,))]
     terms = Terms(seed, SETTINGS[randomize], rules, out.resolve())
-    config = {
+    config: dict[str, Any] = {
         "blueprints": {subject.name: subject.digest for subject in subjects},
         "by": {pilot.name: pilot.digest for pilot in pilots},
         "trials": trials,
@@ -117,45 +115,34 @@ def validate(
         "gains": load_gains(),
     }
     items = list(items_of(subjects, pilots, trials, terms))
-    with counting(console, "runs", len(items)) as tell:
-        records = run_campaign(
-            items,
-            do_run,
-            out,
-            Header("validate", seed, config),
-            workers=workers,
-            engine=engine,
-            timeout_s=timeout,
-            resume=resume,
-            tell=lambda record: tell(record["agrees"]),
-        )
+    earlier = read_against(command, against, items)
+    records = command.run("runs", items, do_run, config, timeout_s=timeout)
     figures = campaign_figures(records, seed)
-    wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
-    report = write_report(
-        out, {"validation": figures}, command="validate", seed=seed, config=config, wall=wall
-    )
+    comparison = compare(command, earlier, records)
+    report = command.report({"validation": figures, "paired": comparison}, config | {"against": against})
     write_durations(out, figures.durations)
     if filming:
         film_failures(console, out, records)
     if filming and video == "all":
         film_runs(console, out, items, records)
-    page = write_html(out, _page(records, figures, config, seed))
+    provenance = _provenance(config, seed, against)
+    subject = f"{', '.join(config['blueprints'])}: {', '.join(config['by'])}"
+    page = write_html(out, validate_page(records, figures, provenance, subject, comparison))
     console.print(runs_table(records))
     print_disagreements(console, out, records)
+    print_comparison(console, comparison)
     console.print(f"Report: {report}\nPage:   {page}", soft_wrap=True)
     agree = sum(record["agrees"] for record in records)
     console.print(f"{agree} of {len(records)} runs did in physics what the rules predict.")
     return 0 if agree == len(records) else 1
 
 
-def _page(records: Sequence[TrialRecord], figures: Figures, config: dict[str, Any], seed: int) -> Any:
+def _provenance(config: dict[str, Any], seed: int, against: Path | None) -> Provenance:
     from craftsim.report import plain
     from craftsim.validation.html.provenance import Provenance
-    from craftsim.validation.html.validate import validate_page
 
-    names, by = list(config["blueprints"]), list(config["by"])
-    words = ["craftsim", "validate", *names, "--trials", str(config["trials"])]
+    words = ["craftsim", "validate", *config["blueprints"], "--trials", str(config["trials"])]
     words += ["--randomize", config["randomize"], "--rules", config["rules"], "--seed", str(seed)]
+    words += ["--against", str(against)] if against else []
     told = {key: value for key, value in plain(config).items() if key != "settings"}
-    provenance = Provenance(shlex.join(words), seed, told, plain(config["settings"].thresholds))
-    return validate_page(records, figures, provenance, f"{', '.join(names)}: {', '.join(by)}")
+    return Provenance(shlex.join(words), seed, told, plain(config["settings"].thresholds))

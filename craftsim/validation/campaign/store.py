@@ -99,7 +99,7 @@ class Store:
 
     def _begin(self, resume: bool) -> None:
         path = self.out / CAMPAIGN
-        there = _read_header(path) if path.exists() else None
+        there = read_header(path) if path.exists() else None
         if resume and there is not None:
             _check_same(path, there, self._header)
             self._read()
@@ -158,29 +158,30 @@ def _header(header: Header, items: Sequence[Item]) -> dict[str, Any]:
     return loaded
 
 
-def _read_header(path: Path) -> dict[str, Any]:
+def read_header(path: Path) -> dict[str, Any]:
+    """Return what a campaign's folder says that it is; raise InputError for a file that says nothing of the kind."""
     try:
         header = json.loads(path.read_text(encoding="utf-8"))
         header["items"] + 0
     except (ValueError, TypeError, KeyError):
-        raise InputError(f"{path}: not a campaign's description; choose another --out") from None
+        raise InputError(f"{path}: not a campaign's description; choose another folder") from None
     loaded: dict[str, Any] = header
     return loaded
 
 
 def _check_same(path: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    for key, (old, new) in _differences(there, wanted):
+    for key, (old, new) in differences(there, wanted):
         raise InputError(
             f"{path}: cannot go on with another campaign: its {key} is {old!r}, not {new!r}; use the options that "
             "it was begun with, or choose another --out"
         )
 
 
-def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[Any, Any]]]:
+def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[Any, Any]]]:
     """Yield the dotted names of what differs, with both values."""
     if isinstance(old, dict) and isinstance(new, dict):
         for name in sorted({*old, *new}):
-            yield from _differences(old.get(name), new.get(name), f"{key}.{name}" if key else name)
+            yield from differences(old.get(name), new.get(name), f"{key}.{name}" if key else name)
     elif old != new:
         yield key, (old, new)
 

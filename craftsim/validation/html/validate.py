@@ -17,6 +17,7 @@ from craftsim.validation.html.page import (
     Table,
     Tone,
 )
+from craftsim.validation.html.paired import paired_section
 from craftsim.validation.html.plots import (
     durations_plot,
     errors_plot,
@@ -40,11 +41,18 @@ from craftsim.validation.html.tables import (
     verb_table,
 )
 from craftsim.validation.statistics.figures import Figures
+from craftsim.validation.statistics.paired import Comparison
 from craftsim.validation.statistics.ranking import Estimate, RankAgreement
 from craftsim.validation.statistics.records import Record, as_predicted, attempts_of, carried_out
 
 
-def validate_page(records: Sequence[Record], figures: Figures, provenance: Provenance, subject: str) -> Page:
+def validate_page(
+    records: Sequence[Record],
+    figures: Figures,
+    provenance: Provenance,
+    subject: str,
+    comparison: Comparison | None = None,
+) -> Page:
     """Return the page of a validation.
 
     Args:
@@ -52,13 +60,14 @@ def validate_page(records: Sequence[Record], figures: Figures, provenance: Prove
         figures: what :func:`~craftsim.validation.statistics.figures.campaign_figures` says of them.
         provenance: what decides the figures.
         subject: what was validated, such as the names of blueprints and plans.
+        comparison: with an earlier run, where there is one.
     """
     return Page(
         "Validation in physics",
         subject,
         _headline(figures),
         tuple(_key_figures(figures)),
-        tuple(_sections(records, figures, provenance)),
+        tuple(_sections(records, figures, provenance, comparison)),
     )
 
 
@@ -95,7 +104,9 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
         yield KeyFigure(f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst")
 
 
-def _sections(records: Sequence[Record], figures: Figures, provenance: Provenance) -> Iterator[Section]:
+def _sections(
+    records: Sequence[Record], figures: Figures, provenance: Provenance, comparison: Comparison | None
+) -> Iterator[Section]:
     blocks: list[Block] = [
         matrix_table(figures.matrix),
         verb_table(figures.by_verb),
@@ -105,6 +116,8 @@ def _sections(records: Sequence[Record], figures: Figures, provenance: Provenanc
         blocks.insert(0, _group_table(figures))
     lead = "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
     yield Section("results", "Results", lead, tuple(blocks))
+    if comparison is not None:
+        yield paired_section(comparison)
     cases = [case for record in carried_out(records) if (case := _case(record))]
     yield Section(
         "disagreements",

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from craftsim.discrete.errors import InputError
+from craftsim.validation.campaign import Finished
+from craftsim.validation.campaign.store import differences
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import Record, carried_out
 
@@ -18,9 +20,11 @@ class Paired:
     unpaired: int
     """Trials that only one of the runs carried out; they are left out."""
     both: int
+    """Trials that agree under both settings."""
     only_first: int
     """Trials that agree under the first setting alone."""
     only_second: int
+    """Trials that agree under the second setting alone."""
     neither: int
     first: Proportion
     second: Proportion
@@ -29,21 +33,32 @@ class Paired:
     if the settings do equally well."""
 
 
-def compare_paired(first: Iterable[Record], second: Iterable[Record]) -> Paired:
-    """Return how two runs of the same trials under two settings compare.
+@dataclass(frozen=True)
+class Comparison:
+    """A run and an earlier one of the same trials under other settings."""
 
-    Raises:
-        InputError: the runs have no trial in common.
-    """
+    against: str
+    """Folder of the earlier run."""
+    changed: Mapping[str, tuple[Any, Any]]
+    """Settings and versions that differ, by their dotted names: of the earlier run, and of this one."""
+    trials: Paired
+    """The earlier run is the first."""
+
+
+def compare_runs(earlier: Finished, now: Finished) -> Comparison:
+    """Return how a run compares with an earlier one of the same seed."""
+    before, after = ({key: run.header.get(key) for key in ("config", "versions")} for run in (earlier, now))
+    return Comparison(
+        str(earlier.folder), dict(differences(before, after)), compare_paired(earlier.records, now.records)
+    )
+
+
+def compare_paired(first: Iterable[Record], second: Iterable[Record]) -> Paired:
+    """Return how two runs of the same trials under two settings compare; trials that tried nothing are left out."""
     from statsmodels.stats.contingency_tables import mcnemar
 
-    one, two = ({str(r["key"]): bool(r["agrees"]) for r in carried_out(run)} for run in (first, second))
+    one, two = ({r["key"]: r["agrees"] for r in carried_out(run) if r["attempts"]} for run in (first, second))
     keys = one.keys() & two.keys()
-    if not keys:
-        raise InputError(
-            "the two runs have no trial in common, so there are no pairs to compare; "
-            "run both with the same seed and the same contexts or plans"
-        )
     table = [[0, 0], [0, 0]]
     for key in keys:
         table[not one[key]][not two[key]] += 1

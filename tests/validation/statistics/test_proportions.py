@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from synthetic import attempt, record
 
-from craftsim.discrete.errors import InputError
 from craftsim.validation.attempts.attempt import Result
 from craftsim.validation.statistics.matrix import legality_matrix
 from craftsim.validation.statistics.paired import compare_paired
@@ -53,7 +52,9 @@ def _runs(table):
     """Return two runs whose pairs are as often (both, only the first, only the second, neither) good as asked."""
     outcomes = [(True, True), (True, False), (False, True), (False, False)]
     pairs = [pair for pair, n in zip(outcomes, table, strict=True) for _ in range(n)]
-    return tuple([record(str(i), agrees=pair[side]) for i, pair in enumerate(pairs)] for side in (0, 1))
+    return tuple(
+        [record(str(i), attempt(), agrees=pair[side]) for i, pair in enumerate(pairs)] for side in (0, 1)
+    )
 
 
 def test_mcnemar_of_a_published_table():
@@ -70,16 +71,24 @@ def test_mcnemar_is_the_exact_binomial_of_the_differing_pairs():
     assert paired.p_value == pytest.approx(2 * (1 + 8) / 2**8)
 
 
-def test_pairs_are_matched_by_key_and_errors_are_left_out():
-    first = [record("a"), record("b", agrees=False), record("c"), record("only here")]
-    second = [record("c"), record("a", agrees=False), record("b", error="killed", agrees=False)]
+def test_pairs_are_matched_by_key_and_what_tried_nothing_is_left_out():
+    def tried(key, **changes):
+        return record(key, attempt(), **changes)
+
+    first = [tried("a"), tried("b", agrees=False), tried("c"), tried("only here"), record("nothing")]
+    second = [
+        tried("c"),
+        tried("a", agrees=False),
+        tried("b", error="killed", agrees=False),
+        record("nothing"),
+    ]
     paired = compare_paired(first, second)
     assert (paired.pairs, paired.unpaired, paired.both, paired.only_first) == (2, 2, 1, 1)
 
 
-def test_runs_without_a_common_trial_are_refused():
-    with pytest.raises(InputError, match="no trial in common"):
-        compare_paired([record("a")], [record("b")])
+def test_no_pairs_tell_nothing():
+    paired = compare_paired([record("a", attempt())], [record("a", attempt(), error="killed")])
+    assert (paired.pairs, paired.p_value, paired.first.rate) == (0, 1.0, None)
 
 
 def test_wilson_covers_the_truth_as_often_as_it_says():

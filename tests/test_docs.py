@@ -20,6 +20,11 @@ DOCUMENTS = (
 )
 
 
+def test_the_readme_lists_every_command_in_the_order_of_the_help():
+    rows = re.findall(r"^\| `craftsim (\w+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert rows[: len(COMMANDS)] == list(COMMANDS)
+
+
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_commands_targets_and_files_exist(document):
     text = (ROOT / document).read_text(encoding="utf-8")

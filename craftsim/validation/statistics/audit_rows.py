@@ -18,9 +18,8 @@ SOUND_SHARE: Final = 0.95
 action is conservative where, by the same bar, it could have allowed it. Set before any audit was run."""
 
 MIN_TRIALS: Final = 20
-"""Trials of a row from which its verdict counts as found: 20 of 20 put the success rate above 0.83 with 95 %
-confidence."""
-
+"""Trials of a row from which its verdict counts as found, and is provisional with fewer: 20 of 20 put the success rate
+above 0.83 with 95 % confidence."""
 
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
 
@@ -67,6 +66,18 @@ class AuditRow:
     """Folders that replay disagreements."""
     errors: int = 0
     """Trials that an exception, a timeout or a lost worker kept from an end."""
+
+    @property
+    def provisional(self) -> bool:
+        """Whether the verdict is one of fewer than :data:`MIN_TRIALS` trials."""
+        return 0 < self.trials < MIN_TRIALS
+
+
+def provisional_note(rows: Iterable[AuditRow]) -> str:
+    """Return a sentence on the rows whose verdicts are provisional; empty when there are none."""
+    few = sum(row.provisional for row in rows)
+    are = "row is" if few == 1 else "rows are"
+    return f"{few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional." if few else ""
 
 
 def audit_rows(records: Iterable[Record]) -> list[AuditRow]:

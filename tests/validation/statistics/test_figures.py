@@ -10,7 +10,13 @@ from synthetic import attempt, audit, episodes, record
 from craftsim.discrete.errors import InputError
 from craftsim.report import write_report
 from craftsim.validation.attempts.attempt import Result
-from craftsim.validation.statistics.audit_rows import Judgement, audit_rows, judge, verdict_counts
+from craftsim.validation.statistics.audit_rows import (
+    Judgement,
+    audit_rows,
+    judge,
+    provisional_note,
+    verdict_counts,
+)
 from craftsim.validation.statistics.durations import (
     DurationKey,
     duration_table,
@@ -119,6 +125,7 @@ def test_a_row_counts_the_worst_attempt_of_each_trial_and_tells_the_commonest_re
     )
     assert (row.verdict, row.bundles) == ("unsound", ("bundles/1",))
     assert row.reason == "slope 0 touched block 0 (20 N) (3 of 4)"
+    assert row.provisional
 
 
 def test_an_audit_has_rows_of_every_verdict_and_none_are_lost():
@@ -128,6 +135,16 @@ def test_an_audit_has_rows_of_every_verdict_and_none_are_lost():
     assert len(rows) == sum(counts.values()) == len({r["group"] for r in records})
     assert all(counts[verdict] for verdict in Judgement if verdict is not Judgement.NOT_TRIED)
     assert all(not row.has_prediction for row in rows if row.verdict == Judgement.NO_PREDICTION)
+
+
+@pytest.mark.parametrize(
+    ("trials", "note"), [(0, ""), (19, "1 row is judged by fewer than 20 trials: provisional."), (20, "")]
+)
+def test_a_verdict_of_few_trials_is_told_as_provisional(trials, note):
+    rows = audit_rows(
+        [record("nothing", group="LIFT/a"), *(record(str(i), attempt()) for i in range(trials))]
+    )
+    assert provisional_note(rows) == note
 
 
 def test_figures_have_a_place_in_a_report_and_errors_count_apart(tmp_path):

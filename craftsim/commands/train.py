@@ -75,7 +75,8 @@ def train(
         console.print(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}", soft_wrap=True)
         return INTERRUPTED
     trainer.save(folder)
-    _report(trainer, console, folder, episodes, time.perf_counter() - begun)
+    asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
+    _report(trainer, console, folder, asked, time.perf_counter() - begun)
     return 0
 
 
@@ -120,13 +121,13 @@ def _run(trainer: Trainer, console: Console, steps: int, until: float, folder: P
                 trainer.save(folder)
 
 
-def _report(trainer: Trainer, console: Console, folder: Path, episodes: int, seconds: float) -> None:
+def _report(trainer: Trainer, console: Console, folder: Path, asked: dict[str, Any], seconds: float) -> None:
     from craftsim.training.curve import plot_curve, write_curve
     from craftsim.training.trainer import training_versions
     from craftsim.validation.statistics.proportions import Proportion, wilson
 
     config, curve = trainer.config, trainer.curve
-    played = trainer.evaluate(episodes)
+    played = trainer.evaluate(asked["episodes"])
     success = Proportion.of(played.successes, played.episodes)
     write_curve(folder / "curve.csv", curve)
     intervals = [wilson(point.successes, point.episodes) for point in curve]
@@ -140,9 +141,7 @@ def _report(trainer: Trainer, console: Console, folder: Path, episodes: int, sec
         "training_versions": training_versions(),
     }
     wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
-    report = write_report(
-        folder, figures, command="train", seed=config.seed, config=config.as_dict(), wall=wall
-    )
+    report = write_report(folder, figures, command="train", seed=config.seed, config=asked, wall=wall)
     console.print(
         f"{config.task}, {config.algo}: success {success.rate:.3f} ({success.wilson_low:.3f} to "
         f"{success.wilson_high:.3f}) in {played.episodes} fresh episodes of {played.mean_ticks:.1f} ticks, after "

@@ -28,6 +28,8 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
     }
     figures = reports[0]["figures"]
     assert figures["steps"] == 2200
+    asked = {"task": "strip", "algo": "ippo", "steps": 2200, "until": 0.99, "starts": None, "episodes": 20}
+    assert reports[0]["config"].items() >= asked.items()
     assert figures["success"]["trials"] == 20
     with open(short / "curve.csv", newline="") as file:
         assert [int(row["steps"]) for row in csv.DictReader(file)] == [2000]

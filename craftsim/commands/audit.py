@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 from rich.console import Console
-from rich.table import Table
 
 from craftsim.commands.filming import rendering_works
 from craftsim.commands.progress import counting
@@ -20,16 +18,13 @@ from craftsim.discrete.errors import InputError
 from craftsim.report import output_directory, write_report
 
 if TYPE_CHECKING:
-    from craftsim.validation.audit.results import Results
     from craftsim.validation.audit.rows import Row
-    from craftsim.validation.campaign import TrialRecord
+    from craftsim.validation.html.provenance import Provenance
 
 ActionName = Literal["LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP"]
 
 QUICK_ROWS: Final = 60
 """About how many rows the quick mode tries, once each."""
-_SHOWN: Final = 40
-"""How many rows of a verdict are printed; the others are in the reports."""
 
 
 def audit(
@@ -63,7 +58,7 @@ def audit(
         video: films of the disagreements, a few seconds of work each.
         resume: go on with what an interrupted audit has left in the output folder.
         seed: decides the places, the physics and the noise of all trials.
-        out: folder for report.html, report.json, trials.jsonl and the bundles of the disagreements.
+        out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
     if trials < 1 or workers < 1:
         raise InputError("--trials and --workers must be at least 1")
@@ -73,14 +68,19 @@ def audit(
     filming = video and rendering_works(console)
 
     # MuJoCo must not be imported before the rendering backend is chosen.
+    from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.validate_films import film_failures
     from craftsim.skills.gains import load_gains
-    from craftsim.validation.audit.results import Results, bundle_disagreements
+    from craftsim.validation.audit.corrections import rows_by_switch
+    from craftsim.validation.audit.results import AT_ONCE, Results, bundle_disagreements
     from craftsim.validation.audit.rows import audit_plan
+    from craftsim.validation.audit.tables import corrections_table, suspects_table
     from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
     from craftsim.validation.campaign import Header, run_campaign
+    from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
     from craftsim.validation.settings import SETTINGS
+    from craftsim.validation.statistics.durations import write_durations
     from craftsim.validation.statistics.figures import campaign_figures
 
     plan = _chosen(audit_plan(rules), actions, contexts)
@@ -118,13 +118,30 @@ def audit(
     if filming:
         film_failures(console, out, records)
     results = Results.of(records)
-    figures = {"audit": results.figures(plan), "validation": campaign_figures(records, seed)}
+    corrected = results.corrected(plan, rules)
+    # What is begun all at once is evidence alone: the rules say nothing of it.
+    judged = [record for record in records if not record["group"].endswith(AT_ONCE)]
+    validation = campaign_figures(judged, seed)
+    figures = {"audit": results.figures(plan, corrected), "validation": validation}
     wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
     report = write_report(out, figures, command="audit", seed=seed, config=config, wall=wall)
-    page = write_html(out, _page(results, records, config, seed))
-    _print(console, results)
+    write_durations(out, validation.durations)
+    provenance = _provenance(config, seed)
+    page = write_html(
+        out,
+        audit_page(
+            results.rows,
+            judged,
+            validation,
+            provenance,
+            rules,
+            suspects_table(results.suspects),
+            corrections_table(corrected),
+        ),
+    )
+    print_results(console, results)
     console.print(f"Report: {report}\nPage:   {page}", soft_wrap=True)
-    return _conclude(console, results, records, rules)
+    return conclude(console, results, records, rules, rows_by_switch(corrected))
 
 
 def _chosen(plan: list[Row], actions: tuple[ActionName, ...], contexts: str) -> list[Row]:
@@ -147,12 +164,9 @@ def _verbs(actions: tuple[ActionName, ...]) -> list[str]:
     return [*actions, *(moves if "MOVE" in actions else [])]
 
 
-def _page(results: Results, records: Sequence[TrialRecord], config: dict[str, Any], seed: int) -> Any:
+def _provenance(config: dict[str, Any], seed: int) -> Provenance:
     from craftsim.report import plain
-    from craftsim.validation.audit.results import suspects_table
-    from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.provenance import Provenance
-    from craftsim.validation.statistics.figures import campaign_figures
 
     words = ["craftsim", "audit", "--rules", config["rules"], "--randomize", config["randomize"]]
     words += ["--actions", *config["actions"]] if config["actions"] else []
@@ -160,46 +174,4 @@ def _page(results: Results, records: Sequence[TrialRecord], config: dict[str, An
     words += ["--quick"] if config["quick"] else ["--trials", str(config["trials"])]
     words += ["--seed", str(seed)]
     told = {key: value for key, value in plain(config).items() if key != "settings"}
-    provenance = Provenance(shlex.join(words), seed, told, plain(config["settings"].thresholds))
-    kept = [record for record in records if not record["group"].endswith("order=at-once")]
-    figures = campaign_figures(kept, seed)
-    return audit_page(
-        results.rows, kept, figures, provenance, config["rules"], suspects_table(results.suspects)
-    )
-
-
-def _print(console: Console, results: Results) -> None:
-    from craftsim.validation.statistics.audit_rows import Judgement
-
-    def say(text: str) -> None:
-        console.print(text, soft_wrap=True, markup=False, highlight=False)
-
-    for judgement in (Judgement.UNSOUND, Judgement.CONSERVATIVE):
-        rows = results.of_kind(judgement)
-        console.print(f"[bold]{judgement.value}: {len(rows)} rows")
-        for row in rows[:_SHOWN]:
-            share = f"{row.as_predicted} of {row.trials} as predicted"
-            share += f" ({row.wilson_low:.2f} to {row.wilson_high:.2f})"
-            say(f"  {row.action}/{row.context}: {share}" + (f"; {row.reason}" if row.reason else ""))
-        if len(rows) > _SHOWN:
-            say(f"  and {len(rows) - _SHOWN} more in the reports")
-    table = Table("", "suspect", "verdict", title="suspects", title_justify="left", box=None, pad_edge=False)
-    for found in results.suspects:
-        table.add_row(str(found.number), found.question, found.verdict)
-    console.print(table)
-
-
-def _conclude(console: Console, results: Results, records: Sequence[TrialRecord], rules: str) -> int:
-    from craftsim.validation.statistics.audit_rows import Judgement
-
-    n = {judgement: len(results.of_kind(judgement)) for judgement in Judgement}
-    errors = sum(record["error"] is not None for record in records)
-    allowed = n[Judgement.UNSOUND] + n[Judgement.SOUND]
-    console.print(
-        f"{rules}: {n[Judgement.UNSOUND]} of {allowed} rows that the rules allow are unsound; "
-        f"{n[Judgement.CONSERVATIVE]} that they forbid would have worked, "
-        f"{n[Judgement.RIGHTLY_FORBIDDEN]} are rightly forbidden."
-        + (f" {errors} trials came to no end." if errors else ""),
-        soft_wrap=True,
-    )
-    return 1 if n[Judgement.UNSOUND] or errors else 0
+    return Provenance(shlex.join(words), seed, told, plain(config["settings"].thresholds))

@@ -10,14 +10,18 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
+from craftsim.discrete.rules import RuleSet
 from craftsim.validation.attempts.attempt import Attempt
+from craftsim.validation.audit.corrections import corrections, rows_by_switch
 from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.suspects import Finding, find
 from craftsim.validation.audit.trial import recipe_of
 from craftsim.validation.campaign import Item, TrialRecord
-from craftsim.validation.html.page import Cell, Column, Table
 from craftsim.validation.replays.bundle import TEXT, write_bundle
 from craftsim.validation.statistics.audit_rows import AuditRow, Judgement, audit_rows, verdict_counts
+
+AT_ONCE: Final = "order=at-once"
+"""How the names of rows end that are evidence only."""
 
 DISAGREEMENTS: Final = (Judgement.UNSOUND, Judgement.CONSERVATIVE)
 
@@ -36,7 +40,7 @@ class Results:
     def of(cls, records: Sequence[TrialRecord]) -> Results:
         """Return what the records of an audit say."""
         rows = audit_rows(records)
-        together = tuple(row for row in rows if row.context.endswith("order=at-once"))
+        together = tuple(row for row in rows if row.context.endswith(AT_ONCE))
         apart = tuple(row for row in rows if row not in together)
         return cls(apart, together, tuple(find(apart, together)))
 
@@ -44,27 +48,41 @@ class Results:
         """Return the rows with a verdict."""
         return [row for row in self.rows if row.verdict == judgement]
 
-    def figures(self, plan: Sequence[Row]) -> dict[str, Any]:
+    def corrected(self, plan: Sequence[Row], rules: RuleSet) -> dict[str, tuple[str, ...]]:
+        """Return the switches that would each correct an unsound row, by its name."""
+        unsound = {name_of(row) for row in self.of_kind(Judgement.UNSOUND)}
+        return corrections((row for row in plan if row.name in unsound), rules)
+
+    def figures(self, plan: Sequence[Row], corrected: Mapping[str, Sequence[str]]) -> dict[str, Any]:
         """Return what ``report.json`` holds; ``plan`` gives the contexts of each row."""
         members = {row.name: len(row.members) for row in plan}
         return {
             "verdicts": verdict_counts(self.rows),
             "contexts": sum(members.values()),
+            "corrections": rows_by_switch(corrected),
             "rows": [
-                {**asdict(row), "contexts": members[f"{row.action}/{row.context}"]} for row in self.rows
+                {
+                    **asdict(row),
+                    "contexts": members[name_of(row)],
+                    "corrections": corrected.get(name_of(row), ()),
+                }
+                for row in self.rows
             ],
             "at_once": self.at_once,
             "suspects": self.suspects,
         }
 
 
+def name_of(row: AuditRow) -> str:
+    """Return the name of a row, as in the plan of the audit."""
+    return f"{row.action}/{row.context}"
+
+
 def bundle_disagreements(
     out: Path, items: Sequence[Item], records: Sequence[TrialRecord], workers: int
 ) -> None:
     """Write the replay bundle of the first disagreement of each unsound or conservative row, and note it there."""
-    shown = {
-        f"{row.action}/{row.context}" for row in Results.of(records).rows if row.verdict in DISAGREEMENTS
-    }
+    shown = {name_of(row) for row in Results.of(records).rows if row.verdict in DISAGREEMENTS}
     first: dict[str, int] = {}
     for index, record in enumerate(records):
         if record["group"] in shown and record["attempts"] and not record["agrees"]:
@@ -84,29 +102,3 @@ def _bundle(out: Path, pair: tuple[Item, Mapping[str, Any]]) -> str:
         attempts = tuple(Attempt(**{**a, "differences": tuple(a["differences"])}) for a in record["attempts"])
         write_bundle(out / folder, item.key, recipe_of(item.job), attempts)
     return folder
-
-
-def suspects_table(found: Sequence[Finding]) -> Table:
-    """Return the table of the suspects for the page."""
-    columns = (
-        Column("", number=True),
-        Column("suspect"),
-        Column("rows", number=True),
-        Column("trials", number=True),
-        Column("verdict"),
-        Column("evidence"),
-    )
-    rows = tuple(
-        (
-            str(f.number),
-            Cell(f.question, wide=True),
-            str(f.rows),
-            f"{f.trials:,}",
-            Cell(f.verdict, wide=True),
-            Cell(f.evidence, path=True, wide=True),
-        )
-        for f in found
-    )
-    return Table(
-        columns, rows, caption="Suspects", note="Evidence is the clearest row of the gravest verdict."
-    )

@@ -33,9 +33,10 @@ class Films:
         self.out = out
         self.left_bytes = budget_bytes
 
-    def beside(self, cases: Iterable[Case]) -> list[tuple[Case, Film | None]]:
-        """Return each case with the film of its bundle."""
-        return [(case, self._film(case.bundle)) for case in cases]
+    def beside(self, cases: Iterable[Case], filmed_only: bool = False) -> list[tuple[Case, Film | None]]:
+        """Return each case with the film of its bundle, those without one only where they are wanted."""
+        found = [(case, self._film(case.bundle)) for case in cases]
+        return [(case, film) for case, film in found if film or not filmed_only]
 
     def _film(self, bundle: str) -> Film | None:
         """Return the film in a bundle, None when there is none, or it lies outside of the page's folder."""

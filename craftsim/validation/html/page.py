@@ -68,6 +68,11 @@ class Table:
     tall: bool = False
     """Whether it scrolls in a box of its own, below a head that stays."""
 
+    @property
+    def stacks(self) -> bool:
+        """Whether each row becomes a card where the page is narrow: there is long text that needs the width."""
+        return any(isinstance(cell, Cell) and cell.wide for row in self.rows for cell in row)
+
 
 @dataclass(frozen=True)
 class Plot:
@@ -98,9 +103,20 @@ class Cases:
 
     kind: ClassVar[str] = "cases"
     cases: tuple[Case, ...]
+    filmed_only: bool = False
+    """Whether those without a film are left out, because a table beside tells them."""
 
 
-Block: TypeAlias = Table | Plot | Cases
+@dataclass(frozen=True)
+class Group:
+    """Blocks that belong together, and open only when their title is clicked."""
+
+    kind: ClassVar[str] = "group"
+    title: str
+    blocks: tuple[Table | Cases, ...]
+
+
+Block: TypeAlias = Table | Plot | Cases | Group
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from craftsim.validation.html.page import Plot
 from craftsim.validation.html.svg import ACCENT, BAD, CAUTION, GOOD, GRID, MUTED, PAPER, SOFT, canvas
-from craftsim.validation.statistics.audit_rows import SOUND_SHARE, AuditRow, Judgement
+from craftsim.validation.statistics.audit_rows import AuditRow, Judgement
 from craftsim.validation.statistics.durations import Duration
 from craftsim.validation.statistics.matrix import MatrixRow
 from craftsim.validation.statistics.ranking import PolicyScore
@@ -54,7 +54,9 @@ def success_plot(by_verb: Mapping[str, MatrixRow]) -> Plot:
 
 
 def judgement_plot(rows: Sequence[AuditRow]) -> Plot:
-    """Draw how many contexts of each action have which verdict."""
+    """Draw how many rows of each action have which verdict."""
+    from matplotlib.ticker import MaxNLocator
+
     actions = grouped(rows, lambda row: row.action)
     with canvas(_WIDTH_IN, _HEAD_IN + 0.25 + _ROW_IN * len(actions), "verdicts by action") as drawing:
         axes = drawing.axes
@@ -66,12 +68,10 @@ def judgement_plot(rows: Sequence[AuditRow]) -> Plot:
             )
             left += counts
         _names(axes, list(actions))
-        axes.set_xlabel("contexts")
+        axes.set_xlabel("rows")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, handlelength=1)
-    return Plot(
-        drawing.svg,
-        f"Verdicts on the contexts of each action; works means at least {SOUND_SHARE:.0%} as predicted.",
-    )
+    return Plot(drawing.svg, "Verdicts on the rows of each action.")
 
 
 def survival_plot(survival: PlanSurvival) -> Plot:

@@ -115,7 +115,7 @@ def precision_table(precision: Precision) -> Table:
     for field, name in _PRECISION.items():
         found: Distribution | None = getattr(precision, field)
         if found is not None:
-            rows.append((name, f"{found.n:,}", *(f"{v:.3g}" for v in (found.median, found.p95, found.max))))
+            rows.append((name, f"{found.n:,}", *map(_figure, (found.median, found.p95, found.max))))
     return Table(
         (
             Column("error"),
@@ -128,6 +128,10 @@ def precision_table(precision: Precision) -> Table:
         caption="Errors",
         note="Of the legal attempts that did as predicted, unless it says all.",
     )
+
+
+def _figure(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3f}"
 
 
 def duration_rows(table: Sequence[Duration]) -> Table:

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from craftsim import cli
+from craftsim.validation.audit.corrections import corrections
 from craftsim.validation.audit.results import Results
 from craftsim.validation.audit.rows import audit_plan
 from craftsim.validation.audit.trial import BATCH, items_of, try_it
@@ -13,14 +14,15 @@ from craftsim.validation.replays.bundle import read_bundle
 from craftsim.validation.replays.replay import replay
 from craftsim.validation.settings import MILDLY
 
-UNSOUND = (
-    "FOLD/level=1/ground=flat/own=body-back/load=none/beyond=taken/room=free",
-    "MOVE-forward/level=2+/ground=high-up/own=air/load=none/next=above-body-forward/room=free",
-    "UNFOLD/scene=car in the foot's cell",
-    "ROTATE_LEFT/scene=car beside, block turns",
-    "MOVE/scene=behind a load that leans",
-    "MOVE/scene=onto a second ramp",
-)
+UNSOUND = {
+    "FOLD/level=1/ground=flat/own=body-back/load=none/beyond=taken/room=free": "swinging_flap",
+    "MOVE-forward/level=2+/ground=high-up/own=air/load=none/next=above-body-forward/room=free": "own_ramp",
+    "UNFOLD/scene=car in the foot's cell": "swinging_flap",
+    "ROTATE_LEFT/scene=car beside, block turns": "turning_load",
+    "MOVE/scene=behind a load that leans": "leaning_load",
+    "MOVE/scene=onto a second ramp": "second_ramp",
+}
+"""Rows of the published rules, and the switch that corrects each."""
 CONSERVATIVE = "MOVE-back/level=2+/ground=high-up/own=air/load=none/next=air/room=free"
 AT_ONCE = "MOVE+MOVE/scene=unloaded at a right angle/order=at-once"
 
@@ -69,14 +71,24 @@ def test_physical_forbids_each_of_them():
             assert not any(allowed for row, allowed in legal.items() if row == name), name
 
 
+def test_each_of_them_is_traced_to_the_switch_that_corrects_it():
+    plan = [row for row in audit_plan("published") if row.name in UNSOUND]
+    assert corrections(plan, "published") == {name: (switch,) for name, switch in UNSOUND.items()}
+    assert corrections(plan, "physical") == dict.fromkeys(UNSOUND, ())
+
+
 def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_sound(tmp_path, capsys):
     words = ["--contexts", "MOVE/scene=on* a second ramp", "--trials", "2", "--out"]
     assert cli.main(["audit", *words, str(tmp_path / "published")]) == 1
-    assert "1 of 1 rows that the rules allow are unsound" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "1 of 1 rows that the rules allow are unsound" in printed
+    assert "second_ramp 1" in printed
     report = json.loads((tmp_path / "published" / "report.json").read_text())
     (row,) = report["figures"]["audit"]["rows"]
     assert (row["trials"], row["as_predicted"], row["contexts"]) == (2, 0, 1)
     assert "second ramp" in (tmp_path / "published" / "report.html").read_text()
+    assert report["figures"]["audit"]["corrections"] == {"second_ramp": 1}
+    assert row["corrections"] == ["second_ramp"]
     (bundle,) = row["bundles"]
     assert replay(read_bundle(tmp_path / "published" / bundle)).reproduced
     assert cli.main(["audit", *words, str(tmp_path / "physical"), "--rules", "physical"]) == 0

@@ -100,8 +100,8 @@ def test_addresses_within_the_page_lead_somewhere(pages, name):
 
 def test_the_verdict_comes_first_then_the_matrix_then_the_disagreements(pages):
     text = Reader(pages["audit"]).text
-    order = ("The published rules allow", "Legality and result", "Unsound: ", "Sound: ", "Thresholds")
-    places = [text.rindex(words) for words in order]
+    order = ("that the published rules allow", "Legality and result", "and physics refuses. First", "Sound: ")
+    places = [text.rindex(words) for words in (*order, "Thresholds")]
     assert places == sorted(places)
 
 
@@ -195,3 +195,29 @@ def test_all_disagreements_are_on_the_page(tmp_path):
     text = Reader(validate_html(tmp_path, records)).text
     assert all(f"run-{i}-end" in text for i in range(40))
     assert "16 more disagreements" in text
+
+
+def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first(tmp_path):
+    results = {"FOLD/a": Result.FAILED, "FOLD/b": Result.UNSAFE, "LIFT/c": Result.SIDE_EFFECT, "LIFT/d": None}
+    records = [
+        record(name, attempt(result or Result.AS_PREDICTED), group=name, bundle=f"bundles/{name[-1]}")
+        for name, result in results.items()
+    ]
+    page = audit_html(tmp_path, records)
+    assert [page.count(f"<summary>{title}") for title in ("FOLD: 2 of 2", "LIFT: 1 of 2")] == [1, 1]
+    cards = re.findall(r"<h3>(\w+)/<wbr>(\w)</h3>", page)
+    assert cards == [("FOLD", "b"), ("LIFT", "c")]
+    group = page[page.index("<summary>FOLD") :]
+    assert group.index(">b</td>") < group.index(">a</td>")
+
+
+def test_films_stand_in_the_group_of_their_action(tmp_path):
+    records = _with_films(tmp_path, {"bundles/a": 30, "bundles/b": 30})
+    for entry in records:
+        entry["group"] = f"FOLD/{entry['key']}"
+    page = audit_html(
+        tmp_path, [*records, record("c", attempt(Result.FAILED), group="FOLD/c", bundle="bundles/c")]
+    )
+    group = page[page.index("<summary>FOLD: 3 of 3") :]
+    assert group.count("<video") == 2
+    assert "no film" not in group

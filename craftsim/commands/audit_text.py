@@ -1,0 +1,64 @@
+"""What ``craftsim audit`` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from rich.console import Console
+from rich.table import Table
+
+from craftsim.validation.audit.results import Results
+from craftsim.validation.campaign import TrialRecord
+from craftsim.validation.statistics.audit_rows import Judgement
+
+_SHOWN: Final = 40
+"""How many rows of a verdict are printed; the others are in the reports."""
+
+
+def print_results(console: Console, results: Results) -> None:
+    """Print the rows on which the rules and physics disagree, and the suspects."""
+
+    def say(text: str) -> None:
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+
+    for judgement in (Judgement.UNSOUND, Judgement.CONSERVATIVE):
+        rows = results.of_kind(judgement)
+        console.print(f"[bold]{judgement.value}: {len(rows)} rows")
+        for row in rows[:_SHOWN]:
+            share = f"{row.as_predicted} of {row.trials} as predicted"
+            share += f" ({row.wilson_low:.2f} to {row.wilson_high:.2f})"
+            say(f"  {row.action}/{row.context}: {share}" + (f"; {row.reason}" if row.reason else ""))
+        if len(rows) > _SHOWN:
+            say(f"  and {len(rows) - _SHOWN} more in the reports")
+    table = Table("", "suspect", "verdict", title="suspects", title_justify="left", box=None, pad_edge=False)
+    for found in results.suspects:
+        table.add_row(str(found.number), found.question, found.verdict)
+    console.print(table)
+
+
+def conclude(
+    console: Console,
+    results: Results,
+    records: Sequence[TrialRecord],
+    rules: str,
+    switches: Mapping[str, int],
+) -> int:
+    """Print the verdict on a rule set, and return the exit status.
+
+    ``switches`` says how many unsound rows each of them corrects.
+    """
+    n = {judgement: len(results.of_kind(judgement)) for judgement in Judgement}
+    errors = sum(record["error"] is not None for record in records)
+    allowed = n[Judgement.UNSOUND] + n[Judgement.SOUND]
+    if switches:
+        told = ", ".join(f"{switch} {count}" for switch, count in switches.items())
+        console.print(f"unsound rows by the switch that corrects them: {told}", soft_wrap=True)
+    console.print(
+        f"{rules}: {n[Judgement.UNSOUND]} of {allowed} rows that the rules allow are unsound; "
+        f"{n[Judgement.CONSERVATIVE]} that they forbid would have worked, "
+        f"{n[Judgement.RIGHTLY_FORBIDDEN]} are rightly forbidden."
+        + (f" {errors} trials came to no end." if errors else ""),
+        soft_wrap=True,
+    )
+    return 1 if n[Judgement.UNSOUND] or errors else 0

@@ -1,0 +1,50 @@
+"""Which corrections concern a row: switches of the rules that, each alone, forbid its action or change its effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.rules import LAWS, Rules, RuleSet
+from craftsim.validation.audit.rows import Row, Situation, action_in, world_of
+from craftsim.validation.audit.scenes import Scene
+
+SWITCHES: Final = LAWS["physical"]._fields
+
+
+def corrections(rows: Iterable[Row], rule_set: RuleSet) -> dict[str, tuple[str, ...]]:
+    """Return, by the name of each allowed row, the switches that a rule set has off and that would each correct it."""
+    off = [switch for switch in SWITCHES if not getattr(LAWS[rule_set], switch)]
+    return {
+        row.name: tuple(s for s in off if any(_differs(member, rule_set, s) for member in row.members))
+        for row in rows
+    }
+
+
+def rows_by_switch(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
+    """Return how many rows each switch corrects, in the order of the switches; ``found`` has the switches by row."""
+    counts = {switch: sum(switch in switches for switches in found.values()) for switch in SWITCHES}
+    return {switch: count for switch, count in counts.items() if count}
+
+
+def _differs(situation: Situation, rule_set: RuleSet, switch: str) -> bool:
+    """Return whether one switch changes what is allowed, or what comes of it."""
+    grid, joint = _told(situation, rule_set)
+    before, after = (
+        rules.tick(grid, joint)
+        for rules in (Rules(rule_set), Rules(rule_set, LAWS[rule_set]._replace(**{switch: True})))
+    )
+    return not (np.array_equal(before[1], after[1]) and before[0].same_visible(after[0]))
+
+
+@cache
+def _told(situation: Situation, rule_set: RuleSet) -> tuple[Grid, list[tuple[int, int]]]:
+    """Return the world of a situation, and what its cars are told."""
+    if isinstance(situation, Scene):
+        return situation.world(), [(car, int(action)) for car, action in enumerate(situation.actions)]
+    grid = world_of(situation, np.random.default_rng(0), rule_set)
+    return grid, [(0, int(action_in(situation, grid)))]

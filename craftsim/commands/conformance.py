@@ -15,7 +15,7 @@ from craftsim.discrete.rules import RuleSet
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from craftsim.discrete.records.conformance import Mismatch
+    from craftsim.discrete.records.conformance import Mismatch, Tally
 
 
 def conformance(
@@ -38,14 +38,11 @@ def conformance(
         show: how many of the first mismatches to draw.
         out: folder for report.json.
     """
-    from rich.console import Console
-    from rich.table import Table
-
-    from craftsim.discrete.drawing import LEGEND
     from craftsim.discrete.errors import InputError
     from craftsim.discrete.records.conformance import Checker
     from craftsim.discrete.records.traces import read_records
     from craftsim.discrete.rules import Rules
+    from craftsim.report import write_report
 
     if not files:
         raise InputError("no recordings given; name one or more .jsonl.gz files")
@@ -58,6 +55,25 @@ def conformance(
             except (KeyError, ValueError, TypeError, IndexError) as error:
                 raise InputError(f"{file}:{line}: not a record as we know it: {error!r}") from error
     tally = checker.tally
+    _print(tally)
+    if out is not None:
+        figures = {f.name: getattr(tally, f.name) for f in dataclasses.fields(tally) if f.name != "first"} | {
+            "total_checks": tally.checks.total(),
+            "total_mismatches": tally.mismatches.total(),
+        }
+        wall = {"seconds": time.perf_counter() - begun}
+        config = {"files": [file.name for file in files], "rules": rules}
+        write_report(out, figures, command="conformance", config=config, wall=wall)
+    return 1 if tally.mismatches.total() else 0
+
+
+def _print(tally: Tally) -> None:
+    """Print what was compared, by action and by check, and draw the first mismatches."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from craftsim.discrete.drawing import LEGEND
+
     console = Console(highlight=False)
     by_action = Table("action", "taken", "legal", "mismatches")
     for action in Action:
@@ -77,18 +93,7 @@ def conformance(
     if tally.corrected:
         console.print(f"{tally.corrected} records that a correction changes were left out")
     mismatches = tally.mismatches.total()
-    if out is not None:
-        from craftsim.report import write_report
-
-        figures = {f.name: getattr(tally, f.name) for f in dataclasses.fields(tally) if f.name != "first"} | {
-            "total_checks": tally.checks.total(),
-            "total_mismatches": mismatches,
-        }
-        wall = {"seconds": time.perf_counter() - begun}
-        config = {"files": [file.name for file in files], "rules": rules}
-        write_report(out, figures, command="conformance", config=config, wall=wall)
     print(f"{tally.records} records, {tally.checks.total()} checks, {mismatches} mismatches")
-    return 1 if mismatches else 0
 
 
 def _draw(console: Console, mismatch: Mismatch) -> None:

@@ -25,7 +25,6 @@ FOOT = int(Kind.FOOT)
 
 NOTHING = -1
 OBJECT = -2
-NOBODY = -1
 
 F_X = int(CarField.X)
 F_Y = int(CarField.Y)

@@ -7,7 +7,7 @@ ARGS ?=
 TORCH ?= torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format mutants faults campaigns meshes libraries clean
+.PHONY: help demo test lint format mutants faults campaigns picture meshes libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -39,6 +39,10 @@ campaigns: $(VENV)/installed  ## Measure the skills at length (about an hour on 
 	$(BIN)/craftsim trials --trials 10000 --workers 2 --noise --out out/trials-noise
 	$(BIN)/craftsim tasks --workers 2 --out out/tasks
 	$(BIN)/craftsim episodes --workers 2 --out out/episodes
+
+picture: $(VENV)/installed libraries  ## Film the most striking unsound rule again, as docs/unsound_rule.webp
+	$(BIN)/craftsim audit --contexts 'MOVE/scene=over the edge to a foot across' --trials 1 --video --out out/unsound-rule || [ $$? -eq 1 ]
+	$(BIN)/python scripts/animate.py out/unsound-rule/bundles/00000/film.mp4 docs/unsound_rule.webp
 
 meshes: $(VENV)/installed  ## Make the visual meshes in craftsim/mjcf/meshes again
 	$(BIN)/python -m craftsim.mjcf.make_meshes

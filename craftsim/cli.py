@@ -6,11 +6,12 @@ options and its integer result the exit status. It is imported only when it is c
 
 from __future__ import annotations
 
+import functools
 import importlib
 import inspect
 import sys
 from collections.abc import Callable, Sequence
-from typing import Annotated, Final, get_type_hints
+from typing import Annotated, Any, Final, get_type_hints
 
 COMMANDS: Final[dict[str, str]] = {
     "demo": "Build the paper's tasks in physics, and check every action.",
@@ -72,7 +73,7 @@ def _run(name: str, words: list[str]) -> int:
 
     function = getattr(importlib.import_module(f"craftsim.commands.{name}"), name)
     status: int = tyro.cli(
-        _without_empty_defaults(function),
+        _with_checked_seed(_without_empty_defaults(function)),
         args=words,
         prog=f"craftsim {name}",
         config=(tyro.conf.DisallowNone,),
@@ -91,6 +92,19 @@ def _without_empty_defaults(function: Callable[..., int]) -> Callable[..., int]:
             types[name] = Annotated[types[name], unsaid]
     function.__annotations__ = types
     return function
+
+
+def _with_checked_seed(function: Callable[..., int]) -> Callable[..., int]:
+    """Refuse a seed that no random generator takes, before the command begins."""
+    from craftsim.discrete.errors import InputError
+
+    @functools.wraps(function)
+    def checked(*arguments: Any, **options: Any) -> int:
+        if options.get("seed", 0) < 0:
+            raise InputError(f"--seed must be at least 0, not {options['seed']}")
+        return function(*arguments, **options)
+
+    return checked
 
 
 def _overview() -> str:

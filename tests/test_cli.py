@@ -116,6 +116,32 @@ def test_parameters_become_options_and_the_result_the_status(command):
     assert cli.main(["probe", "--count", "3", "--no-video"]) == -3
 
 
+@pytest.mark.parametrize(
+    "name", ["demo", "validate", "audit", "trials", "tasks", "episodes", "train", "show", "bench"]
+)
+def test_a_negative_seed_is_refused_before_anything_is_done(name, capsys, tmp_path):
+    words = {"show": ["strip"], "bench": ["rules"]}.get(name, [])
+    assert cli.main([name, *words, "--seed", "-1", "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr() == ("", "craftsim: --seed must be at least 0, not -1\n")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "words", [["show"], ["conformance"], ["validate"], ["demo", "--plan", "p", "--blueprint"]]
+)
+def test_a_name_that_no_file_can_have_is_refused(words, capsys, tmp_path):
+    out = [] if words[0] in ("show", "conformance") else ["--out", str(tmp_path / "out")]
+    assert cli.main([*words, "x" * 300 + ".yaml", *out]) == 2
+    assert "too long" in capsys.readouterr().err.lower()
+
+
+def test_a_recording_without_records_is_refused(capsys, tmp_path):
+    path = tmp_path / "empty.jsonl.gz"
+    path.write_bytes(b"")
+    assert cli.main(["conformance", str(path)]) == 2
+    assert capsys.readouterr().err == f"craftsim: {path}: holds no records\n"
+
+
 def test_doctor_writes_a_report(tmp_path, capsys):
     assert cli.main(["doctor", "--out", str(tmp_path)]) == 0
     report = json.loads((tmp_path / "report.json").read_text())

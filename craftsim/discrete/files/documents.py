@@ -124,11 +124,11 @@ def describe(node: Node) -> str:
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     """Return a text file of bounded size; raise BlueprintError if it is missing, too large or not UTF-8."""
     source = Source(path)
-    if not path.exists():
-        source.fail(None, "no such file")
-    if not path.is_file():
-        source.fail(None, "not a regular file")
     try:
+        if not path.exists():
+            source.fail(None, "no such file")
+        if not path.is_file():
+            source.fail(None, "not a regular file")
         with path.open("rb") as file:
             data = file.read(max_bytes + 1)
     except OSError as error:

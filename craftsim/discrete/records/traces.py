@@ -27,16 +27,18 @@ Record = dict[str, Any]
 
 def read_records(path: Path) -> Iterator[tuple[int, Record]]:
     """Yield line number and content of each record; raise InputError with file and line if there is none."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
     number = 0
     try:
+        if not path.is_file():
+            raise InputError(f"{path}: no such file")
         with gzip.open(path, "rt", encoding="utf-8") as lines:
             for number, line in enumerate(lines, start=1):
                 record = json.loads(line)
                 if not isinstance(record, dict) or not {"before", "size"} <= record.keys():
                     raise InputError(f"{path}:{number}: not a record; it needs at least 'size' and 'before'")
                 yield number, record
+        if not number:
+            raise InputError(f"{path}: holds no records")
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a gzip file of text: {error}") from error
     except json.JSONDecodeError as error:

@@ -135,6 +135,15 @@ def test_a_name_that_no_file_can_have_is_refused(words, capsys, tmp_path):
     assert "too long" in capsys.readouterr().err.lower()
 
 
+@pytest.mark.parametrize("words", [["conformance", "missing.jsonl.gz"], ["bench", "rules"]])
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(words, capsys, tmp_path):
+    (tmp_path / "file").touch()
+    assert cli.main([*words, "--out", str(tmp_path / "file" / "out")]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "cannot make the output directory" in printed.err
+
+
 def test_a_recording_without_records_is_refused(capsys, tmp_path):
     path = tmp_path / "empty.jsonl.gz"
     path.write_bytes(b"")

@@ -66,6 +66,10 @@ def bench(
     """
     from rich.console import Console
 
+    from craftsim.report import output_directory, write_report
+
+    if out is not None:
+        output_directory(out)
     console = Console(highlight=False)
     figures: dict[str, Any] = {}
     wall: dict[str, Any] = {}
@@ -92,8 +96,6 @@ def bench(
             figures = measure_durations()
             console.print(yaml.safe_dump(figures, sort_keys=False), end="")
     if out is not None:
-        from craftsim.report import write_report
-
         write_report(out, figures, command="bench", seed=seed, config=config, wall=wall)
     return 0
 

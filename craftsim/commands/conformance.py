@@ -42,10 +42,12 @@ def conformance(
     from craftsim.discrete.records.conformance import Checker
     from craftsim.discrete.records.traces import read_records
     from craftsim.discrete.rules import Rules
-    from craftsim.report import write_report
+    from craftsim.report import output_directory, write_report
 
     if not files:
         raise InputError("no recordings given; name one or more .jsonl.gz files")
+    if out is not None:
+        output_directory(out)
     begun = time.perf_counter()
     checker = Checker(Rules(rules), keep=show)
     for file in files:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import shlex
-import time
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
-from rich.console import Console
 
+from craftsim.commands.campaigning import CampaignCommand
+from craftsim.commands.comparing import compare, print_comparison, read_against
 from craftsim.commands.filming import rendering_works
-from craftsim.commands.progress import counting
 from craftsim.discrete.errors import InputError
-from craftsim.report import output_directory, write_report
+from craftsim.validation.campaign import Engine
 
 if TYPE_CHECKING:
     from craftsim.validation.audit.rows import Row
@@ -35,8 +34,9 @@ def audit(
     rules: Literal["published", "physical"] = "published",
     quick: bool = False,
     workers: int = 1,
-    engine: Literal["local", "ray"] = "local",
+    engine: Engine = "local",
     video: bool = False,
+    against: Path | None = None,
     resume: bool = False,
     seed: int = 0,
     out: Path = Path("out/audit"),
@@ -56,15 +56,15 @@ def audit(
         workers: processes to share the work; results do not depend on it.
         engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
         video: films of the disagreements, a few seconds of work each.
+        against: folder of an earlier audit under other settings, to compare trial by trial.
         resume: go on with what an interrupted audit has left in the output folder.
         seed: decides the places, the physics and the noise of all trials.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
-    if trials < 1 or workers < 1:
-        raise InputError("--trials and --workers must be at least 1")
-    started = time.perf_counter()
-    console = Console()
-    output_directory(out)
+    if trials < 1:
+        raise InputError(f"--trials must be at least 1, not {trials}")
+    command = CampaignCommand("audit", seed, out, workers, engine, resume)
+    console = command.console
     filming = video and rendering_works(console)
 
     # MuJoCo must not be imported before the rendering backend is chosen.
@@ -72,11 +72,10 @@ def audit(
     from craftsim.commands.validate_films import film_failures
     from craftsim.skills.gains import load_gains
     from craftsim.validation.audit.corrections import rows_by_switch
-    from craftsim.validation.audit.results import AT_ONCE, Results, bundle_disagreements
+    from craftsim.validation.audit.results import Results, bundle_disagreements, judged_by_rules
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.audit.tables import corrections_table, suspects_table
     from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
-    from craftsim.validation.campaign import Header, run_campaign
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
     from craftsim.validation.settings import SETTINGS
@@ -101,32 +100,31 @@ def audit(
         "gains": load_gains(),
     }
     items = items_of(plan, trials, seed, rules, settings)
-    with counting(console, "trials", len(items)) as tell:
-        records = run_campaign(
-            items,
-            try_it,
-            out,
-            Header("audit", seed, config),
-            workers=workers,
-            engine=engine,
-            timeout_s=TIMEOUT_S,
-            batch=1 if quick else BATCH,
-            resume=resume,
-            tell=lambda record: tell(record["error"] is None),
-        )
+    earlier = read_against(command, against, items)
+    records = command.run(
+        "trials",
+        items,
+        try_it,
+        config,
+        timeout_s=TIMEOUT_S,
+        batch=1 if quick else BATCH,
+        good=lambda record: record["error"] is None,
+    )
     bundle_disagreements(out, items, records, workers)
     if filming:
         film_failures(console, out, records)
     results = Results.of(records)
     corrected = results.corrected(plan, rules)
-    # What is begun all at once is evidence alone: the rules say nothing of it.
-    judged = [record for record in records if not record["group"].endswith(AT_ONCE)]
+    judged = judged_by_rules(records)
     validation = campaign_figures(judged, seed)
-    figures = {"audit": results.figures(plan, corrected), "validation": validation}
-    wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
-    report = write_report(out, figures, command="audit", seed=seed, config=config, wall=wall)
+    if earlier is not None:
+        earlier = replace(earlier, records=judged_by_rules(earlier.records))
+    comparison = compare(command, earlier, judged)
+    audited = results.figures(plan, corrected)
+    figures = {"audit": audited, "validation": validation, "paired": comparison}
+    report = command.report(figures, config | {"against": against})
     write_durations(out, validation.durations)
-    provenance = _provenance(config, seed)
+    provenance = _provenance(config, seed, against)
     page = write_html(
         out,
         audit_page(
@@ -137,9 +135,11 @@ def audit(
             rules,
             suspects_table(results.suspects),
             corrections_table(corrected),
+            comparison,
         ),
     )
     print_results(console, results)
+    print_comparison(console, comparison)
     console.print(f"Report: {report}\nPage:   {page}", soft_wrap=True)
     return conclude(console, results, records, rules, rows_by_switch(corrected))
 
@@ -164,7 +164,7 @@ def _verbs(actions: tuple[ActionName, ...]) -> list[str]:
     return [*actions, *(moves if "MOVE" in actions else [])]
 
 
-def _provenance(config: dict[str, Any], seed: int) -> Provenance:
+def _provenance(config: dict[str, Any], seed: int, against: Path | None) -> Provenance:
     from craftsim.report import plain
     from craftsim.validation.html.provenance import Provenance
 
@@ -173,5 +173,6 @@ def _provenance(config: dict[str, Any], seed: int) -> Provenance:
     words += ["--contexts", config["contexts"]] if config["contexts"] != "*" else []
     words += ["--quick"] if config["quick"] else ["--trials", str(config["trials"])]
     words += ["--seed", str(seed)]
+    words += ["--against", str(against)] if against else []
     told = {key: value for key, value in plain(config).items() if key != "settings"}
     return Provenance(shlex.join(words), seed, told, plain(config["settings"].thresholds))

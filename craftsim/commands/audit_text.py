@@ -10,7 +10,7 @@ from rich.table import Table
 
 from craftsim.validation.audit.results import Results
 from craftsim.validation.campaign import TrialRecord
-from craftsim.validation.statistics.audit_rows import Judgement
+from craftsim.validation.statistics.audit_rows import Judgement, provisional_note
 
 _SHOWN: Final = 40
 """How many rows of a verdict are printed; the others are in the reports."""
@@ -61,4 +61,6 @@ def conclude(
         + (f" {errors} trials came to no end." if errors else ""),
         soft_wrap=True,
     )
+    if note := provisional_note(results.rows):
+        console.print(note, soft_wrap=True)
     return 1 if n[Judgement.UNSOUND] or errors else 0

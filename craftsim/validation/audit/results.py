@@ -58,6 +58,7 @@ class Results:
         members = {row.name: len(row.members) for row in plan}
         return {
             "verdicts": verdict_counts(self.rows),
+            "provisional": sum(row.provisional for row in self.rows),
             "contexts": sum(members.values()),
             "corrections": rows_by_switch(corrected),
             "rows": [
@@ -71,6 +72,11 @@ class Results:
             "at_once": self.at_once,
             "suspects": self.suspects,
         }
+
+
+def judged_by_rules(records: Sequence[TrialRecord]) -> list[TrialRecord]:
+    """Return the records without those of what is begun all at once: the rules say nothing of it."""
+    return [record for record in records if not record["group"].endswith(AT_ONCE)]
 
 
 def name_of(row: AuditRow) -> str:

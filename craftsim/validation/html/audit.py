@@ -11,6 +11,7 @@ from craftsim.validation.html.disagreements import (
     unsound_section,
 )
 from craftsim.validation.html.page import Headline, KeyFigure, Page, Section, Table, Tone
+from craftsim.validation.html.paired import paired_section
 from craftsim.validation.html.plots import durations_plot, errors_plot, judgement_plot
 from craftsim.validation.html.provenance import Provenance, provenance_section
 from craftsim.validation.html.tables import (
@@ -21,8 +22,15 @@ from craftsim.validation.html.tables import (
     precision_table,
     verb_table,
 )
-from craftsim.validation.statistics.audit_rows import SOUND_SHARE, AuditRow, Judgement, verdict_counts
+from craftsim.validation.statistics.audit_rows import (
+    SOUND_SHARE,
+    AuditRow,
+    Judgement,
+    provisional_note,
+    verdict_counts,
+)
 from craftsim.validation.statistics.figures import Figures
+from craftsim.validation.statistics.paired import Comparison
 from craftsim.validation.statistics.records import Record, attempts_of, carried_out
 
 _NOTES: Final = {
@@ -41,6 +49,7 @@ def audit_page(
     rules: str,
     suspects: Table | None = None,
     by_rule: Table | None = None,
+    comparison: Comparison | None = None,
 ) -> Page:
     """Return the page of an audit.
 
@@ -52,13 +61,14 @@ def audit_page(
         rules: name of the rule set.
         suspects: verdicts on rules that were under suspicion beforehand.
         by_rule: which rules the unsound rows come of.
+        comparison: with an earlier audit, where there is one.
     """
     return Page(
         "Audit of the rules",
         f"rule set: {rules}",
         _headline(rows, rules),
         tuple(_key_figures(rows, figures)),
-        tuple(_sections(rows, records, figures, provenance, suspects, by_rule)),
+        tuple(_sections(rows, records, figures, provenance, suspects, by_rule, comparison)),
     )
 
 
@@ -70,6 +80,7 @@ def _headline(rows: Sequence[AuditRow], rules: str) -> Headline:
     allowed = unsound + sound
     rest = f" The rules forbid {conservative:,} needlessly." if conservative else ""
     rest += f" Errors kept {count(untried, 'row')} from being judged." if untried else ""
+    rest += f" {note}" if (note := provisional_note(rows)) else ""
     if unsound:
         sentence = f"Of {count(allowed, 'row')} that the {rules} rules allow, physics refuses {unsound:,}."
         return Headline("Unsound", Tone.BAD, sentence + rest)
@@ -101,6 +112,7 @@ def _sections(
     provenance: Provenance,
     suspects: Table | None,
     by_rule: Table | None,
+    comparison: Comparison | None,
 ) -> Iterator[Section]:
     if suspects is not None:
         yield Section(
@@ -117,6 +129,8 @@ def _sections(
             *((error_table(figures.errors),) if figures.errors else ()),
         ),
     )
+    if comparison is not None:
+        yield paired_section(comparison)
     found = verdict_counts(rows)
     if found[Judgement.UNSOUND]:
         yield unsound_section(rows, by_rule)

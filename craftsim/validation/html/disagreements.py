@@ -102,7 +102,7 @@ def _cells(row: AuditRow) -> tuple[str | Cell, ...]:
     return (
         Cell(row.context, path=True, wide=True),
         Cell(row.reason, wide=True),
-        f"{row.trials:,}",
+        Cell(f"{row.trials:,}, provisional", Tone.CAUTION) if row.provisional else f"{row.trials:,}",
         *counts(row.as_predicted, row.failed, row.side_effect, row.unsafe),
         Cell(interval(row.wilson_low, row.wilson_high), share=share) if share else Cell(NONE, Tone.MUTED),
         Cell(row.bundles[0] if row.bundles else NONE, path=True),

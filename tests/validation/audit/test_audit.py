@@ -86,13 +86,24 @@ def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_so
     report = json.loads((tmp_path / "published" / "report.json").read_text())
     (row,) = report["figures"]["audit"]["rows"]
     assert (row["trials"], row["as_predicted"], row["contexts"]) == (2, 0, 1)
-    assert "second ramp" in (tmp_path / "published" / "report.html").read_text()
+    page = (tmp_path / "published" / "report.html").read_text()
+    assert "second ramp" in page
+    for place in (printed, page):
+        assert "1 row is judged by fewer than 20 trials: provisional." in place
+    assert report["figures"]["audit"]["provisional"] == 1
     assert report["figures"]["audit"]["corrections"] == {"second_ramp": 1}
     assert row["corrections"] == ["second_ramp"]
     (bundle,) = row["bundles"]
     assert replay(read_bundle(tmp_path / "published" / bundle)).reproduced
-    assert cli.main(["audit", *words, str(tmp_path / "physical"), "--rules", "physical"]) == 0
-    assert "0 of 1 rows that the rules allow are unsound" in capsys.readouterr().out
+    words += [str(tmp_path / "physical"), "--rules", "physical", "--against", str(tmp_path / "published")]
+    assert cli.main(["audit", *words]) == 0
+    printed = capsys.readouterr().out
+    assert "0 of 1 rows that the rules allow are unsound" in printed
+    assert "of 2 paired trials 0 agree with the rules in both, 0 only there, 2 only here" in printed
+    paired = json.loads((tmp_path / "physical" / "report.json").read_text())["figures"]["paired"]
+    assert paired["changed"] == {"config.rules": ["published", "physical"]}
+    assert paired["trials"]["p_value"] == 0.5
+    assert "this run alone" in (tmp_path / "physical" / "report.html").read_text()
 
 
 def test_the_command_refuses_wrong_input(tmp_path, capsys):

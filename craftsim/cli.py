@@ -101,7 +101,7 @@ def _with_checked_seed(function: Callable[..., int]) -> Callable[..., int]:
     @functools.wraps(function)
     def checked(*arguments: Any, **options: Any) -> int:
         if options.get("seed", 0) < 0:
-            raise InputError(f"--seed must be at least 0, not {options['seed']}")
+            raise InputError(f"--seed is {options['seed']}; allowed: 0 or more")
         return function(*arguments, **options)
 
     return checked

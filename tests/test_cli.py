@@ -122,7 +122,7 @@ def test_parameters_become_options_and_the_result_the_status(command):
 def test_a_negative_seed_is_refused_before_anything_is_done(name, capsys, tmp_path):
     words = {"show": ["strip"], "bench": ["rules"]}.get(name, [])
     assert cli.main([name, *words, "--seed", "-1", "--out", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr() == ("", "craftsim: --seed must be at least 0, not -1\n")
+    assert capsys.readouterr() == ("", "craftsim: --seed is -1; allowed: 0 or more\n")
     assert not (tmp_path / "out").exists()
 
 

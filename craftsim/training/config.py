@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final, Literal, get_args
 
@@ -33,8 +34,8 @@ class TrainConfig:
             raise InputError(f"worlds is {self.worlds}; allowed: 1 or more")
         if self.width < 1:
             raise InputError(f"width is {self.width}; allowed: 1 or more")
-        if self.novelty < 0:
-            raise InputError(f"novelty is {self.novelty}; allowed: 0 or more")
+        if not 0 <= self.novelty < math.inf:
+            raise InputError(f"novelty is {self.novelty}; allowed: 0 or more, and finite")
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name."""

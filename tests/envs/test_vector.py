@@ -115,9 +115,10 @@ def test_files_that_hold_no_starts_and_starts_that_do_not_fit_are_refused(tmp_pa
     path = tmp_path / "starts.npz"
     with pytest.raises(InputError, match="cannot be read"):
         load_starts(path)
-    path.write_text("no archive")
-    with pytest.raises(InputError, match="save_starts"):
-        load_starts(path)
+    for text in ("no archive", ""):
+        path.write_text(text)
+        with pytest.raises(InputError, match="save_starts"):
+            load_starts(path)
     np.savez(path, kind=np.zeros(3))
     with pytest.raises(InputError, match="save_starts"):
         load_starts(path)

@@ -44,6 +44,7 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
         (["--steps", "0"], "--steps and --episodes"),
         (["--resume"], "cannot read"),
         (["--seed", "-1"], "seed is -1"),
+        (["--novelty", "nan"], "novelty is nan"),
         (["--starts", "no_such.plan"], "no_such.plan"),
     ],
 )

@@ -34,7 +34,7 @@ def load_starts(path: Path) -> list[Grid]:
             arrays = {name: file[name] for name in _ARRAYS}
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: not a file of starts ({error}); write one with save_starts") from error
     return [Grid(*(arrays[name][i] for name in _ARRAYS)) for i in range(len(arrays["kind"]))]
 

@@ -34,7 +34,7 @@ mutants: $(VENV)/installed-dev  ## Break one grid rule at a time and see which t
 faults: $(VENV)/installed-dev  ## Kill a real validation ten times at random moments, resume it, and compare (some minutes)
 	$(BIN)/python tests/validation/campaign/faults.py
 
-campaigns: $(VENV)/installed  ## Measure the skills at length (about an hour on two cores): every context with and without noise, the six tasks, long episodes
+campaigns: $(VENV)/installed  ## Measure the skills at length (about 40 minutes on two cores): every context with and without noise, the six tasks, long episodes
 	$(BIN)/craftsim trials --trials 10000 --workers 2 --out out/trials
 	$(BIN)/craftsim trials --trials 10000 --workers 2 --noise --out out/trials-noise
 	$(BIN)/craftsim tasks --workers 2 --out out/tasks

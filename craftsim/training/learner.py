@@ -9,8 +9,6 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
-from craftsim.training.config import TrainConfig
-from craftsim.training.features import Shape
 from craftsim.training.networks import CarNet
 
 
@@ -37,13 +35,3 @@ class Learner(ABC):
     @abstractmethod
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state` returned."""
-
-
-def make_learner(config: TrainConfig, shape: Shape, ticks: int) -> Learner:
-    """Return the algorithm that a configuration names, for episodes of at most ``ticks`` ticks."""
-    from craftsim.training.off_policy import QLearner
-    from craftsim.training.on_policy import PPOLearner
-
-    if config.algo in ("ippo", "mappo"):
-        return PPOLearner(shape, ticks, sees_team=config.algo == "mappo")
-    return QLearner(shape, ticks, config.algo)

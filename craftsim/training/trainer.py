@@ -16,6 +16,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import Task, make_task
 from craftsim.report import versions
+from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_run, save_policy, save_run
 from craftsim.training.config import TrainConfig
 from craftsim.training.evaluation import Played, evaluate
@@ -23,7 +24,6 @@ from craftsim.training.extra import PACKAGES
 from craftsim.training.features import Shape
 from craftsim.training.grid_env import GridEnv
 from craftsim.training.interrupts import finishing_first
-from craftsim.training.learner import make_learner
 from craftsim.training.novelty import Novelty
 
 LOOKS_EVERY: Final = 10

@@ -1,9 +1,10 @@
 """What only published allows goes wrong in physics; its twin, which physical allows as well, does not."""
 
 import pytest
+from drawn import draw
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Grid, Kind, beside
+from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
@@ -92,24 +93,13 @@ CASES = {
 }
 
 
-def _draw(cars, objects) -> Grid:
-    grid = Grid.empty((6, 4, 3), len(cars))
-    for row, values in zip(grid.cars, cars, strict=True):
-        row[: len(values)] = values
-    for kind, cell, *yaw in objects:
-        parts = [(kind, cell)]
-        if kind in SECOND_PART:
-            parts.append((SECOND_PART[kind], beside(cell, *yaw)))
-        for part, where in parts:
-            grid.kind[where] = part
-            grid.yaw[where] = yaw[0] if kind in KINDS_WITH_YAW else 0
-    grid.derive_marks()
-    return grid
+def _world(cars, objects) -> Grid:
+    return draw((6, 4, 3), objects, cars)
 
 
 def _run(world, car, action, rules) -> tuple[bool, float]:
     """Return whether the action did what the rules predict, and how far it shifted what it should not."""
-    grid = _draw(*world)
+    grid = _world(*world)
     site = Site(grid)
     checked = CheckedSite(site, rules, Executor(site))
     assert checked.reading.grid.same_visible(grid)
@@ -126,7 +116,7 @@ def _actions(action):
 @pytest.mark.parametrize("name", CASES)
 def test_what_only_published_allows_goes_wrong(name):
     world, _, car, action = CASES[name]
-    assert not PHYSICAL.legal(_draw(*world), car, _actions(action)[0])
+    assert not PHYSICAL.legal(_world(*world), car, _actions(action)[0])
     agrees, shifted_m = _run(world, car, _actions(action)[0], PUBLISHED)
     assert not agrees or shifted_m > 5e-3
 
@@ -154,7 +144,7 @@ def test_from_a_top_onto_a_second_foot_a_car_is_where_physical_says():
 
 def test_two_gears_in_one_cell_are_what_physical_says():
     world = [(3, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 0), (Kind.FSLOPE, (3, 1, 1), 2)]
-    grid = _draw(*world)
+    grid = _world(*world)
     grid.yaw[2, 1, 1] = 0
     for rules, agrees in ((PUBLISHED, False), (PHYSICAL, True)):
         site = Site(grid)

@@ -34,20 +34,11 @@ _PLAYING, _LOOKING, _FINAL = range(3)
 
 
 @dataclass(frozen=True)
-class Point:
+class Point(Played):
     """A point of the learning curve: how well a policy did on fresh episodes after so much training."""
 
     steps: int
     """Ticks played, all worlds together."""
-    episodes: int
-    successes: int
-    mean_return: float
-    mean_ticks: float
-
-    @property
-    def success(self) -> float:
-        """The part of the episodes that succeeded."""
-        return self.successes / self.episodes
 
 
 class Trainer:
@@ -89,7 +80,7 @@ class Trainer:
                 looks = self.iteration % LOOKS_EVERY == 0
                 if looks:
                     played = self.evaluate(LOOKS_AT, _LOOKING)
-                    self.curve.append(Point(self.steps, **asdict(played)))
+                    self.curve.append(Point(**asdict(played), steps=self.steps))
                 self.wall_s += time.perf_counter() - begun
             yield looks
 

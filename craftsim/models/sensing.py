@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from operator import mul
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,7 @@ _DOCKING_REACH_M = 2 * math.hypot(_DOCKING_RANGE_M, BLOCK.underside_m / 2)
 """What is further away than this is not worth a closer look."""
 
 
-@dataclass(frozen=True)
-class CarMeasurement:
+class CarMeasurement(NamedTuple):
     """One car's view of itself at one instant; world frame, metres and radians."""
 
     time_s: float
@@ -118,7 +117,7 @@ class Sensors:
         self._past: list[deque[CarMeasurement]] = [deque(maxlen=depth + 1) for _ in range(n)]
         self._encoder_share = 1.0 if not noise.encoder_lag_s else 1 - math.exp(-period / noise.encoder_lag_s)
         self._readings: list[CarMeasurement] = []
-        self._speeds = [np.zeros(4) for _ in range(n)]
+        self._speeds: list[PerWheel] = [(0.0, 0.0, 0.0, 0.0)] * n
         self.observe()
 
     def observe(self) -> None:
@@ -139,17 +138,23 @@ class Sensors:
         back = min(float(self._delays[car]), len(past) - 1)
         newer, share = math.floor(back), back - math.floor(back)
         a, b = past[-1 - newer], past[-1 - min(newer + 1, len(past) - 1)]
-        noise = self._rng.normal(size=4)
-        self._speeds[car] += self._encoder_share * (np.array(true.wheel_speeds) - self._speeds[car])
-        turned = math.remainder(b.heading - a.heading, math.tau)
-        return replace(
-            true,
-            x=a.x + share * (b.x - a.x) + self.noise.position_m * noise[0],
-            y=a.y + share * (b.y - a.y) + self.noise.position_m * noise[1],
-            z=a.z + share * (b.z - a.z) + self.noise.position_m * noise[2],
-            heading=math.remainder(a.heading + share * turned + self.noise.heading_rad * noise[3], math.tau),
-            wheel_speeds=_per_wheel(self._speeds[car]),
+        dx, dy, dz, turned = self._rng.normal(size=4).tolist()
+        position_m, heading_rad = self.noise.position_m, self.noise.heading_rad
+        turn = math.remainder(b.heading - a.heading, math.tau)
+        self._speeds[car] = self._lagged(self._speeds[car], true.wheel_speeds)
+        return true._replace(
+            x=a.x + share * (b.x - a.x) + position_m * dx,
+            y=a.y + share * (b.y - a.y) + position_m * dy,
+            z=a.z + share * (b.z - a.z) + position_m * dz,
+            heading=math.remainder(a.heading + share * turn + heading_rad * turned, math.tau),
+            wheel_speeds=self._speeds[car],
         )
+
+    def _lagged(self, told: PerWheel, true: PerWheel) -> PerWheel:
+        fl, fr, rl, rr = (
+            old + self._encoder_share * (new - old) for old, new in zip(told, true, strict=True)
+        )
+        return fl, fr, rl, rr
 
 
 def _docked_slope(site: Site, position: Sequence[float], axes: Sequence[Sequence[float]]) -> int | None:

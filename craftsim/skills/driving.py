@@ -28,6 +28,9 @@ _LEVER_M = SMARTCAR.turn_radius_m
 _AT_REST_RAD_S = 0.03
 _AT_REST_M_S = 0.0015
 _REST_PERIODS = 2
+_BRAKE_PERIODS = 30
+"""A car that is close enough for so long brakes: while it corrects the last tenth of a millimetre, two wheels on a
+diagonal may slip on the spot for ever."""
 _BLOCKED_S = 0.25
 _ROLLED_M = 0.01
 
@@ -45,7 +48,7 @@ class DrivingSkill(Skill):
         super().__init__(period_s)
         self.gains = gains
         self._integral = (0.0, 0.0, 0.0)
-        self._rest_periods = 0
+        self._rest_periods = self._there_periods = 0
         self._at_rest = False
         self._stuck_s = self._rolled_m = self._moved_m = 0.0
 
@@ -75,7 +78,7 @@ class DrivingSkill(Skill):
         self._check_progress(now, error)
         if self.elapsed_s >= self._profile.duration_s:
             self._check_arrival(now, error)
-        if self.outcome is not None:
+        if self.outcome is not None or self._there_periods > _BRAKE_PERIODS:
             return Command()
         return Command(wheels=self._wheels(now, error))
 
@@ -150,7 +153,8 @@ class DrivingSkill(Skill):
         offset, turn = math.hypot(error[0], error[1]), abs(error[2])
         there = offset < gains.position_tolerance and turn < gains.heading_tolerance
         sure = now.position_std_m < gains.position_certainty and now.heading_std_rad < gains.heading_certainty
-        self._rest_periods = self._rest_periods + 1 if there and sure and self._at_rest else 0
+        self._there_periods = self._there_periods + 1 if there and sure else 0
+        self._rest_periods = self._rest_periods + 1 if self._there_periods and self._at_rest else 0
         if self._rest_periods >= _REST_PERIODS:
             self._succeed()
         elif self.elapsed_s > self._profile.duration_s + gains.settle_allowance:

@@ -10,10 +10,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
-
-import numpy as np
-from numpy.typing import NDArray
 
 from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import SMARTCAR
@@ -23,8 +19,10 @@ from craftsim.skills.mecanum import body_twist
 _SLIP = 0.06
 """Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up, so
 it is several times what the rollers lose."""
-_DRIFT = np.array([2e-5, 2e-5, 6e-5])
-"""Standard deviation of what moves a resting car unseen in one period: m, m, rad."""
+_POSITION_DRIFT_M = 2e-5
+"""Standard deviation of what moves a resting car unseen in one period."""
+_HEADING_DRIFT_RAD = 6e-5
+"""And of what turns it."""
 
 
 class Localiser:
@@ -33,64 +31,85 @@ class Localiser:
     def __init__(self, noise: SensorNoise, period_s: float) -> None:
         """Prepare for measurements with this noise at this period."""
         self._period_s = period_s
-        self._noise_variance = np.array([noise.position_m, noise.position_m, noise.heading_rad]) ** 2
-        self._late = 0.5 * (noise.min_delay_s + noise.max_delay_s) / period_s
-        self._age_std = (noise.max_delay_s - noise.min_delay_s) / math.sqrt(12)
-        self._rate = np.zeros(3)
-        self._history: deque[NDArray[np.float64]] = deque(maxlen=math.ceil(self._late) + 1)
-        self._pose: NDArray[np.float64] | None = None
-        self._variance = np.zeros(3)
+        late = 0.5 * (noise.min_delay_s + noise.max_delay_s) / period_s
+        age_std = (noise.max_delay_s - noise.min_delay_s) / math.sqrt(12) / period_s
+        self._x = _Coordinate(noise.position_m, _POSITION_DRIFT_M, late, age_std)
+        self._y = _Coordinate(noise.position_m, _POSITION_DRIFT_M, late, age_std)
+        self._heading = _Coordinate(noise.heading_rad, _HEADING_DRIFT_RAD, late, age_std)
+        self._started = False
 
     def update(self, now: CarMeasurement) -> CarMeasurement:
         """Return the measurement with the estimated pose in place of the localised one."""
-        located = np.array([now.x, now.y, now.heading])
-        if self._pose is None:
-            self._pose, self._variance = located, self._noise_variance.copy()
-        else:
+        x, y, heading = self._x, self._y, self._heading
+        if self._started:
             self._predict(now)
-            self._correct(located)
-        self._history.append(self._pose.copy())
-        x, y, heading = (float(v) for v in self._pose)
-        position_std, _, heading_std = (float(v) for v in np.sqrt(self._variance))
-        return replace(
-            now,
-            x=x,
-            y=y,
-            heading=math.remainder(heading, math.tau),
-            position_std_m=position_std,
-            heading_std_rad=heading_std,
+            x.correct(now.x - x.remembered())
+            y.correct(now.y - y.remembered())
+            heading.correct(math.remainder(now.heading - heading.remembered(), math.tau))
+        else:
+            self._started = True
+            x.start(now.x)
+            y.start(now.y)
+            heading.start(now.heading)
+        return now._replace(
+            x=x.value,
+            y=y.value,
+            heading=math.remainder(heading.value, math.tau),
+            position_std_m=math.sqrt(x.variance),
+            heading_std_rad=math.sqrt(heading.variance),
         )
 
     def _predict(self, now: CarMeasurement) -> None:
-        assert self._pose is not None
         forward, left, turn = (self._period_s * speed for speed in body_twist(now.wheel_speeds))
         forward, left = forward * math.cos(now.pitch), left * math.cos(now.roll)
-        middle = self._pose[2] + turn / 2
+        middle = self._heading.value + turn / 2
         c, s = math.cos(middle), math.sin(middle)
-        way = np.array([c * forward - s * left, s * forward + c * left, turn])
-        self._pose += way
-        length = float(np.hypot(way[0], way[1]))
-        slipped = _SLIP * np.array([length, length, abs(turn) + length / SMARTCAR.turn_radius_m])
-        self._variance += slipped**2 + _DRIFT**2
-        self._rate = np.array([length, length, abs(turn)]) / self._period_s
+        length = math.hypot(forward, left)
+        self._x.predict(c * forward - s * left, length, length)
+        self._y.predict(s * forward + c * left, length, length)
+        self._heading.predict(turn, abs(turn), abs(turn) + length / SMARTCAR.turn_radius_m)
 
-    def _correct(self, located: NDArray[np.float64]) -> None:
-        assert self._pose is not None
-        innovation = located - self._remembered()
-        innovation[2] = math.remainder(innovation[2], math.tau)
+
+class _Coordinate:
+    """A scalar Kalman filter of x, y or heading."""
+
+    def __init__(self, noise_std: float, drift_std: float, late: float, age_std: float) -> None:
+        """Expect localisations that are ``late`` periods old, give or take ``age_std``."""
+        self._noise_variance = noise_std**2
+        self._drift_variance = drift_std**2
+        self._late, self._age_std = late, age_std
+        self._past: deque[float] = deque(maxlen=math.ceil(late) + 1)
+        """What was believed at the end of each period; the newest last."""
+        self._moved = 0.0
+
+    def start(self, value: float) -> None:
+        """Begin with what is measured."""
+        self.value, self.variance = value, self._noise_variance
+        self._past.append(value)
+
+    def predict(self, way: float, moved: float, rolled: float) -> None:
+        """Go on by ``way``, no further than the car ``moved``; the wheels may slip on all that they ``rolled``."""
+        self.value += way
+        self.variance += (_SLIP * rolled) ** 2 + self._drift_variance
+        self._moved = moved
+
+    def correct(self, innovation: float) -> None:
+        """Take in by how much a localisation differs from what was believed when it was taken."""
         # A localisation of unknown age says little while the car moves.
-        unsure = self._noise_variance + (self._age_std * self._rate) ** 2
-        gain = self._variance / (self._variance + unsure)
-        self._pose += gain * innovation
-        self._variance *= 1 - gain
-        for past in self._history:
-            past += gain * innovation
+        unsure = self._noise_variance + (self._age_std * self._moved) ** 2
+        gain = self.variance / (self.variance + unsure)
+        self.value += gain * innovation
+        self.variance *= 1 - gain
+        self._past = deque((past + gain * innovation for past in self._past), self._past.maxlen)
+        self._past.append(self.value)
 
-    def _remembered(self) -> NDArray[np.float64]:
-        """Return the pose that was believed when the localisation was taken, between two control periods."""
-        assert self._pose is not None
-        poses = [*self._history, self._pose]
-        back = min(self._late, len(poses) - 1)
-        newer, share = math.floor(back), back - math.floor(back)
-        older = min(newer + 1, len(poses) - 1)
-        return (1 - share) * poses[-1 - newer] + share * poses[-1 - older]
+    def remembered(self) -> float:
+        """Return what was believed when the localisation was taken, between two control periods."""
+        back = min(self._late, len(self._past))
+        newer = math.floor(back)
+        older = min(newer + 1, len(self._past))
+        share = back - newer
+        return (1 - share) * self._believed(newer) + share * self._believed(older)
+
+    def _believed(self, periods_ago: int) -> float:
+        return self._past[-periods_ago] if periods_ago else self.value

@@ -123,7 +123,7 @@ BLOCK_FIGURES: Figures = {
     "deck_mass_kg": lambda m: m.body(m.geom("deck").bodyid[0]).mass[0] - 4 * BLOCK.leg_mass_kg,
     "leg_mass_kg": lambda m: BLOCK.leg_mass_kg,  # a geom's mass is not kept: the test of inertia checks it
     "pocket_side_m": lambda m: 2 * level(m, "frame_front", np.min, axis=0),
-    "pocket_depth_m": lambda m: level(m, "deck", np.min) - level(m, "frame_left", np.min),
+    "pocket_depth_m": lambda m: level(m, "deck", np.min) - level(m, "frame_front", np.min),
     "friction": lambda m: m.geom("deck").friction[0],
     "foot_friction": lambda m: m.geom("leg_rl").friction[0],
 }

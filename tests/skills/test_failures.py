@@ -122,7 +122,7 @@ def test_a_hinge_without_torque_times_out(make_site):
 
 def test_wheels_that_cannot_brake_time_out_a_stop():
     skill = _skill(Action.STOP)
-    spinning = replace(CALM, wheel_speeds=np.full(4, 5.0))
+    spinning = CALM._replace(wheel_speeds=np.full(4, 5.0))
     skill.start(spinning)
     for _ in range(200):
         skill.step(spinning)
@@ -141,7 +141,7 @@ def test_a_car_without_wheel_torque_cannot_keep_to_its_path(make_site):
 def test_a_leaning_car_has_tipped(action, changes):
     skill = _skill(action)
     skill.start(CALM)
-    skill.step(replace(CALM, **changes))
+    skill.step(CALM._replace(**changes))
     assert skill.outcome is not None
     assert skill.outcome.reason is Reason.TIPPED
 
@@ -150,7 +150,7 @@ def test_a_leaning_car_has_tipped(action, changes):
 def test_the_incline_is_no_tipping(action):
     skill = _skill(action)
     skill.start(CALM)
-    skill.step(replace(CALM, pitch=-INCLINE_RAD))
+    skill.step(CALM._replace(pitch=-INCLINE_RAD))
     assert skill.outcome is None or skill.outcome.reason is not Reason.TIPPED
 
 
@@ -163,7 +163,7 @@ NUMBERS = ["x", "y", "z", "heading", "pitch", "roll", "board_m", "board_force_n"
 def test_a_measurement_that_is_not_finite_has_diverged(action, name, value):
     skill = _skill(action)
     skill.start(CALM)
-    command = skill.step(replace(CALM, **{name: value}))
+    command = skill.step(CALM._replace(**{name: value}))
     assert skill.outcome is not None
     assert skill.outcome.reason is Reason.DIVERGED
     assert not np.any(command.wheels)
@@ -173,7 +173,7 @@ def test_a_measurement_that_is_not_finite_has_diverged(action, name, value):
 def test_a_wheel_speed_that_is_not_finite_has_diverged(action):
     skill = _skill(action)
     skill.start(CALM)
-    skill.step(replace(CALM, wheel_speeds=np.array([0, 0, math.nan, 0])))
+    skill.step(CALM._replace(wheel_speeds=np.array([0, 0, math.nan, 0])))
     assert skill.outcome is not None
     assert skill.outcome.reason is Reason.DIVERGED
 
@@ -182,7 +182,7 @@ def test_a_wheel_speed_that_is_not_finite_has_diverged(action):
 @pytest.mark.parametrize("name", NUMBERS)
 def test_a_skill_that_starts_on_nonsense_has_diverged_too(action, name):
     skill = _skill(action)
-    nonsense = replace(CALM, **{name: math.nan})
+    nonsense = CALM._replace(**{name: math.nan})
     skill.start(nonsense)
     skill.step(nonsense)
     assert skill.outcome is not None
@@ -197,10 +197,10 @@ def _is_zero(command: Command) -> bool:
 def test_a_skill_that_has_ended_commands_zeros_and_keeps_its_outcome(action):
     skill = _skill(action)
     skill.start(CALM)
-    assert _is_zero(skill.step(replace(CALM, roll=0.6)))
+    assert _is_zero(skill.step(CALM._replace(roll=0.6)))
     first = skill.outcome
     for _ in range(3):
-        assert _is_zero(skill.step(replace(CALM, x=1.0, board_m=0.02)))
+        assert _is_zero(skill.step(CALM._replace(x=1.0, board_m=0.02)))
     assert skill.outcome is first
 
 
@@ -261,6 +261,6 @@ def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):
         executor.advance()
     hinge = site.slopes[0].hinge.actuator
     assert site.data.ctrl[hinge] < 0
-    monkeypatch.setattr(executor.sensors, "measure", lambda car: replace(measure(site, car), slope=None))
+    monkeypatch.setattr(executor.sensors, "measure", lambda car: measure(site, car)._replace(slope=None))
     assert executor.advance()[0].reason is Reason.MISALIGNED
     assert site.data.ctrl[hinge] == 0

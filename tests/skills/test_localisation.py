@@ -1,7 +1,6 @@
 """A car believes to be where it is, as surely as it says, from slipping wheels and noisy, late localisations."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,8 +46,7 @@ def _feed(noise, poses, twists, rng, slip=0.02) -> tuple[np.ndarray, np.ndarray]
         located = [np.interp(i - delay, np.arange(len(poses)), poses[:, k]) for k in range(3)]
         located += sigma * rng.normal(size=3)
         # Wheels that slip turn more than the car moves.
-        now = replace(
-            STILL,
+        now = STILL._replace(
             x=located[0],
             y=located[1],
             heading=math.remainder(located[2], math.tau),
@@ -104,7 +102,7 @@ def test_at_rest_every_localisation_counts_once_however_late_it_comes():
     localiser = Localiser(SensorNoise(0.001, 0.003, 0.04, 0.04), PERIOD_S)
     first = 0.001
     for n in range(1, 17):
-        view = localiser.update(replace(STILL, x=first if n == 1 else 0.0))
+        view = localiser.update(STILL._replace(x=first if n == 1 else 0.0))
         # The mean of n localisations of which the first alone is off; the filter's unrest forgets a little.
         assert view.x == pytest.approx(first / n, rel=0.10)
 

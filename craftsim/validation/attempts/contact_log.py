@@ -15,7 +15,6 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from craftsim.models.site import Site
 
@@ -54,9 +53,12 @@ class ContactLog:
         number = {body: i + 2 for i, body in enumerate(_roots(model))}
         root = model.body_rootid[model.geom_bodyid]
         moving = model.body_jntnum[root] > 0
-        self._machine = np.array(
+        machine = np.array(
             [number[int(r)] if moves else (0 if r == 0 else 1) for r, moves in zip(root, moving, strict=True)]
         )
+        low, high = np.minimum.outer(machine, machine), np.maximum.outer(machine, machine)
+        self._pair = np.where(low == high, -1, low * len(self.names) + high)
+        """By two geoms: the pair of their machines, -1 inside one machine."""
         joints = [int(model.body_jntadr[body]) for body in number]
         self._qpos = np.array([model.jnt_qposadr[j] for j in joints], np.intp)
         self._dof = np.array([model.jnt_dofadr[j] for j in joints], np.intp)
@@ -65,18 +67,18 @@ class ContactLog:
     def begin(self) -> None:
         """Forget everything, and note what touches now."""
         n = len(self.names)
-        self._since = np.full(n * n, math.nan)
+        self._since = np.full(n * n, math.inf)
         self._peak = np.zeros(n * n)
         self._fall = np.zeros(n - 2)
         self._upright = np.ones(n - 2)
         self._start_s = self.site.time_s
-        self._note(*self._touching(self._awake()))
-        self._at_start = ~np.isnan(self._since)
+        self._note(self._awake())
+        self._at_start = np.isfinite(self._since)
 
     def sample(self, _: Site | None = None) -> None:
         """Look at the Site as it is; call it after each control period, such as by being an executor's observer."""
         data = self.site.data
-        self._note(*self._touching(data))
+        self._note(data)
         np.minimum(self._fall, data.qvel[self._dof + 2], out=self._fall)
         tilt_x, tilt_y = data.qpos[self._qpos + 4], data.qpos[self._qpos + 5]
         np.minimum(self._upright, 1 - 2 * (tilt_x * tilt_x + tilt_y * tilt_y), out=self._upright)
@@ -93,7 +95,7 @@ class ContactLog:
                 float(self._peak[pair]),
                 bool(self._at_start[pair]),
             )
-            for pair in np.flatnonzero(~np.isnan(self._since))
+            for pair in np.flatnonzero(np.isfinite(self._since))
         ]
         return tuple(sorted(found, key=lambda contact: contact.since_s))
 
@@ -135,26 +137,19 @@ class ContactLog:
         model.opt.enableflags = flags
         return data
 
-    def _touching(self, data: mujoco.MjData) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """Return the pairs of machines of all contacts, as a * n + b with a < b, and the contacts' normal forces."""
-        n = len(self.names)
+    def _note(self, data: mujoco.MjData) -> None:
+        """Note the machines of all contacts, with their normal forces."""
         contact = data.contact
         address = contact.efc_address
         if not len(address):
-            return np.empty(0, np.intp), np.empty(0)
-        machines = np.sort(self._machine[contact.geom], axis=1)
-        pair = machines[:, 0] * n + machines[:, 1]
-        counts = (machines[:, 0] != machines[:, 1]) & (address >= 0)
-        # With elliptic friction cones the first row of a contact is its normal force (MuJoCo, mj_contactForce).
-        return pair[counts], data.efc_force[address[counts]]
-
-    def _note(self, pairs: NDArray[np.intp], forces: NDArray[np.float64]) -> None:
-        if not len(pairs):
             return
-        touching, which = np.unique(pairs, return_inverse=True)
-        self._peak[touching] = np.maximum(self._peak[touching], np.bincount(which, forces))
-        fresh = touching[np.isnan(self._since[touching])]
-        self._since[fresh] = self.site.time_s
+        pairs = self._pair[contact.geom1, contact.geom2]
+        counts = (pairs >= 0) & (address >= 0)
+        pairs = pairs[counts]
+        # With elliptic friction cones the first row of a contact is its normal force (MuJoCo, mj_contactForce).
+        forces = np.bincount(pairs, data.efc_force[address[counts]], minlength=len(self._peak))
+        np.maximum(self._peak, forces, out=self._peak)
+        self._since[pairs] = np.minimum(self._since[pairs], self.site.time_s)
 
 
 def _roots(model: mujoco.MjModel) -> list[int]:

@@ -15,8 +15,8 @@ from craftsim.skills.executor import Observer
 
 CLIP_S: Final = 3.0
 """Length of a clip."""
-_HOLD_S: Final = 0.5
-"""For how long at least it shows the end."""
+_AFTER_S: Final = 0.5
+"""For how long at least it shows what comes of the action."""
 _FPS: Final = 30
 _SIZE: Final = (640, 360)
 _DISTANCE_M: Final = 1.6
@@ -25,6 +25,8 @@ _DISTANCE_M: Final = 1.6
 @contextmanager
 def clip(path: Path, site: Site, car: int, span_s: float, lines: Sequence[str]) -> Iterator[Observer]:
     """Film a Site from now on, and yield what is to be called after each control period.
+
+    At the end the Site runs on until the clip is long enough.
 
     Args:
         path: the MP4 file; its folder must exist.
@@ -36,7 +38,7 @@ def clip(path: Path, site: Site, car: int, span_s: float, lines: Sequence[str]) 
     camera = mujoco.MjvCamera()
     camera.lookat[:] = site.free_body_state(site.cars[car].base)[0]
     camera.distance, camera.azimuth, camera.elevation = _DISTANCE_M, 130.0, -30.0
-    speed = max(1.0, span_s / (CLIP_S - _HOLD_S))
+    speed = max(1.0, span_s / (CLIP_S - _AFTER_S))
     frames = round(CLIP_S * _FPS)
     with Film(path, site.model, camera, size=_SIZE, fps=_FPS, speed=speed, start_s=site.time_s) as film:
 
@@ -46,4 +48,6 @@ def clip(path: Path, site: Site, car: int, span_s: float, lines: Sequence[str]) 
 
         watch(site)
         yield watch
-        film.hold(frames)
+        while film.frames < frames:
+            site.advance()
+            watch(site)

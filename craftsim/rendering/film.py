@@ -13,7 +13,7 @@ from typing import Self
 
 import mujoco
 
-from craftsim.rendering.video import Frame, VideoWriter, caption
+from craftsim.rendering.video import VideoWriter, caption
 
 
 class Film:
@@ -50,7 +50,6 @@ class Film:
         self.speed = speed
         self._camera = camera
         self._start_s = start_s
-        self._last: Frame | None = None
         self._frame_time_s = speed / fps
         self._writer = VideoWriter(path, fps)
         width, height = size
@@ -88,13 +87,7 @@ class Film:
             return
         self._renderer.update_scene(data, self._camera)
         clock = f"t = {data.time:.1f} s   speed x{self.speed:g}"
-        self._last = caption(self._renderer.render(), [*lines, clock])
-        self._writer.write(self._last, repeat)
-
-    def hold(self, frames: int) -> None:
-        """Leave the last picture on screen until the film has this many frames; it must have one picture."""
-        if self._last is not None and frames > self.frames:
-            self._writer.write(self._last, frames - self.frames)
+        self._writer.write(caption(self._renderer.render(), [*lines, clock]), repeat)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -14,10 +14,12 @@ from craftsim.skills.driving import Terrain
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import make_skill
 from craftsim.skills.localisation import Localiser
-from craftsim.skills.outcome import Outcome
+from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.skill import Command, Skill
 
 Observer = Callable[[Site], None]
+Guard = Callable[[], bool]
+"""Tells whether something unsafe has happened."""
 
 
 class Executor:
@@ -37,6 +39,8 @@ class Executor:
         self.site = site
         self.gains = gains or load_gains()
         self.observers: list[Observer] = [] if observer is None else [observer]
+        self.guard: Guard | None = None
+        """Asked after every control period: a yes stops all cars, and ends their actions."""
         self.sensors = sensors or Sensors(site)
         noise, period = self.sensors.noise, site.config.control_period_s
         self._localisers = [] if noise.silent else [Localiser(noise, period) for _ in site.cars]
@@ -87,7 +91,16 @@ class Executor:
         self._look()
         for observer in self.observers:
             observer(self.site)
+        if self._skills and self.guard is not None and self.guard():
+            ended |= self._stop_all()
         return ended
+
+    def _stop_all(self) -> dict[int, Outcome]:
+        stopped = {car: Outcome(Reason.STOPPED, skill.elapsed_s) for car, skill in self._skills.items()}
+        self._skills.clear()
+        for car in stopped:
+            self._apply(car, Command(), self._docked.get(car))
+        return stopped
 
     def _look(self) -> None:
         self._views = [loc.update(self.sensors.measure(car)) for car, loc in enumerate(self._localisers)]

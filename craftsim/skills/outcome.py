@@ -23,6 +23,8 @@ class Reason(StrEnum):
     """The car came to rest off its target, or is not docked to a slope that it should move."""
     DIVERGED = "diverged"
     """The measurements are not finite or not plausible."""
+    STOPPED = "stopped"
+    """Something unsafe has happened, and all cars were stopped."""
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,8 @@ class MovingSite:
         def moving(_, car):
             t = self.period * PERIOD_S
             heading = math.remainder(3.0 + 0.5 * t, math.tau)
-            return replace(
-                still, time_s=t, x=1.0 * t, heading=heading, wheel_speeds=np.full(4, 0.0 if t == 0 else 5.0)
+            return still._replace(
+                time_s=t, x=1.0 * t, heading=heading, wheel_speeds=np.full(4, 0.0 if t == 0 else 5.0)
             )
 
         monkeypatch.setattr("craftsim.models.sensing.measure", moving)

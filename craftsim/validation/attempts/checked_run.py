@@ -23,7 +23,7 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.joint import CarStep, JointSite
 from craftsim.skills.outcome import Outcome
 from craftsim.validation.attempts.contact_log import Contact, ContactLog
-from craftsim.validation.attempts.safety import Hazard, hazards
+from craftsim.validation.attempts.safety import Hazard, hazards, is_unsafe
 from craftsim.validation.attempts.surprises import handled, surprises
 
 SETTLED_M_S: Final = 0.01
@@ -89,7 +89,10 @@ class CheckedRun:
 
 
 class CheckedSite:
-    """A Site whose every action is predicted by the rules, performed by skills, read from poses, and compared."""
+    """A Site whose every action is predicted by the rules, performed by skills, read from poses, and compared.
+
+    An action ends as soon as something unsafe happens: all motors stop, and the world is read as it is then.
+    """
 
     def __init__(self, site: Site, rules: Rules, executor: Executor) -> None:
         """Read the start from poses; later predictions are made from what was read last."""
@@ -97,6 +100,7 @@ class CheckedSite:
         self.log = ContactLog(site)
         """Of the action that was performed last."""
         executor.observers.append(self.log.sample)
+        executor.guard = lambda: is_unsafe(self.log)
         self.poses, self.reading = self._look()
 
     def perform(self, tick: int, car: int, action: Action, intended: Grid | None = None) -> ActionRecord:
@@ -151,9 +155,9 @@ class CheckedSite:
         return self.poses, self.reading
 
     def _settle(self) -> bool:
-        """Wait for what still moves, and return whether it has come to rest."""
+        """Wait for what still moves, unless it is unsafe, and return whether it has come to rest."""
         for _ in range(round(SETTLE_S / self.site.config.control_period_s)):
-            if self.log.speed_m_s <= SETTLED_M_S:
+            if self.log.speed_m_s <= SETTLED_M_S or is_unsafe(self.log):
                 return True
             self.executor.advance()
         return self.log.speed_m_s <= SETTLED_M_S

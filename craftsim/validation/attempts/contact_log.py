@@ -105,6 +105,16 @@ class ContactLog:
         return float(self._peak.max())
 
     @property
+    def fall_m_s(self) -> float:
+        """The fastest that any machine moved down."""
+        return -float(self._fall.min(initial=0.0))
+
+    @property
+    def tilt_rad(self) -> float:
+        """The furthest that any machine leaned."""
+        return math.acos(max(-1.0, float(self._upright.min(initial=1.0))))
+
+    @property
     def falls_m_s(self) -> dict[str, float]:
         """The fastest that each machine moved down."""
         return {name: -float(v) for name, v in zip(self.names[2:], self._fall, strict=True)}

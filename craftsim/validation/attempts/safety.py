@@ -31,6 +31,11 @@ class Hazard:
     text: str
 
 
+def is_unsafe(log: ContactLog) -> bool:
+    """Return whether anything was unsafe since the log began; quicker than asking for all that was."""
+    return log.tilt_rad > TIPPED_RAD or log.fall_m_s > FALL_M_S or log.peak_n > IMPACT_N
+
+
 def hazards(log: ContactLog) -> tuple[Hazard, ...]:
     """Return all that was unsafe since the log began."""
     return tuple(_hazards(log))

@@ -71,14 +71,15 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
         if observer is not None:
             checked.executor.observers.append(observer)
         done = do_last(checked, bundle.recipe)
-    parts.append((AFTER, recorded.after, state_of(site)))
+        after = state_of(site)  # a film goes on
+    parts.append((AFTER, recorded.after, after))
     differing: list[str] = []
     for file, was, now in parts:
         _check_shapes(f"{recorded.folder / file}", was, now)
         differing += [f"{file}: {name}" for name in now if was[name].tobytes() != now[name].tobytes()]
     if bundle.attempts != done.attempts:
         differing.append("the attempts")
-    position_m, angle_rad = _apart(site.model, recorded.after["qpos"], site.data.qpos)
+    position_m, angle_rad = _apart(site.model, recorded.after["qpos"], after["qpos"])
     return Replay(
         changed=_changed(bundle.versions),
         differing=tuple(differing),
@@ -107,7 +108,7 @@ def _check_shapes(file: str, was: Arrays, now: Arrays) -> None:
             )
 
 
-def _apart(model: mujoco.MjModel, was: NDArray[np.generic], now: NDArray[np.float64]) -> tuple[float, float]:
+def _apart(model: mujoco.MjModel, was: NDArray[np.generic], now: NDArray[np.generic]) -> tuple[float, float]:
     """Return the largest distance and the largest angle between the poses of the free bodies of two states."""
     start = model.jnt_qposadr[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
     then, here = was[start[:, None] + np.arange(7)], now[start[:, None] + np.arange(7)]

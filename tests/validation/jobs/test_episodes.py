@@ -24,9 +24,9 @@ def test_four_cars_do_sixty_actions_as_predicted_and_nothing_drifts():
     record = run_episode(EpisodeTrial(seed=21, n_actions=60, n_cars=4))
     assert record.disagreement == ()
     assert record.n_actions >= 60
-    assert record.error_m <= 1.0e-3
-    assert record.worst_error_m <= 2.0e-3
-    assert record.car_error_m <= 1.0e-3
+    assert record.error_m <= 0.4e-3
+    assert record.worst_error_m <= 0.5e-3
+    assert record.car_error_m <= 0.5e-3
     assert 0.0 < record.early_error_m <= record.worst_error_m
     assert record.error_m <= record.worst_error_m
 

@@ -151,6 +151,10 @@ class BlockParameters:
         "the boss' foot and 0.1 mm of play on each side: a load wanders by it; the bevel centres what is off by more",
     )
     pocket_depth_m: float = assumed(0.006, "the boss' height and 1 mm")
+    foot_radius_m: float = assumed(
+        0.005,
+        "round feet 0.5 mm proud at the legs' outer corners: one point of contact each, and as wide a stand",
+    )
     foot_friction: float = assumed(
         0.8, "rubber feet; on bare plastic (0.4) a car that drives on top shoves its block by millimetres"
     )

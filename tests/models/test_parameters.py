@@ -116,7 +116,7 @@ SMARTCAR_FIGURES: Figures = {
 
 BLOCK_FIGURES: Figures = {
     "side_m": lambda m: extent(m, 0, "deck", "leg_fl", "leg_rl"),
-    "height_m": lambda m: level(m, "deck", np.max) - level(m, "leg_fl", np.min),
+    "height_m": lambda m: level(m, "deck", np.max) - (m.geom("foot_fl").pos[2] - m.geom("foot_fl").size[0]),
     "leg_side_m": lambda m: extent(m, 0, "leg_fl"),
     "leg_offset_m": lambda m: m.geom("leg_fl").pos[0],
     "underside_m": lambda m: level(m, "frame_front", np.min),
@@ -125,7 +125,8 @@ BLOCK_FIGURES: Figures = {
     "pocket_side_m": lambda m: 2 * level(m, "frame_front", np.min, axis=0),
     "pocket_depth_m": lambda m: level(m, "deck", np.min) - level(m, "frame_front", np.min),
     "friction": lambda m: m.geom("deck").friction[0],
-    "foot_friction": lambda m: m.geom("leg_rl").friction[0],
+    "foot_radius_m": lambda m: m.geom("foot_rl").size[0],
+    "foot_friction": lambda m: m.geom("foot_rl").friction[0],
 }
 
 

@@ -125,3 +125,22 @@ def test_a_plan_with_an_illegal_action_goes_on_and_does_not_agree():
     assert [record.legal for record in run.records] == [False, True]
     assert [record.verdict.agrees for record in run.records] == [False, True]
     assert not run.agrees
+
+
+def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
+    """A car drives off a block, which the rules forbid: it tips long before it is where it was to go."""
+    grid = Grid.empty((3, 1, 3), 2)
+    grid.cars[0, :4], grid.cars[1, :4] = (0, 0, 2, 0), (2, 0, 1, 0)
+    grid.kind[0, 0, 1] = Kind.BLOCK
+    grid.derive_marks()
+    site = Site(grid)
+    checked = CheckedSite(site, Rules("physical"), Executor(site))
+    goal = grid.copy()
+    goal.cars[0, 0] = 1
+    record = checked.perform(0, 0, Action.MOVE_RIGHT, intended=goal)
+    assert record.verdict.finding is Finding.UNSAFE
+    assert record.outcome.reason is Reason.STOPPED
+    assert record.outcome.duration_s == pytest.approx(site.time_s - site.config.settle_s)
+    assert 0.45 < checked.log.tilt_rad < 0.8 or 0.45 < checked.log.fall_m_s < 0.9
+    assert not site.data.ctrl.any()
+    assert not checked.executor.busy

@@ -1,0 +1,38 @@
+"""Tables stand firm on four round feet, alone, on each other, and under a loaded car."""
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.geometry import LEVEL_HEIGHT_M
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.config import SimulationConfig
+from craftsim.models.parameters import BLOCK
+from craftsim.models.site import Site
+
+GRAVITY = 9.81
+AWAKE = SimulationConfig(sleep=False)
+
+
+def test_a_block_rests_on_one_point_a_foot_that_bear_its_weight():
+    grid = Grid.empty((1, 1, 2), 0)
+    grid.kind[0, 0, 1] = Kind.BLOCK
+    site = Site(grid, AWAKE)
+    contact = site.data.contact
+    names = {site.model.geom(geom).name for geom in contact.geom.ravel()}
+    assert names == {"ground", *(f"block0/foot_{corner}" for corner in ("fl", "fr", "rl", "rr"))}
+    assert site.data.ncon == 4
+    borne = site.data.efc_force[contact.efc_address].sum()
+    assert borne == pytest.approx(BLOCK.mass_kg * GRAVITY, rel=0.01)
+
+
+def test_a_tower_of_two_under_a_loaded_car_sinks_by_less_than_a_fifth_of_a_millimetre():
+    """Feet that touch in one point sink four times as far as flat ones, unless their contact is four times as stiff."""
+    grid = Grid.empty((1, 1, 4), 1)
+    grid.kind[0, 0, 1:3] = Kind.BLOCK
+    grid.cars[0] = 0, 0, 3, 0, Kind.BLOCK, 0, 0
+    grid.derive_marks()
+    site = Site(grid, AWAKE)
+    for _ in range(50):
+        site.advance()
+    heights = sorted(float(site.free_body_state(block)[0][2]) for block in site.blocks)
+    assert np.abs(np.array(heights[:2]) - (0.0, LEVEL_HEIGHT_M)).max() < 2e-4

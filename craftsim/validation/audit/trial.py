@@ -62,10 +62,10 @@ def items_of(
 
 def recipe_of(job: Job) -> Recipe:
     """Return what a trial does: performing it gives what :func:`try_it` judges."""
-    grid, step = _world(job.situation, job.legal, job.seed, job.rules)
+    world, step = _start(job.situation, job.legal, job.seed, job.rules)
     physics, senses = np.random.SeedSequence([job.seed, _digest(job.situation), job.number]).spawn(2)
     return Recipe(
-        blueprint_text(grid),
+        world,
         (step,),
         job.settings,
         job.rules,
@@ -99,6 +99,13 @@ def _world(situation: Situation, legal: bool, seed: int, rules: RuleSet) -> tupl
     action = action_in(situation, grid)
     goal = None if legal else intended(grid, 0, action)
     return grid, Step.single(0, 0, action, goal)
+
+
+@lru_cache(maxsize=1)
+def _start(situation: Situation, legal: bool, seed: int, rules: RuleSet) -> tuple[str, Step]:
+    """Return the same with the world as text."""
+    grid, step = _world(situation, legal, seed, rules)
+    return blueprint_text(grid), step
 
 
 @lru_cache(maxsize=1)

@@ -9,13 +9,14 @@ forgotten. That the world before the last step is the same again is checked, not
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError, suggestion
-from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.files.blueprint import Blueprint, parse_blueprint
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
@@ -127,7 +128,13 @@ class Recipe:
 
 
 def _grid(text: str) -> Grid:
-    return parse_blueprint(text, "world of a recipe").grid(np.random.default_rng(0))
+    return _blueprint(text).grid(np.random.default_rng(0))
+
+
+@lru_cache(maxsize=2)
+def _blueprint(text: str) -> Blueprint:
+    """Return the blueprint of a world, or of an intended one; many trials start from the same."""
+    return parse_blueprint(text, "world of a recipe")
 
 
 def set_up(

@@ -12,6 +12,7 @@ from craftsim.models.sensing import CarMeasurement, Sensors
 from craftsim.models.site import Site
 from craftsim.skills.driving import Terrain
 from craftsim.skills.gains import Gains, load_gains
+from craftsim.skills.holding import Hold, on_incline
 from craftsim.skills.library import make_skill
 from craftsim.skills.localisation import Localiser
 from craftsim.skills.outcome import Outcome, Reason
@@ -47,9 +48,12 @@ class Executor:
         self._motor_share = 1 - math.exp(-period / noise.motor_lag_s) if noise.motor_lag_s else 1.0
         self._wheels = np.zeros((len(site.cars), 4))
         self._skills: dict[int, Skill] = {}
+        self._holds: dict[int, Hold] = {}
         self._docked: dict[int, int] = {}
         self._views: list[CarMeasurement] = []
         self._look()
+        for car in range(len(site.cars)):
+            self._park(car, self._view(car))
 
     def run(
         self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None
@@ -76,16 +80,24 @@ class Executor:
         skill = make_skill(action, self.gains, self.site.config.control_period_s, terrain)
         skill.start(self._view(car))
         self._skills[car] = skill
+        self._holds.pop(car, None)
 
     def advance(self) -> dict[int, Outcome]:
-        """Step every running skill, let one control period pass, and return the outcomes of those that have ended."""
+        """Step every running skill, let one control period pass, and return the outcomes of those that have ended.
+
+        Cars that stand on an incline are held.
+        """
         ended: dict[int, Outcome] = {}
+        for car, hold in self._holds.items():
+            now = self._view(car)
+            self._apply(car, Command(wheels=hold.step(now)), now.slope)
         for car, skill in list(self._skills.items()):
             now = self._view(car)
             self._apply(car, skill.step(now), now.slope)
             if skill.outcome is not None:
                 ended[car] = skill.outcome
                 del self._skills[car]
+                self._park(car, now)
         self.site.advance()
         self.sensors.observe()
         self._look()
@@ -101,6 +113,10 @@ class Executor:
         for car in stopped:
             self._apply(car, Command(), self._docked.get(car))
         return stopped
+
+    def _park(self, car: int, now: CarMeasurement) -> None:
+        if on_incline(now):
+            self._holds[car] = Hold(self.site.config.control_period_s)
 
     def _look(self) -> None:
         self._views = [loc.update(self.sensors.measure(car)) for car, loc in enumerate(self._localisers)]

@@ -187,6 +187,10 @@ class SlopeParameters:
         0.1055,
         "of the pads: 2.9 mm above a lowered board, and low enough that a raised one clears the incline",
     )
+    boss_play_m: float = assumed(
+        0.0002,
+        "beside the boss on each side; at half of it the bevelled stop wedges, with contact peaks of 650 N",
+    )
     base_mass_kg: float = published(1.0)
     flap_mass_kg: float = published(0.1)
     gear_radius_m: float = published(0.02)

@@ -112,6 +112,7 @@ class Executor:
         self._skills.clear()
         for car in stopped:
             self._apply(car, Command(), self._docked.get(car))
+            self._park(car, self._view(car))
         return stopped
 
     def _park(self, car: int, now: CarMeasurement) -> None:

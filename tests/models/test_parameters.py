@@ -152,6 +152,7 @@ SLOPE_FIGURES: Figures = {
     "incline_rad": lambda m: incline(corners(m, "incline")),
     "skin_m": skin,
     "underside_m": lambda m: level(m, "pad_left", np.min),
+    "boss_play_m": lambda m: level(m, "pad_left", np.min, axis=1) - SMARTCAR.boss_side_m / 2,
     "base_mass_kg": lambda m: m.body("slope").mass[0],
     "flap_mass_kg": lambda m: m.body("flap").mass[0],
     "gear_radius_m": lambda m: m.geom("gear_left").size[0],

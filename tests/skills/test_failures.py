@@ -130,6 +130,23 @@ def test_wheels_that_cannot_brake_time_out_a_stop():
     assert skill.outcome.reason is Reason.TIMEOUT
 
 
+def test_a_car_that_is_close_enough_brakes_while_two_wheels_slip_on_the_spot():
+    """Otherwise it corrects its last fifth of a millimetre until its time is up."""
+    skill = _skill(RIGHT)
+    skill.start(CALM)
+    slipping = CALM._replace(wheel_speeds=(0.08, 0.0, 0.0, 0.08))
+    drives = True
+    while drives and skill.outcome is None:
+        now = slipping._replace(x=skill._reference(skill.elapsed_s)[0] - 0.0002)
+        drives = any(skill.step(now).wheels)
+    assert skill.outcome is None
+    assert skill.elapsed_s < 1.8
+    for _ in range(2):
+        skill.step(now._replace(wheel_speeds=(0.0, 0.0, 0.0, 0.0)))
+    assert skill.outcome is not None
+    assert skill.outcome.succeeded
+
+
 def test_a_car_without_wheel_torque_cannot_keep_to_its_path(make_site):
     site = make_site((2, 1, 1), [(0, 0, 1, 0)])
     _weaken_wheels(site, 0.0)

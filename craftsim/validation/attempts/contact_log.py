@@ -60,8 +60,8 @@ class ContactLog:
         self._pair = np.where(low == high, -1, low * len(self.names) + high)
         """By two geoms: the pair of their machines, -1 inside one machine."""
         joints = [int(model.body_jntadr[body]) for body in number]
-        self._qpos = np.array([model.jnt_qposadr[j] for j in joints], np.intp)
-        self._dof = np.array([model.jnt_dofadr[j] for j in joints], np.intp)
+        self._pose_address = np.array([model.jnt_qposadr[j] for j in joints], np.intp)
+        self._velocity_address = np.array([model.jnt_dofadr[j] for j in joints], np.intp)
         self.begin()
 
     def begin(self) -> None:
@@ -79,8 +79,8 @@ class ContactLog:
         """Look at the Site as it is; call it after each control period, such as by being an executor's observer."""
         data = self.site.data
         self._note(data)
-        np.minimum(self._fall, data.qvel[self._dof + 2], out=self._fall)
-        tilt_x, tilt_y = data.qpos[self._qpos + 4], data.qpos[self._qpos + 5]
+        np.minimum(self._fall, data.qvel[self._velocity_address + 2], out=self._fall)
+        tilt_x, tilt_y = data.qpos[self._pose_address + 4], data.qpos[self._pose_address + 5]
         np.minimum(self._upright, 1 - 2 * (tilt_x * tilt_x + tilt_y * tilt_y), out=self._upright)
 
     @property
@@ -128,7 +128,7 @@ class ContactLog:
     @property
     def speed_m_s(self) -> float:
         """How fast the fastest machine moves now."""
-        velocity = self.site.data.qvel[self._dof[:, None] + np.arange(3)]
+        velocity = self.site.data.qvel[self._velocity_address[:, None] + np.arange(3)]
         return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
 
     def write(self, path: Path) -> None:

@@ -19,7 +19,8 @@ IMPACT_N: Final = 2 * (
 )
 """How hard two machines may press on each other, 627 N. The heaviest loaded car weighs 112 N and its wheel motors push
 with 202 N at most. What is put on at once loads a stiff contact up to twice as much as it does at rest; more can only
-come from the motion of something that is stopped. A car that drives briskly reaches 290 N on its rollers."""
+come from the motion of something that is stopped. Of the actions that go well in the audit of the
+physical rules, 99 of 100 stay below 470 N whatever they are, and the hardest reaches 594 N."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.skill import GRAVITY
 from craftsim.validation.attempts.contact_log import ContactLog
-from craftsim.validation.attempts.safety import FALL_M_S, TIPPED_RAD, hazards
+from craftsim.validation.attempts.safety import FALL_M_S, TIPPED_RAD, hazards, is_unsafe
 
 SIZE = (4, 3, 3)
 
@@ -78,6 +78,7 @@ def test_a_lift_touches_the_load_and_parts_it_from_the_ground():
     log.begin()
     assert ("ground", "block 0") not in _pairs(log)
     assert not hazards(log)
+    assert not is_unsafe(log)
 
 
 def test_a_car_that_runs_into_a_wall_presses_on_it():
@@ -102,6 +103,7 @@ def test_a_fall_and_a_tip_are_hazards_with_the_name_of_what_fell():
     assert log.falls_m_s["block 1"] > FALL_M_S > log.falls_m_s["block 0"]
     assert log.tilts_rad["block 1"] > TIPPED_RAD > log.tilts_rad["car 0"]
     assert {hazard.machines for hazard in hazards(log)} >= {("block 1",)}
+    assert is_unsafe(log)
     assert ("ground", "block 1") in _pairs(log)
     log.begin()
     assert log.falls_m_s["block 1"] == 0

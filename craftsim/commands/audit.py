@@ -18,7 +18,7 @@ from craftsim.validation.campaign import Engine
 
 if TYPE_CHECKING:
     from craftsim.validation.audit.rows import Row
-    from craftsim.validation.html.provenance import Provenance
+    from craftsim.validation.html.run_description import RunDescription
 
 ActionName = Literal["LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP"]
 
@@ -50,7 +50,7 @@ def audit(
         actions: only these actions.
         contexts: only rows whose name matches, such as '*load=block*room=tight'.
         trials: at least how many for each row; each of its contexts is tried at least once.
-        randomize: how noisy the senses and how random the physics are.
+        randomize: how noisy the sensors and how random the physics are.
         rules: the rule set to audit.
         quick: try a small sample of the rows, once each.
         workers: processes to share the work; results do not depend on it.
@@ -68,6 +68,7 @@ def audit(
     filming = video and rendering_works(console)
 
     # MuJoCo must not be imported before the rendering backend is chosen.
+    from craftsim.checking.settings import SETTINGS
     from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.validate_films import film_failures
     from craftsim.skills.gains import load_gains
@@ -78,7 +79,6 @@ def audit(
     from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
-    from craftsim.validation.settings import SETTINGS
     from craftsim.validation.statistics.durations import write_durations
     from craftsim.validation.statistics.figures import campaign_figures
 
@@ -164,9 +164,9 @@ def _verbs(actions: tuple[ActionName, ...]) -> list[str]:
     return [*actions, *(moves if "MOVE" in actions else [])]
 
 
-def _provenance(config: dict[str, Any], seed: int, against: Path | None) -> Provenance:
+def _provenance(config: dict[str, Any], seed: int, against: Path | None) -> RunDescription:
     from craftsim.report import plain
-    from craftsim.validation.html.provenance import Provenance
+    from craftsim.validation.html.run_description import RunDescription
 
     words = ["craftsim", "audit", "--rules", config["rules"], "--randomize", config["randomize"]]
     words += ["--actions", *config["actions"]] if config["actions"] else []
@@ -175,4 +175,4 @@ def _provenance(config: dict[str, Any], seed: int, against: Path | None) -> Prov
     words += ["--seed", str(seed)]
     words += ["--against", str(against)] if against else []
     told = {key: value for key, value in plain(config).items() if key != "settings"}
-    return Provenance(shlex.join(words), seed, told, plain(config["settings"].thresholds))
+    return RunDescription(shlex.join(words), seed, told, plain(config["settings"].thresholds))

@@ -91,7 +91,7 @@ def bench(
         case "durations":
             import yaml
 
-            from craftsim.skills.nominal import measure_durations
+            from craftsim.checking.nominal import measure_durations
 
             figures = measure_durations()
             console.print(yaml.safe_dump(figures, sort_keys=False), end="")

@@ -13,10 +13,10 @@ from craftsim.discrete.errors import CraftsimError
 
 def bench_workers(console: Console, runs: int, seed: int) -> dict[str, float]:
     """Build ``strip`` so many times with one worker and with two; return wall times, starts of processes included."""
+    from craftsim.checking.settings import MILDLY
     from craftsim.validation.campaign import Header, run_campaign
     from craftsim.validation.runs.choice import PLANNER, items_of, policy_pilot, subjects_of
     from craftsim.validation.runs.run import Terms, do_run
-    from craftsim.validation.settings import MILDLY
 
     subjects = subjects_of(["strip"])
     pilots = [policy_pilot(PLANNER, subjects)]

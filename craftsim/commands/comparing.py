@@ -10,14 +10,16 @@ from rich.console import Console
 
 from craftsim.commands.campaigning import CampaignCommand
 from craftsim.discrete.errors import InputError
-from craftsim.validation.campaign import Finished, Item, TrialRecord, read_finished
+from craftsim.validation.campaign import FinishedCampaign, Item, TrialRecord, read_finished
 from craftsim.validation.campaign.store import CAMPAIGN, read_header
 
 if TYPE_CHECKING:
     from craftsim.validation.statistics.paired import Comparison
 
 
-def read_against(command: CampaignCommand, against: Path | None, items: Sequence[Item]) -> Finished | None:
+def read_against(
+    command: CampaignCommand, against: Path | None, items: Sequence[Item]
+) -> FinishedCampaign | None:
     """Return the earlier run, None where none is asked for; call this before this run begins.
 
     Raises InputError where the folder holds none, or none that has pairs with the items to be tried.
@@ -41,14 +43,14 @@ def read_against(command: CampaignCommand, against: Path | None, items: Sequence
 
 
 def compare(
-    command: CampaignCommand, earlier: Finished | None, records: list[TrialRecord]
+    command: CampaignCommand, earlier: FinishedCampaign | None, records: list[TrialRecord]
 ) -> Comparison | None:
     """Return how the records of this run, which has ended, compare with those of an earlier one."""
     from craftsim.validation.statistics.paired import compare_runs
 
     if earlier is None:
         return None
-    return compare_runs(earlier, Finished(command.out, read_header(command.out / CAMPAIGN), records))
+    return compare_runs(earlier, FinishedCampaign(command.out, read_header(command.out / CAMPAIGN), records))
 
 
 def print_comparison(console: Console, comparison: Comparison | None) -> None:

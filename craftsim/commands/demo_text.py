@@ -8,7 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from craftsim.validation.attempts.checked_run import CheckedRun
+from craftsim.checking.checked_run import CheckedRun
 from craftsim.validation.jobs.figures import job_figures
 from craftsim.validation.jobs.job import Job, JobResult
 

@@ -36,7 +36,7 @@ def episodes(
         actions: of each.
         cars: in each, from 1 to 8.
         seed: the first of that many seeds in a row.
-        noise: draw senses and physics from the seed.
+        noise: draw sensors and physics from the seed.
         workers: processes to share the work; results do not depend on it.
         engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
         resume: go on with what an interrupted run has left in the output folder.

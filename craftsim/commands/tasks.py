@@ -26,14 +26,14 @@ def tasks(
 ) -> int:
     """Build the paper's tasks in physics, many cars at once, under noise and randomised physics.
 
-    Each task is also built twice under exact senses and nominal physics, one action after the other and
+    Each task is also built twice under exact sensors and nominal physics, one action after the other and
     concurrently, to compare how long that takes. Exit status 0 when every building reached its goal.
 
     Args:
         task: which one.
         seeds: how many times to build each.
         seed: the first of that many seeds in a row.
-        noise: draw senses and physics from the seed; without it all seeds are alike.
+        noise: draw sensors and physics from the seed; without it all seeds are alike.
         workers: processes to share the work; results do not depend on it.
         engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
         resume: go on with what an interrupted run has left in the output folder.

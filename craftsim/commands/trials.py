@@ -49,7 +49,7 @@ def trials(
         seed: decides the places, and with noise the physics and the noise, of all trials.
         workers: processes to share the work; results do not depend on it.
         engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
-        noise: randomise the physics, and give the cars noisy senses.
+        noise: randomise the physics, and give the cars noisy sensors.
         actions: only these actions.
         contexts: only contexts whose name matches, such as '*load=block*room=tight'.
         at_least: the success rate to reach; 0.999, or 0.99 with noise, unless given.

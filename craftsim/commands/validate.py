@@ -18,7 +18,7 @@ from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.validation.campaign import Engine
 
 if TYPE_CHECKING:
-    from craftsim.validation.html.provenance import Provenance
+    from craftsim.validation.html.run_description import RunDescription
 
 Video = Literal["none", "failures", "all"]
 
@@ -54,7 +54,7 @@ def validate(
         policy: 'random', 'planner' (the shipped plan), 'module:function', or a file that 'craftsim train' wrote;
             several are compared with each other. The planner unless given.
         trials: how many runs of each.
-        randomize: how noisy the senses and how random the physics are.
+        randomize: how noisy the sensors and how random the physics are.
         rules: the rule set that predicts, and by which policies may act.
         workers: processes to share the work; results do not depend on it.
         engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
@@ -79,6 +79,7 @@ def validate(
     sys.path.insert(0, os.getcwd())
 
     # MuJoCo must not be imported before the rendering backend is chosen.
+    from craftsim.checking.settings import SETTINGS
     from craftsim.commands.validate_films import film_failures, film_runs
     from craftsim.commands.validate_text import print_disagreements, runs_table
     from craftsim.skills.gains import load_gains
@@ -93,7 +94,6 @@ def validate(
         subjects_of,
     )
     from craftsim.validation.runs.run import Terms, do_run
-    from craftsim.validation.settings import SETTINGS
     from craftsim.validation.statistics.durations import write_durations
     from craftsim.validation.statistics.figures import campaign_figures
 
@@ -137,12 +137,12 @@ def validate(
     return 0 if agree == len(records) else 1
 
 
-def _provenance(config: dict[str, Any], seed: int, against: Path | None) -> Provenance:
+def _provenance(config: dict[str, Any], seed: int, against: Path | None) -> RunDescription:
     from craftsim.report import plain
-    from craftsim.validation.html.provenance import Provenance
+    from craftsim.validation.html.run_description import RunDescription
 
     words = ["craftsim", "validate", *config["blueprints"], "--trials", str(config["trials"])]
     words += ["--randomize", config["randomize"], "--rules", config["rules"], "--seed", str(seed)]
     words += ["--against", str(against)] if against else []
     told = {key: value for key, value in plain(config).items() if key != "settings"}
-    return Provenance(shlex.join(words), seed, told, plain(config["settings"].thresholds))
+    return RunDescription(shlex.join(words), seed, told, plain(config["settings"].thresholds))

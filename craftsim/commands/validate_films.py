@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from craftsim.checking.recipe import Act, Step, do, prepare
 from craftsim.commands.filming import film_bundle
 from craftsim.commands.progress import counting
 from craftsim.models.site import Site
@@ -15,7 +16,6 @@ from craftsim.rendering.film import Film
 from craftsim.report import output_directory
 from craftsim.validation.campaign import Item, TrialRecord
 from craftsim.validation.replays.bundle import FILM, read_bundle
-from craftsim.validation.replays.recipe import Act, Step, do, prepare
 from craftsim.validation.runs.run import Run, start_recipe
 
 FILMS = "films"

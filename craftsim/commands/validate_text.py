@@ -9,7 +9,7 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 from craftsim.validation.campaign import TrialRecord
 
 _SHOWN: Final = 20

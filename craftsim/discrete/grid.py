@@ -105,7 +105,9 @@ class Grid:
         """Overwrite both marks with what follows from the visible state."""
         from craftsim.discrete.rules import cells
 
-        cells.derive_marks(cells.World(self.kind, self.yaw, self.top, self.back, self.cars, cells.Law()))
+        cells.derive_marks(
+            cells.World(self.kind, self.yaw, self.top, self.back, self.cars, cells.RuleFlags())
+        )
 
     def same_visible(self, other: Grid) -> bool:
         """Return whether objects and cars are equal; marks are not compared."""

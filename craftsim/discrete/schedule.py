@@ -24,7 +24,7 @@ wrong, all of a tick together and tick after tick."""
 
 
 @dataclass(frozen=True)
-class Step:
+class ScheduledAction:
     """One legal action of a schedule."""
 
     tick: int
@@ -48,7 +48,7 @@ class Step:
 class Schedule:
     """The legal actions of a plan with their dependencies, and those that the rules forbid when their turn comes."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[ScheduledAction, ...]
     forbidden: tuple[tuple[int, int, Action], ...]
     """(tick, car, action) of what is left out."""
     final: Grid
@@ -59,7 +59,7 @@ def make_schedule(
     grid: Grid, ticks: Iterable[Sequence[tuple[int, Action]]], rules: Rules, order: Order = "concurrent"
 ) -> Schedule:
     """Return the schedule of a plan's ticks, each a sequence of (car, action) in acting order, from a world."""
-    steps: list[Step] = []
+    steps: list[ScheduledAction] = []
     forbidden = []
     for tick, joint in enumerate(ticks):
         for car, action in joint:
@@ -69,12 +69,14 @@ def make_schedule(
             after = rules.apply(grid, car, action)
             needs = footprint(grid, after, car, action)
             waits = frozenset(_predecessors(steps, tick, car, needs, order))
-            steps.append(Step(tick, car, action, grid, after, needs, waits))
+            steps.append(ScheduledAction(tick, car, action, grid, after, needs, waits))
             grid = after
     return Schedule(tuple(steps), tuple(forbidden), grid)
 
 
-def _predecessors(steps: list[Step], tick: int, car: int, needs: Footprint, order: Order) -> Iterable[int]:
+def _predecessors(
+    steps: list[ScheduledAction], tick: int, car: int, needs: Footprint, order: Order
+) -> Iterable[int]:
     match order:
         case "sequential":
             return range(len(steps) - 1, len(steps)) if steps else ()

@@ -23,7 +23,7 @@ def reached_worlds(
     keeps the worlds in a file.
 
     Args:
-        env: on physics, with noise and a spread, it reaches what skills make of it there.
+        env: on physics, with noise and a randomization, it reaches what skills make of it there.
         act: the policy, from the observations by agent to the actions by agent.
         ticks: how many ticks to play, over as many episodes as that takes.
         seed: seed of the environment.

@@ -26,7 +26,7 @@ from craftsim.envs.grid_backend import GridBackend
 if TYPE_CHECKING:
     from craftsim.models.config import SimulationConfig
     from craftsim.models.noise import SensorNoise
-    from craftsim.models.variation import Spread
+    from craftsim.models.randomization import DomainRandomization
 
 BackendName = Literal["physics", "grid"]
 RenderMode = Literal["rgb_array", "human", "ansi"]
@@ -49,8 +49,8 @@ class Options:
     """What a simulated second costs."""
     render_mode: RenderMode | None = None
     noise: SensorNoise | None = None
-    """Noise of the cars' senses and motors; physics only."""
-    spread: Spread | None = None
+    """Noise of the cars' sensors and motors; physics only."""
+    randomization: DomainRandomization | None = None
     """How far the physics of each episode is drawn from the nominal one; physics only."""
     config: SimulationConfig | None = None
     """How the physics is computed; physics only."""
@@ -69,7 +69,7 @@ class Options:
             raise InputError(f"helper_depth is {depth!r}; allowed: None, or 0 and more")
         if not (isinstance(weight, int | float) and 0 <= weight < math.inf):
             raise InputError(f"time_weight is {weight!r}; allowed: 0 and more, and finite")
-        for name in ("noise", "spread", "config"):
+        for name in ("noise", "randomization", "config"):
             if self.backend == "grid" and getattr(self, name) is not None:
                 raise InputError(
                     f"the grid backend knows no '{name}'; leave it out, or take backend='physics'"
@@ -97,16 +97,20 @@ class Options:
         from craftsim.envs.physics_backend import PhysicsBackend
         from craftsim.models.config import SimulationConfig
         from craftsim.models.noise import SensorNoise
-        from craftsim.models.variation import Spread
+        from craftsim.models.randomization import DomainRandomization
 
-        for name, kind in (("noise", SensorNoise), ("spread", Spread), ("config", SimulationConfig)):
+        for name, kind in (
+            ("noise", SensorNoise),
+            ("randomization", DomainRandomization),
+            ("config", SimulationConfig),
+        ):
             value = getattr(self, name)
             if value is not None and not isinstance(value, kind):
                 raise InputError(f"the option '{name}' must be a {kind.__name__}, not {value!r}")
         goals = [target.cell for target in task.design.targets] if task.design else [task.starts[0].goal]
         floor = [cell for cell in goals if cell is not None and cell[2] == 1]
         return PhysicsBackend(
-            Rules(self.rule_set), self.helper_depth, self.noise, self.spread, self.config, floor
+            Rules(self.rule_set), self.helper_depth, self.noise, self.randomization, self.config, floor
         )
 
 

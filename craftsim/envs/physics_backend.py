@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.checking.joint import CarStep, JointSite, JointStep
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Cell, Grid
@@ -20,12 +21,11 @@ from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
 from craftsim.models.config import SimulationConfig
 from craftsim.models.noise import EXACT, SensorNoise
+from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site, SiteState
-from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
-from craftsim.skills.joint import CarStep, JointSite, JointStep
 
 if TYPE_CHECKING:
     from mujoco.viewer import Handle
@@ -42,12 +42,12 @@ class PhysicsBackend:
         rules: Rules,
         helper_depth: int | None,
         noise: SensorNoise | None = None,
-        spread: Spread | None = None,
+        randomization: DomainRandomization | None = None,
         config: SimulationConfig | None = None,
         goals: Sequence[Cell] = (),
     ) -> None:
-        """Prepare for episodes with this noise of the senses and this spread of the physics; none unless given."""
-        self.rules, self.noise, self.spread, self.config = rules, noise or EXACT, spread, config
+        """Prepare for episodes with this sensor noise and domain randomization, none unless given."""
+        self.rules, self.noise, self.randomization, self.config = rules, noise or EXACT, randomization, config
         self.goals = goals
         self._gains = load_gains()
         self._planner = None if helper_depth is None else Planner(rules, helper_depth)
@@ -61,14 +61,14 @@ class PhysicsBackend:
         """Begin an episode; a Site is compiled only when the start is another than the last one's."""
         if self._start is None or not self._start.same_visible(grid):
             self.close()
-            self._site = Site(grid, self.config, self.goals, reset=self.spread is None)
-            self._varied = Varied(self._site)
-            self._rested = self._site.save() if self.spread is None else None
+            self._site = Site(grid, self.config, self.goals, reset=self.randomization is None)
+            self._varied = RandomizedSite(self._site)
+            self._rested = self._site.save() if self.randomization is None else None
             self._start = grid.copy()
         if self._rested is not None:
             self._site.restore(self._rested)
-        elif self.spread is not None:
-            self._varied.draw(self.spread, rng)
+        elif self.randomization is not None:
+            self._varied.draw(self.randomization, rng)
         sensors = Sensors(self._site, self.noise, rng)
         executor = Executor(self._site, self._gains, self._observe, sensors)
         self.world = JointSite(self._site, self.rules, executor)

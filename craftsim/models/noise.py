@@ -1,4 +1,4 @@
-"""What is imperfect about a robot's senses and motors: declared, seeded, off unless asked for."""
+"""What is imperfect about a robot's sensors and motors: declared, seeded, off unless asked for."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from craftsim.discrete.errors import InputError
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Noise, delay and lag of one car's senses and motors; hashable. Raises InputError for a negative figure.
+    """Noise, delay and lag of one car's sensors and motors; hashable. Raises InputError for a negative figure.
 
     They concern localisation (at the control rate of 50 Hz), wheel encoders and wheel motors. Pitch and roll, board and
     hinge are read as they are: good inclinometers and encoders err far less than localisation does.

@@ -98,7 +98,7 @@ def _drive_force(site: Site, drive: Drive) -> float:
 
 
 class Sensors:
-    """The senses of all cars of a Site; :meth:`observe` takes one set of readings each control period."""
+    """The sensors of all cars of a Site; :meth:`observe` takes one set of readings each control period."""
 
     def __init__(
         self, site: Site, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None

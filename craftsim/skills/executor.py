@@ -33,7 +33,7 @@ class Executor:
         observer: Observer | None = None,
         sensors: Sensors | None = None,
     ) -> None:
-        """Run on a Site with these gains and senses (exact ones unless given).
+        """Run on a Site with these gains and sensors (exact ones unless given).
 
         ``observer`` is called after every control period; :attr:`observers` takes more of them.
         """

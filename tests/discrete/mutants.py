@@ -117,7 +117,7 @@ MUTANTS: Final = (
     Mutant(
         "a load turns beside no car",
         "rules/legality.py",
-        "if next_to_me and (not bare or w.law.turning_load):",
+        "if next_to_me and (not bare or w.flags.turning_load):",
         "if next_to_me and not bare:",
     ),
     Mutant(

@@ -16,7 +16,7 @@ needs_compiler = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is
 
 @needs_compiler
 def test_the_cache_is_stamped_with_a_digest_of_every_source(tmp_path, monkeypatch):
-    assert legal._cache._cache_file._source_stamp == compiled._source_digest()
+    assert legal._cache._cache_file._version.endswith(compiled._source_digest())
     (tmp_path / "rules").mkdir()
     for name in ("rules/compiled.py", "grid.py"):
         (tmp_path / name).write_text("1")

@@ -11,10 +11,10 @@ import pytest
 from craftsim.discrete.records.conformance import QUIRK_TAGS, Checker
 from craftsim.discrete.records.traces import read_records
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.cells import Law
+from craftsim.discrete.rules.cells import RuleFlags
 
 DATA = Path(__file__).parents[1] / "data"
-DERIVED = Law(derived_marks=True)
+DERIVED = RuleFlags(derived_marks=True)
 FILES = (DATA / "traces.jsonl.gz", DATA / "plans.jsonl.gz")
 RECORDED = {"swinging_flap", "turning_load", "ramp_below_gear", "lasting_gears"}
 """Corrections of what happens in the recordings at all."""

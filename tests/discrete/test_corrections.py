@@ -4,7 +4,7 @@ import pytest
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.rules import LAWS, Rules
+from craftsim.discrete.rules import RULE_FLAGS, Rules
 
 PUBLISHED, PHYSICAL = Rules("published"), Rules("physical")
 AIR, BLOCK, FLAG, FSLOPE, GEAR, BODY, FOOT, WALL = (
@@ -27,8 +27,8 @@ RAMP = [(BLOCK, (1, 3, 1)), (BODY, (2, 3, 1), 0)]
 
 def allows(grid, car, action, without=None):
     """Return whether published allows an action, and whether physical does, but for one switch."""
-    law = LAWS["physical"]._replace(**{without: False}) if without else None
-    return tuple(bool(r.legal(grid, car, action)) for r in (PUBLISHED, Rules("physical", law)))
+    flags = RULE_FLAGS["physical"]._replace(**{without: False}) if without else None
+    return tuple(bool(r.legal(grid, car, action)) for r in (PUBLISHED, Rules("physical", flags)))
 
 
 def corrected(grid, car, action, switch):
@@ -38,8 +38,8 @@ def corrected(grid, car, action, switch):
 
 
 def test_published_has_no_correction_and_physical_has_all():
-    assert not any(LAWS["published"])
-    assert all(LAWS["physical"])
+    assert not any(RULE_FLAGS["published"])
+    assert all(RULE_FLAGS["physical"])
 
 
 @SWINGS

@@ -28,9 +28,9 @@ STOP = int(Action.STOP)
         ({"helper_depth": 2.5}, "0 and more"),
         ({"time_weight": float("nan")}, "finite"),
         ({"time_weight": "much"}, "finite"),
-        ({"spread": object()}, "backend='physics'"),
+        ({"randomization": object()}, "backend='physics'"),
         ({"backend": "physics", "noise": 0.1}, "must be a SensorNoise"),
-        ({"backend": "physics", "spread": 0.1}, "must be a Spread"),
+        ({"backend": "physics", "randomization": 0.1}, "must be a DomainRandomization"),
         ({"backend": "physics", "config": {"sleep": False}}, "must be a SimulationConfig"),
     ],
 )

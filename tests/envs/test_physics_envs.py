@@ -12,7 +12,7 @@ from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.models.noise import NOISY
-from craftsim.models.variation import Spread
+from craftsim.models.randomization import DomainRandomization
 from craftsim.testing import check_api, check_deterministic, check_masks, check_skills, random_policy
 
 STOP = int(Action.STOP)
@@ -77,7 +77,7 @@ def test_a_policy_moves_from_the_grid_to_physics_without_a_change(helper_depth):
 
 def test_noise_and_varied_physics_are_drawn_anew_for_every_episode_from_the_seed():
     def make():
-        return parallel_env(_level("strip"), "physics", noise=NOISY, spread=Spread())
+        return parallel_env(_level("strip"), "physics", noise=NOISY, randomization=DomainRandomization())
 
     check_deterministic(make, episodes=2, ticks=2)
     env = make()

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from craftsim.checking.nominal import measure_durations
 from craftsim.cli import main
 from craftsim.discrete.actions import Action
 from craftsim.discrete.durations import SITUATIONS, nominal_durations, tick_durations, verb
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.tasks import make_task
 from craftsim.envs.timing import time_physics
-from craftsim.skills.nominal import measure_durations
 
 
 def test_the_shipped_durations_are_what_physics_takes():

@@ -93,7 +93,7 @@ def test_hub_and_rollers_make_a_solid_cylinder(open_part, wheel):
 
 @pytest.mark.parametrize("part", ["block", "flag"])
 def test_a_table_has_the_inertia_of_its_deck_and_legs(open_part, part):
-    """0.5 kg of deck and frame, spread by volume, on four legs of 0.001 kg (published). Band: 0.1 %."""
+    """0.5 kg of deck and frame, randomization by volume, on four legs of 0.001 kg (published). Band: 0.1 %."""
     model = open_part(part)
     geoms = colliding(model, part)
     legs = [g for g in geoms if g.startswith("leg")]
@@ -109,7 +109,7 @@ def test_a_table_has_the_inertia_of_its_deck_and_legs(open_part, part):
 
 @pytest.mark.parametrize(("body", "mass_kg"), [("slope", SLOPE.base_mass_kg), ("flap", SLOPE.flap_mass_kg)])
 def test_the_slopes_bodies_are_uniform_solids(open_part, body, mass_kg):
-    """Base 1.0 kg, flap 0.1 kg (published), spread by volume over convex solids. Band: 0.2 %."""
+    """Base 1.0 kg, flap 0.1 kg (published), randomization by volume over convex solids. Band: 0.2 %."""
     model = open_part("slope")
     mass, centre, inertia = of_solids(uniform(model, colliding(model, body), mass_kg))
     found_mass, found_centre, found = of_bodies(model, [model.body(body).id])

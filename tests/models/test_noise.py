@@ -1,4 +1,4 @@
-"""Noisy senses are as noisy and as late as declared, and equal seeds give equal readings."""
+"""Noisy sensors are as noisy and as late as declared, and equal seeds give equal readings."""
 
 import math
 from dataclasses import fields, replace

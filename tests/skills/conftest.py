@@ -5,11 +5,11 @@ from collections.abc import Callable
 import pytest
 from drawn import draw
 
+from craftsim.checking.checked_run import CheckedSite
 from craftsim.discrete.rules import Rules
 from craftsim.models.config import SimulationConfig
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
-from craftsim.validation.attempts.checked_run import CheckedSite
 
 
 def _site(size, cars, objects=(), config: SimulationConfig | None = None) -> Site:

@@ -7,6 +7,7 @@ from importlib.resources import as_file, files
 import numpy as np
 import pytest
 
+from craftsim.checking.checked_run import ActionRecord, CheckedRun, CheckedSite, run_plan
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import Design, read_design
@@ -17,7 +18,6 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
-from craftsim.validation.attempts.checked_run import ActionRecord, CheckedRun, CheckedSite, run_plan
 
 NAME = "simple_two_story"
 

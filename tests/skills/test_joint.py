@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from craftsim.checking.joint import JointSite
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
-from craftsim.skills.joint import JointSite
 from craftsim.skills.outcome import Reason
 
 RULES = Rules("physical")

@@ -5,18 +5,18 @@ import math
 import numpy as np
 import pytest
 
+from craftsim.checking.checked_run import CheckedSite
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.models.noise import NOISY, SensorNoise
+from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.sensing import CarMeasurement, Sensors, measure
 from craftsim.models.site import Site
-from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
 from craftsim.skills.localisation import Localiser
 from craftsim.skills.mecanum import wheel_speeds
 from craftsim.skills.profile import Profile
-from craftsim.validation.attempts.checked_run import CheckedSite
 
 PERIOD_S = 0.02
 LATE = SensorNoise(position_m=0.001, heading_rad=0.003, min_delay_s=0.03, max_delay_s=0.03)
@@ -174,9 +174,9 @@ PLANS = (
 @pytest.mark.parametrize("seed", range(12))
 def test_under_noise_and_randomised_physics_actions_succeed_within_three_deviations(seed):
     site = Site(_yard())
-    physics, senses = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    Varied(site).draw(Spread(), physics)
-    checked = CheckedSite(site, Rules("physical"), Executor(site, sensors=Sensors(site, NOISY, senses)))
+    physics, sensors = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    RandomizedSite(site).draw(DomainRandomization(), physics)
+    checked = CheckedSite(site, Rules("physical"), Executor(site, sensors=Sensors(site, NOISY, sensors)))
     for tick, action in enumerate(PLANS[seed % 3]):
         record = checked.perform(tick, 0, action)
         assert record.legal

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 
 VERBS = ("LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP")
 SECONDS = dict(zip(VERBS, (0.7, 0.7, 11.0, 11.0, 0.9, 0.9, 0.95, 0.04), strict=True))

@@ -91,7 +91,7 @@ def run_helper_tick(
     for turn in range(cars.shape[0]):
         car = cars[turn]
         applied[turn] = act_with_helper(w, car, actions[turn], queues[car], space, limit)
-    if w.law.derived_marks:
+    if w.flags.derived_marks:
         derive_marks(w)
 
 
@@ -124,7 +124,7 @@ class Planner:
             raise ValueError(f"{action!r} is not one of the four moves")
         check_car(grid, car)
         space = self._space(grid)
-        world = world_of(grid, self.rules.law)
+        world = world_of(grid, self.rules.flags)
         return self._read(space, plan_move(world, car, space, int(action), self.depth))
 
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
@@ -144,12 +144,12 @@ class Planner:
         """Return the primitives that bring a car to a cell, or None if the helper finds no way."""
         check_car(grid, car)
         space = self._space(grid)
-        return self._read(space, search(world_of(grid, self.rules.law), car, space, *cell, self.depth))
+        return self._read(space, search(world_of(grid, self.rules.flags), car, space, *cell, self.depth))
 
     def reachable(self, grid: Grid) -> NDArray[np.bool_]:
         """Return (n_cars, 15): legal actions, and moves that are not legal but have a plan."""
         mask = self.rules.mask(grid)
-        fill_reachable(world_of(grid, self.rules.law), self._space(grid), self.depth, mask)
+        fill_reachable(world_of(grid, self.rules.flags), self._space(grid), self.depth, mask)
         return mask
 
     def surroundings(self, grid: Grid, car: int, view: int) -> NDArray[np.bool_]:
@@ -157,7 +157,7 @@ class Planner:
         check_car(grid, car)
         length, width, height = grid.size
         out = np.zeros((length, width, height + 2), np.bool_)
-        world = world_of(grid, self.rules.law)
+        world = world_of(grid, self.rules.flags)
         start = pose_of(world, car)._replace(load=AIR, load_yaw=0)
         visit_near(world, car, self._space(grid), start, view, out)
         return out
@@ -175,6 +175,6 @@ class Planner:
         grid, queue = grid.copy(), queue.copy()
         cars, actions = acting_order(grid, joint)
         applied = np.zeros(len(cars), np.bool_)
-        world, space = world_of(grid, self.rules.law), self._space(grid)
+        world, space = world_of(grid, self.rules.flags), self._space(grid)
         run_helper_tick(world, cars, actions, applied, queue, space, self.depth)
         return grid, queue, applied

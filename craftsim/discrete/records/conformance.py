@@ -15,7 +15,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.records.traces import Record, recorded_grid
-from craftsim.discrete.rules.cells import Law
+from craftsim.discrete.rules.cells import RuleFlags
 from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.tasks.measures import FlagNearness
 from craftsim.discrete.tasks.observation import Layout
@@ -92,7 +92,7 @@ class Checker:
         self.keep = keep
         self.tally = Tally()
         self.exact = rules.rule_set == "published"
-        self.uncorrected = Rules(rules.rule_set, Law(derived_marks=True))
+        self.uncorrected = Rules(rules.rule_set, RuleFlags(derived_marks=True))
         """The physical rules before physics corrected them: nothing but the bookkeeping differs from published."""
         self._planners: dict[int, Planner] = {}
 

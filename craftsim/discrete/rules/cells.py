@@ -35,7 +35,7 @@ F_LOAD_YAW = int(CarField.LOAD_YAW)
 F_SLOPE = int(CarField.SLOPE)
 
 
-class Law(NamedTuple):
+class RuleFlags(NamedTuple):
     """The differences between the rule sets, each a switch that one place in the rules reads; off is as published."""
 
     derived_marks: bool = False
@@ -59,14 +59,14 @@ class Law(NamedTuple):
 
 
 class World(NamedTuple):
-    """The arrays of one world, shaped as in :class:`craftsim.discrete.grid.Grid`, and the law it obeys."""
+    """The arrays of one world, shaped as in :class:`craftsim.discrete.grid.Grid`, and the flags it obeys."""
 
     kind: NDArray[np.int8]
     yaw: NDArray[np.int8]
     top: NDArray[np.int16]
     back: NDArray[np.bool_]
     cars: NDArray[np.int64]
-    law: Law
+    flags: RuleFlags
 
 
 class Pose(NamedTuple):
@@ -173,7 +173,7 @@ def top_at(w: World, x: int, y: int, z: int, me: int) -> int:
     """Return the mark "what is on me" of a cell as car ``me`` reads it (never itself, when derived)."""
     if not inside(w, x, y, z):
         return NOTHING
-    if w.law.derived_marks:
+    if w.flags.derived_marks:
         return derived_top(w, x, y, z, me)
     return int(np.int64(w.top[x, y, z]))
 
@@ -183,7 +183,7 @@ def back_at(w: World, x: int, y: int, z: int) -> bool:
     """Return the mark "I am the landing of a ramp" of a cell."""
     if not inside(w, x, y, z):
         return False
-    if w.law.derived_marks:
+    if w.flags.derived_marks:
         return kind_at(w, x, y, z) == BLOCK and derived_back(w, x, y, z)
     return bool(w.back[x, y, z])
 
@@ -205,4 +205,4 @@ def derive_marks(w: World) -> None:
 @compiled
 def world_at(worlds: World, i: int) -> World:
     """Return one world of a batch, whose arrays have a leading dimension over worlds."""
-    return World(worlds.kind[i], worlds.yaw[i], worlds.top[i], worlds.back[i], worlds.cars[i], worlds.law)
+    return World(worlds.kind[i], worlds.yaw[i], worlds.top[i], worlds.back[i], worlds.cars[i], worlds.flags)

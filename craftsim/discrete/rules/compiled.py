@@ -1,9 +1,9 @@
 """How the rules are compiled: numba in nopython mode, cached on disk only when the cache is safe.
 
 Numba stamps a cached function with the time of the one file that defines it, so a function that calls into
-another of our files would go on using a stale copy after that file changes. All our compiled functions are
-therefore stamped with a digest of every source file of the grid world; where numba does not let us, nothing is
-cached.
+another of our files would go on using a stale copy after that file changes. The cache of all
+our compiled functions therefore has a version that holds a digest of every source file of the grid world; where numba
+does not let us, nothing is cached.
 
 Compiled functions may not make arrays; they work on those they are given. So numba needs no reference counting in
 them, which would otherwise take ten times as long as the rules themselves (``_nrt``), and all of them can be inlined.
@@ -41,9 +41,8 @@ def compiled(function: F) -> F:
     try:
         dispatcher.enable_caching()
         cache_file = dispatcher._cache._cache_file
-        if not hasattr(cache_file, "_source_stamp"):
-            raise AttributeError("numba's cache has no source stamp")
-        cache_file._source_stamp = _source_digest()
+        # Read before anything else of a cache file: what an older craftsim left there may not even unpickle.
+        cache_file._version = f"{cache_file._version} {_source_digest()}"
     except (AttributeError, RuntimeError):
         dispatcher = numba.njit(function, **_OPTIONS)
     return cast(F, dispatcher)

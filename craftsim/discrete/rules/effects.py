@@ -64,7 +64,7 @@ def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
 
     When gears last, the cell shows one only where nothing stands, and as long as a slope beside it has its gear there.
     """
-    if not w.law.lasting_gears:
+    if not w.flags.lasting_gears:
         put(w, x, y, z, kind, yaw)
     elif is_air_or_gear(kind_at(w, x, y, z)):
         gear = standing_gear_in(w, x, y, z)

@@ -70,7 +70,7 @@ def drop_legal(w: World, car: Pose) -> bool:
 @compiled
 def swing_legal(w: World, me: int, car: Pose, slope_yaw: int) -> bool:
     """FOLD and UNFOLD: room for the flap, which CraftEnv's rules do not look for (docs/rules.md#flap)."""
-    return not w.law.swinging_flap or flap_has_room(w, me, car, slope_yaw)
+    return not w.flags.swinging_flap or flap_has_room(w, me, car, slope_yaw)
 
 
 @compiled
@@ -112,7 +112,7 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
                 return False
         elif neighbour != AIR:
             return False
-        if w.law.turning_load and leans_into(w, me, nx, ny, car.z, (d + 2) & 3):
+        if w.flags.turning_load and leans_into(w, me, nx, ny, car.z, (d + 2) & 3):
             return False
     carries_slope = car.load == FSLOPE
     corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)
@@ -124,7 +124,7 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
             continue
         bare = w.cars[other, F_LOAD] == AIR
         next_to_me = abs(w.cars[other, F_X] - car.x) + abs(w.cars[other, F_Y] - car.y) == 1
-        if next_to_me and (not bare or w.law.turning_load):
+        if next_to_me and (not bare or w.flags.turning_load):
             return False
         if bare:
             continue

@@ -32,7 +32,7 @@ def moved(w: World, car: Pose, m: int) -> Pose:
     here = kind_at(w, x, y, car.z)
     below = kind_at(w, x, y, car.z - 1)
     z, slope = car.z, 0
-    if here == FOOT and (car.slope == 0 or (w.law.second_ramp and car.slope == 2)):
+    if here == FOOT and (car.slope == 0 or (w.flags.second_ramp and car.slope == 2)):
         slope = 1
     elif car.slope == 1 and here == BODY:
         z, slope = car.z + 1, 2
@@ -103,7 +103,7 @@ def goes_on(w: World, me: int, car: Pose, m: int) -> bool:
     nx, ny = car.x + dir_x(m), car.y + dir_y(m)
     up = car.slope == 1 and kind_at(w, nx, ny, car.z) == BODY
     down = car.slope == 2 and kind_at(w, nx, ny, car.z - 1) == FOOT
-    if not w.law.own_ramp:
+    if not w.flags.own_ramp:
         return up or down
     if up:
         return yaw_at(w, nx, ny, car.z) == (m + 2) & 3 and not car_in(w, me, nx, ny, car.z + 1, False)
@@ -119,14 +119,14 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     target = kind_at(w, nx, ny, car.z)
     below = kind_at(w, nx, ny, car.z - 1)
     loaded = car.load != AIR
-    if loaded and w.law.leaning_load and not load_fits(w, me, car, moved(w, car, m)):
+    if loaded and w.flags.leaning_load and not load_fits(w, me, car, moved(w, car, m)):
         return False
     if car.slope != 0:
         if not forward:
             return False
         if goes_on(w, me, car, m):
             return True
-        if w.law.own_ramp and below == BODY:
+        if w.flags.own_ramp and below == BODY:
             return False
     own = kind_at(w, car.x, car.y, car.z)
     if own in (FSLOPE, BODY) and not forward:
@@ -142,14 +142,14 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     if target == AIR:
         return below != BODY or descent_legal(w, me, car, m)
     if target in (BLOCK, FLAG):
-        if w.law.run_out and car.slope == 1:
+        if w.flags.run_out and car.slope == 1:
             return False
         return not loaded and (forward or backward)
     if target in (FSLOPE, BODY):
         return not loaded and backward and car.yaw == (yaw_at(w, nx, ny, car.z) + 2) & 3
     if target == GEAR:
         # CraftEnv's rules do not look at what is below a gear (docs/rules.md#through-a-gear).
-        through = not w.law.ramp_below_gear or below != BODY or descent_legal(w, me, car, m)
+        through = not w.flags.ramp_below_gear or below != BODY or descent_legal(w, me, car, m)
         return not loaded and through
     if target == FOOT:
         return ascent_legal(w, me, car, m)

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules.cells import Law, World, derive_marks, pose_of
+from craftsim.discrete.rules.cells import RuleFlags, World, derive_marks, pose_of
 from craftsim.discrete.rules.compiled import compiled
 from craftsim.discrete.rules.effects import apply
 from craftsim.discrete.rules.legality import N_ACTIONS, legal
 
 RuleSet = Literal["published", "physical"]
 
-LAWS: Final[dict[RuleSet, Law]] = {
-    "published": Law(),
-    "physical": Law(
+RULE_FLAGS: Final[dict[RuleSet, RuleFlags]] = {
+    "published": RuleFlags(),
+    "physical": RuleFlags(
         derived_marks=True,
         swinging_flap=True,
         turning_load=True,
@@ -34,9 +34,9 @@ LAWS: Final[dict[RuleSet, Law]] = {
 """What each rule set switches on. A correction found by physics is one more switch, read in its rule."""
 
 
-def world_of(grid: Grid, law: Law) -> World:
+def world_of(grid: Grid, flags: RuleFlags) -> World:
     """Return the compiled rules' view of a grid; it shares the grid's arrays."""
-    return World(grid.kind, grid.yaw, grid.top, grid.back, grid.cars, law)
+    return World(grid.kind, grid.yaw, grid.top, grid.back, grid.cars, flags)
 
 
 @compiled
@@ -64,7 +64,7 @@ def run_tick(
     """Let cars act in the order given; applied[i] tells whether the action of cars[i] was legal."""
     for turn in range(cars.shape[0]):
         applied[turn] = act(w, cars[turn], actions[turn])
-    if w.law.derived_marks:
+    if w.flags.derived_marks:
         derive_marks(w)
 
 
@@ -87,24 +87,26 @@ class Rules:
     Methods raise ValueError for a car that a world does not have.
     """
 
-    def __init__(self, rule_set: RuleSet, law: Law | None = None) -> None:
-        """Make a rule set; ``law`` gives other switches than its own, to see what a single one changes."""
-        if rule_set not in LAWS:
+    def __init__(self, rule_set: RuleSet, flags: RuleFlags | None = None) -> None:
+        """Make a rule set; ``flags`` gives other switches than its own, to see what a single one changes."""
+        if rule_set not in RULE_FLAGS:
             known = ", ".join(get_args(RuleSet))
-            raise InputError(f"unknown rule set '{rule_set}'; there are {known}{suggestion(rule_set, LAWS)}")
+            raise InputError(
+                f"unknown rule set '{rule_set}'; there are {known}{suggestion(rule_set, RULE_FLAGS)}"
+            )
         self.rule_set: RuleSet = rule_set
-        self.law = law or LAWS[rule_set]
+        self.flags = flags or RULE_FLAGS[rule_set]
 
     def mask(self, grid: Grid) -> NDArray[np.bool_]:
         """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state."""
         out = np.empty((grid.n_cars, N_ACTIONS), np.bool_)
-        fill_mask(world_of(grid, self.law), out)
+        fill_mask(world_of(grid, self.flags), out)
         return out
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
         """Return whether one car could do one action now."""
         check_car(grid, car)
-        world = world_of(grid, self.law)
+        world = world_of(grid, self.flags)
         return bool(legal(world, car, pose_of(world, car), int(action)))
 
     def apply(self, grid: Grid, car: int, action: int) -> Grid:
@@ -120,5 +122,5 @@ class Rules:
         after = grid.copy()
         cars, actions = acting_order(grid, joint)
         applied = np.zeros(len(cars), np.bool_)
-        run_tick(world_of(after, self.law), cars, actions, applied)
+        run_tick(world_of(after, self.flags), cars, actions, applied)
         return after, applied

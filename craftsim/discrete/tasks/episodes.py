@@ -110,7 +110,7 @@ class Episodes:
 
 
 @dataclass(frozen=True)
-class Step:
+class EpisodeStep:
     """What a tick of a single episode brought; see :class:`Steps`."""
 
     reward: float
@@ -151,11 +151,13 @@ class Episode:
         """Start anew."""
         self.batch.reset()
 
-    def step(self, actions: Sequence[int] | NDArray[np.integer], order: Sequence[int] | None = None) -> Step:
+    def step(
+        self, actions: Sequence[int] | NDArray[np.integer], order: Sequence[int] | None = None
+    ) -> EpisodeStep:
         """Let all cars act once; ``actions`` by car, ``order`` of their turns."""
         turns = None if order is None else np.asarray(order)[None]
         steps = self.batch.step(np.asarray(actions, np.int64)[None], turns)
-        return Step(
+        return EpisodeStep(
             float(steps.reward[0]),
             bool(steps.done[0]),
             bool(steps.success[0]),

@@ -13,7 +13,7 @@ from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules.cells import World, world_at
 from craftsim.discrete.rules.compiled import compiled
-from craftsim.discrete.rules.sets import LAWS, world_of
+from craftsim.discrete.rules.sets import RULE_FLAGS, world_of
 from craftsim.discrete.tasks.scores import (
     NO_FLAG,
     code_score,
@@ -41,8 +41,8 @@ class Measure:
 
     def of(self, grid: Grid) -> float:
         """Return the number of one world."""
-        w = world_of(grid, LAWS["physical"])
-        one = World(w.kind[None], w.yaw[None], w.top[None], w.back[None], w.cars[None], w.law)
+        w = world_of(grid, RULE_FLAGS["physical"])
+        one = World(w.kind[None], w.yaw[None], w.top[None], w.back[None], w.cars[None], w.flags)
         return float(self.of_worlds(one)[0])
 
 

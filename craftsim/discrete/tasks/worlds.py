@@ -92,7 +92,7 @@ class Worlds:
             np.stack([grid.top for grid in grids]),
             np.stack([grid.back for grid in grids]),
             np.stack([grid.cars for grid in grids]),
-            rules.law,
+            rules.flags,
         )
         self.queue = np.stack([empty_queue(self.n_cars, depth or 0) for _ in grids])
         self._space = make_space(grids[0].size)

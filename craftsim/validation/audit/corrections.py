@@ -9,16 +9,16 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules import LAWS, Rules, RuleSet
+from craftsim.discrete.rules import RULE_FLAGS, Rules, RuleSet
 from craftsim.validation.audit.rows import Row, Situation, action_in, world_of
 from craftsim.validation.audit.scenes import Scene
 
-SWITCHES: Final = LAWS["physical"]._fields
+FLAG_NAMES: Final = RULE_FLAGS["physical"]._fields
 
 
 def corrections(rows: Iterable[Row], rule_set: RuleSet) -> dict[str, tuple[str, ...]]:
     """Return, by the name of each allowed row, the switches that a rule set has off and that would each correct it."""
-    off = [switch for switch in SWITCHES if not getattr(LAWS[rule_set], switch)]
+    off = [switch for switch in FLAG_NAMES if not getattr(RULE_FLAGS[rule_set], switch)]
     return {
         row.name: tuple(s for s in off if any(_differs(member, rule_set, s) for member in row.members))
         for row in rows
@@ -27,7 +27,7 @@ def corrections(rows: Iterable[Row], rule_set: RuleSet) -> dict[str, tuple[str, 
 
 def rows_by_switch(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
     """Return how many rows each switch corrects, in the order of the switches; ``found`` has the switches by row."""
-    counts = {switch: sum(switch in switches for switches in found.values()) for switch in SWITCHES}
+    counts = {switch: sum(switch in switches for switches in found.values()) for switch in FLAG_NAMES}
     return {switch: count for switch, count in counts.items() if count}
 
 
@@ -36,7 +36,7 @@ def _differs(situation: Situation, rule_set: RuleSet, switch: str) -> bool:
     grid, joint = _told(situation, rule_set)
     before, after = (
         rules.tick(grid, joint)
-        for rules in (Rules(rule_set), Rules(rule_set, LAWS[rule_set]._replace(**{switch: True})))
+        for rules in (Rules(rule_set), Rules(rule_set, RULE_FLAGS[rule_set]._replace(**{switch: True})))
     )
     return not (np.array_equal(before[1], after[1]) and before[0].same_visible(after[0]))
 

@@ -6,7 +6,7 @@ from typing import Final
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
-from craftsim.discrete.rules import LAWS
+from craftsim.discrete.rules import RULE_FLAGS
 from craftsim.discrete.rules.effects import apply
 from craftsim.discrete.rules.sets import world_of
 
@@ -39,7 +39,7 @@ def intended(grid: Grid, car: int, action: Action) -> Grid:
     if action is Action.UNFOLD and own != Kind.FSLOPE:
         raise NoPredictionError("there is nothing to unfold")
     after = grid.copy()
-    apply(world_of(after, LAWS["physical"]), car, int(action))
+    apply(world_of(after, RULE_FLAGS["physical"]), car, int(action))
     if action in MOVE_DIRECTION:
         ax, ay, az = (int(v) for v in after.cars[car, : CarField.Z + 1])
         _check_target(grid, (ax, ay, az), Kind(load))

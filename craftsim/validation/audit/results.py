@@ -10,11 +10,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
+from craftsim.checking.attempt import Attempt
 from craftsim.discrete.rules import RuleSet
-from craftsim.validation.attempts.attempt import Attempt
 from craftsim.validation.audit.corrections import corrections, rows_by_switch
 from craftsim.validation.audit.rows import Row
-from craftsim.validation.audit.suspects import Finding, find
+from craftsim.validation.audit.suspects import SuspectFinding, find
 from craftsim.validation.audit.trial import recipe_of
 from craftsim.validation.campaign import Item, TrialRecord
 from craftsim.validation.replays.bundle import TEXT, write_bundle
@@ -34,7 +34,7 @@ class Results:
     """Of actions as the rules have them: one after the other, or by the schedule that keeps them apart."""
     at_once: tuple[AuditRow, ...]
     """Of ticks whose actions were all begun together, which the rules do not claim to work."""
-    suspects: tuple[Finding, ...]
+    suspects: tuple[SuspectFinding, ...]
 
     @classmethod
     def of(cls, records: Sequence[TrialRecord]) -> Results:

@@ -115,10 +115,10 @@ def _turned_over(thing: Thing) -> Thing:
     return replace(thing, yaw=(FORWARD - thing.yaw) % 4) if thing.kind in KINDS_WITH_YAW else thing
 
 
-def spread_trials(row: Row, trials: int) -> Iterator[tuple[Situation, int]]:
+def distribute_trials(row: Row, trials: int) -> Iterator[tuple[Situation, int]]:
     """Yield the situation and the number of each trial of a row, those of one situation together.
 
-    There are at least ``trials`` of them and at least one of each situation, spread evenly.
+    There are at least ``trials`` of them and at least one of each situation, distributed evenly.
     """
     total = max(trials, len(row.members))
     for i, situation in enumerate(row.members):

@@ -69,7 +69,7 @@ SUSPECTS: Final = (
 
 
 @dataclass(frozen=True)
-class Finding:
+class SuspectFinding:
     """What was found on a suspect."""
 
     number: int
@@ -82,7 +82,7 @@ class Finding:
     """The clearest row of the gravest kind, with its figures and reason."""
 
 
-def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[Finding]:
+def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[SuspectFinding]:
     """Return what was found on each suspect; ``at_once`` are rows that count as evidence only."""
     return [_finding(suspect, rows, at_once) for suspect in SUSPECTS]
 
@@ -93,13 +93,13 @@ def _concerned(suspect: Suspect, rows: Iterable[AuditRow]) -> list[AuditRow]:
     return [r for r in rows if r.trials and any(fnmatchcase(f"{r.action}/{r.context}", p) for p in patterns)]
 
 
-def _finding(suspect: Suspect, rows: Iterable[AuditRow], at_once: Iterable[AuditRow]) -> Finding:
+def _finding(suspect: Suspect, rows: Iterable[AuditRow], at_once: Iterable[AuditRow]) -> SuspectFinding:
     mine, together = _concerned(suspect, rows), _concerned(suspect, at_once)
     counts = Counter(row.verdict for row in mine)
     verdict = ", ".join(f"{counts[j]} {j}" for j in Judgement if counts[j])
     gravest = next((j for j in Judgement if counts[j]), None)
     told = min((r for r in mine if r.verdict == gravest), key=_clarity, default=None)
-    return Finding(
+    return SuspectFinding(
         suspect.number,
         suspect.question,
         len(mine),

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from craftsim.validation.audit.corrections import rows_by_switch
-from craftsim.validation.audit.suspects import Finding
+from craftsim.validation.audit.suspects import SuspectFinding
 from craftsim.validation.html.disagreements import TONES
 from craftsim.validation.html.page import Cell, Column, Table, Tone
 from craftsim.validation.statistics.audit_rows import Judgement
 
 
-def suspects_table(found: Sequence[Finding]) -> Table:
+def suspects_table(found: Sequence[SuspectFinding]) -> Table:
     """Return the table of the suspects."""
     return Table(
         (
@@ -47,7 +47,7 @@ def corrections_table(corrected: Mapping[str, Sequence[str]]) -> Table:
     )
 
 
-def _tone(finding: Finding) -> Tone:
+def _tone(finding: SuspectFinding) -> Tone:
     """Return the tone of the gravest verdict; verdicts are told in that order."""
     gravest = next((j for j in Judgement if finding.verdict.split(", ")[0].endswith(f" {j}")), None)
     return TONES[gravest] if gravest else Tone.MUTED

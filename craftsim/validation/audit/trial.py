@@ -10,22 +10,22 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.checking.attempt import Result
+from craftsim.checking.recipe import Recipe, Seed, Step, perform
+from craftsim.checking.settings import TrialSettings
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.models.config import SimulationConfig
+from craftsim.models.randomization import RandomizedSite
 from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
-from craftsim.models.variation import Varied
 from craftsim.skills.gains import load_gains
-from craftsim.validation.attempts.attempt import Result
 from craftsim.validation.audit.intended import intended
-from craftsim.validation.audit.rows import Row, Situation, action_in, spread_trials, world_of
+from craftsim.validation.audit.rows import Row, Situation, action_in, distribute_trials, world_of
 from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.campaign import Done, Item
-from craftsim.validation.replays.recipe import Recipe, Seed, Step, perform
-from craftsim.validation.settings import TrialSettings
 
 BATCH: Final = 20
 """Items that a worker takes at once: those of a few situations, so that each world is compiled about once."""
@@ -54,7 +54,7 @@ def items_of(
         if row.no_prediction:
             items.append(Item(row.name, row.name, seed, None))
             continue
-        for situation, number in spread_trials(row, trials):
+        for situation, number in distribute_trials(row, trials):
             job = Job(situation, row.legal, number, seed, rules, settings)
             items.append(Item(f"{situation.id}#{number}", row.name, seed, job, context=situation.id))
     return items
@@ -63,14 +63,14 @@ def items_of(
 def recipe_of(job: Job) -> Recipe:
     """Return what a trial does: performing it gives what :func:`try_it` judges."""
     world, step = _start(job.situation, job.legal, job.seed, job.rules)
-    physics, senses = np.random.SeedSequence([job.seed, _digest(job.situation), job.number]).spawn(2)
+    physics, sensors = np.random.SeedSequence([job.seed, _digest(job.situation), job.number]).spawn(2)
     return Recipe(
         world,
         (step,),
         job.settings,
         job.rules,
         Seed.of(physics),
-        Seed.of(senses),
+        Seed.of(sensors),
         _gains(),
     )
 
@@ -111,14 +111,14 @@ def _start(situation: Situation, legal: bool, seed: int, rules: RuleSet) -> tupl
 @lru_cache(maxsize=1)
 def _site(
     situation: Situation, legal: bool, seed: int, rules: RuleSet, simulation: SimulationConfig
-) -> tuple[Varied, tuple[str, ...]]:
+) -> tuple[RandomizedSite, tuple[str, ...]]:
     """Return a Site of a situation to use again and again, and how it differs from what was drawn."""
     grid, _ = _world(situation, legal, seed, rules)
     site = Site(grid, simulation)
     reading = read_grid(read_poses(site), site.size, site.walls)
     if reading.problems or reading.grid.same_visible(grid):
-        return Varied(site), reading.problems
-    return Varied(site), ("the world reads otherwise than it was drawn",)
+        return RandomizedSite(site), reading.problems
+    return RandomizedSite(site), ("the world reads otherwise than it was drawn",)
 
 
 def _digest(situation: Situation) -> int:

@@ -11,8 +11,8 @@ from types import FrameType
 from typing import Literal
 
 from craftsim.discrete.errors import InputError
+from craftsim.validation.campaign.distribute import Worker, distribute
 from craftsim.validation.campaign.items import Answer, Failure, Item, TrialRecord, Work, make_record
-from craftsim.validation.campaign.spread import Worker, spread
 from craftsim.validation.campaign.store import Header, Store
 
 Engine = Literal["local", "ray"]
@@ -80,7 +80,7 @@ def _answers(
     if not items:
         return iter(())
     n = min(workers, -(-len(items) // batch))
-    return spread(_start(work, n, engine), items, timeout_s, batch)
+    return distribute(_start(work, n, engine), items, timeout_s, batch)
 
 
 def _start(work: Work, n: int, engine: Engine) -> list[Worker]:

@@ -16,7 +16,7 @@ _NEEDED = ("key", "agrees", "error", "attempts")
 
 
 @dataclass(frozen=True)
-class Finished:
+class FinishedCampaign:
     """A campaign that has come to its end."""
 
     folder: Path
@@ -25,7 +25,7 @@ class Finished:
     records: list[TrialRecord]
 
 
-def read_finished(folder: Path, command: str) -> Finished:
+def read_finished(folder: Path, command: str) -> FinishedCampaign:
     """Return the finished campaign of a command.
 
     Raises:
@@ -47,7 +47,9 @@ def read_finished(folder: Path, command: str) -> Finished:
             f"{folder} holds an unfinished campaign ({len(texts)} of {header['items']} trials); "
             f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
         )
-    return Finished(folder, header, [_record(lines, i, text) for i, text in enumerate(texts, start=1)])
+    return FinishedCampaign(
+        folder, header, [_record(lines, i, text) for i, text in enumerate(texts, start=1)]
+    )
 
 
 def _record(path: Path, number: int, text: bytes) -> TrialRecord:

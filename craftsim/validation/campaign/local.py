@@ -12,8 +12,8 @@ from multiprocessing import get_context, parent_process, resource_tracker
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
+from craftsim.validation.campaign.distribute import WorkerDiedError
 from craftsim.validation.campaign.items import Answer, Item, Work, perform
-from craftsim.validation.campaign.spread import WorkerDiedError
 
 
 class LocalWorker:
@@ -28,7 +28,7 @@ class LocalWorker:
         self._running: ProcessFuture[list[Answer]] | None = None
 
     def run(self, items: Sequence[Item], timeout_s: float) -> list[Answer]:
-        """Do several items, see :class:`~craftsim.validation.campaign.spread.Worker`."""
+        """Do several items, see :class:`~craftsim.validation.campaign.distribute.Worker`."""
         try:
             return self._schedule([item.job for item in items], timeout_s).result()
         except (ProcessExpired, BrokenProcessPool, CancelledError) as error:

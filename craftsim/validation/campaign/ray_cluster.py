@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from craftsim.discrete.errors import InputError
+from craftsim.validation.campaign.distribute import Worker, WorkerDiedError
 from craftsim.validation.campaign.items import Answer, Item, Work, perform
-from craftsim.validation.campaign.spread import Worker, WorkerDiedError
 
 
 def ray_workers(work: Work, n: int) -> list[Worker]:
@@ -59,7 +59,7 @@ class RayWorker:
         self._closed = False
 
     def run(self, items: Sequence[Item], timeout_s: float) -> list[Answer]:
-        """Do several items, see :class:`~craftsim.validation.campaign.spread.Worker`.
+        """Do several items, see :class:`~craftsim.validation.campaign.distribute.Worker`.
 
         The time begins when the actor has started: a full cluster may let it wait.
         """

@@ -12,14 +12,14 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.checking.attempt import excesses
+from craftsim.checking.checked_run import ActionRecord, CheckedSite
+from craftsim.checking.recipe import Recipe, Seed, Step, set_up
+from craftsim.checking.settings import NOMINAL, WITH_NOISE, Thresholds, TrialSettings
 from craftsim.discrete.grid import CarField
-from craftsim.validation.attempts.attempt import excesses
-from craftsim.validation.attempts.checked_run import ActionRecord, CheckedSite
 from craftsim.validation.campaign import Done, Item
 from craftsim.validation.contexts.context import Context
 from craftsim.validation.contexts.survey import make_world
-from craftsim.validation.replays.recipe import Recipe, Seed, Step, set_up
-from craftsim.validation.settings import NOMINAL, WITH_NOISE, Thresholds, TrialSettings
 
 __all__ = [
     "BATCH",
@@ -79,7 +79,7 @@ class Trial:
 
 
 def plan_trials(contexts: Sequence[Context], n: int, seed: int) -> list[Trial]:
-    """Spread ``n`` trials evenly over contexts: pass after pass over all of them, each in an order of its own."""
+    """Distribute ``n`` trials evenly over contexts: pass after pass over all of them, each in an order of its own."""
     order: list[int] = []
     for turn in range(-(-n // len(contexts)) if contexts else 0):
         order += np.random.default_rng([seed, turn, len(contexts)]).permutation(len(contexts)).tolist()
@@ -88,17 +88,17 @@ def plan_trials(contexts: Sequence[Context], n: int, seed: int) -> list[Trial]:
 
 def prepare(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> CheckedSite:
     """Return the world of a trial before its action, as :func:`run_trial` makes it."""
-    world, physics, senses = (np.random.default_rng(s) for s in _sequence(trial, seed).spawn(3))
-    return set_up(make_world(trial.context, world), settings, physics=physics, senses=senses)
+    world, physics, sensors = (np.random.default_rng(s) for s in _sequence(trial, seed).spawn(3))
+    return set_up(make_world(trial.context, world), settings, physics=physics, sensors=sensors)
 
 
 def recipe_of(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> Recipe:
     """Return the recipe of a trial: performing it gives what :func:`run_trial` judges."""
-    world, physics, senses = _sequence(trial, seed).spawn(3)
+    world, physics, sensors = _sequence(trial, seed).spawn(3)
     grid = make_world(trial.context, np.random.default_rng(world))
     action = trial.context.action(int(grid.cars[0, CarField.YAW]))
     recipe = Recipe.of(grid, (Step.single(0, 0, action),), settings)
-    return replace(recipe, physics=Seed.of(physics), senses=Seed.of(senses))
+    return replace(recipe, physics=Seed.of(physics), sensors=Seed.of(sensors))
 
 
 def run_trial(trial: Trial, seed: int, settings: TrialSettings = NOMINAL) -> TrialResult:

@@ -13,7 +13,7 @@ from craftsim.validation.html.disagreements import (
 from craftsim.validation.html.page import Headline, KeyFigure, Page, Section, Table, Tone
 from craftsim.validation.html.paired import paired_section
 from craftsim.validation.html.plots import durations_plot, errors_plot, judgement_plot
-from craftsim.validation.html.provenance import Provenance, provenance_section
+from craftsim.validation.html.run_description import RunDescription, provenance_section
 from craftsim.validation.html.tables import (
     count,
     duration_rows,
@@ -45,7 +45,7 @@ def audit_page(
     rows: Sequence[AuditRow],
     records: Sequence[Record],
     figures: Figures,
-    provenance: Provenance,
+    provenance: RunDescription,
     rules: str,
     suspects: Table | None = None,
     by_rule: Table | None = None,
@@ -109,7 +109,7 @@ def _sections(
     rows: Sequence[AuditRow],
     records: Sequence[Record],
     figures: Figures,
-    provenance: Provenance,
+    provenance: RunDescription,
     suspects: Table | None,
     by_rule: Table | None,
     comparison: Comparison | None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 from craftsim.validation.html.page import Case, Cases, Cell, Column, Share, Table, Tone
 from craftsim.validation.html.plots import duration_name
 from craftsim.validation.statistics.durations import Duration

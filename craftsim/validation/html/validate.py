@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 from craftsim.validation.html.page import (
     Block,
     Case,
@@ -25,7 +25,7 @@ from craftsim.validation.html.plots import (
     success_plot,
     survival_plot,
 )
-from craftsim.validation.html.provenance import Provenance, provenance_section
+from craftsim.validation.html.run_description import RunDescription, provenance_section
 from craftsim.validation.html.tables import (
     NONE,
     TONES,
@@ -49,7 +49,7 @@ from craftsim.validation.statistics.records import Record, as_predicted, attempt
 def validate_page(
     records: Sequence[Record],
     figures: Figures,
-    provenance: Provenance,
+    provenance: RunDescription,
     subject: str,
     comparison: Comparison | None = None,
 ) -> Page:
@@ -105,7 +105,7 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
 
 
 def _sections(
-    records: Sequence[Record], figures: Figures, provenance: Provenance, comparison: Comparison | None
+    records: Sequence[Record], figures: Figures, provenance: RunDescription, comparison: Comparison | None
 ) -> Iterator[Section]:
     blocks: list[Block] = [
         matrix_table(figures.matrix),

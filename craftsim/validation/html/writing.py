@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from craftsim.report import output_directory
-from craftsim.validation.html.films import Films
+from craftsim.validation.html.film_links import Films
 from craftsim.validation.html.page import Page
 
 FILE_NAME = "report.html"

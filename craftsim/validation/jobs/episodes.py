@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from craftsim.checking.scheduled_run import run_schedule
 from craftsim.discrete.actions import Action
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
@@ -18,11 +19,10 @@ from craftsim.discrete.readback import Reading, read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.models.noise import EXACT, NOISY
+from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.sensing import Sensors, read_poses
 from craftsim.models.site import Site
-from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
-from craftsim.skills.scheduled_run import run_schedule
 from craftsim.validation.campaign import Done, Item
 from craftsim.validation.statistics.records import Record, carried_out, error_counts
 
@@ -108,12 +108,12 @@ def random_world(trial: EpisodeTrial, rng: np.random.Generator) -> Grid:
 
 def run_episode(trial: EpisodeTrial) -> EpisodeRecord:
     """Run a random episode in physics until its end or its first disagreement."""
-    world, senses, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(trial.seed).spawn(3))
+    world, sensors, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(trial.seed).spawn(3))
     grid, rules = random_world(trial, world), Rules("physical")
     site = Site(grid)
     if trial.noise:
-        Varied(site).draw(Spread(), physics)
-    executor = Executor(site, sensors=Sensors(site, NOISY if trial.noise else EXACT, senses))
+        RandomizedSite(site).draw(DomainRandomization(), physics)
+    executor = Executor(site, sensors=Sensors(site, NOISY if trial.noise else EXACT, sensors))
     reading = read_grid(read_poses(site), site.size, site.walls)
     n = 0
     early = worst = worst_car = 0.0

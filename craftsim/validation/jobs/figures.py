@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from craftsim.validation.attempts.checked_run import ActionRecord
+from craftsim.checking.checked_run import ActionRecord
 from craftsim.validation.jobs.job import Job, JobResult
 
 

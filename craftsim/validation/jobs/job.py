@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from craftsim.checking.checked_run import ActionRecord, CheckedRun, CheckedSite, run_plan
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import Blueprint, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
@@ -19,7 +20,6 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor, Observer
 from craftsim.skills.gains import Gains
-from craftsim.validation.attempts.checked_run import ActionRecord, CheckedRun, CheckedSite, run_plan
 
 
 @dataclass(frozen=True)

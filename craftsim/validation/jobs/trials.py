@@ -8,13 +8,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from craftsim.checking.scheduled_run import run_schedule
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Order, make_schedule
 from craftsim.models.noise import EXACT, NOISY
+from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.sensing import Sensors
-from craftsim.models.variation import Spread, Varied
 from craftsim.skills.executor import Executor
-from craftsim.skills.scheduled_run import run_schedule
 from craftsim.validation.campaign import Done, Item
 from craftsim.validation.jobs.job import read_job
 from craftsim.validation.statistics.records import Record, carried_out, error_counts
@@ -33,7 +33,7 @@ class JobTrial:
     seed: int
     order: Order
     noise: bool
-    """Whether senses and physics are drawn from the seed, or exact and nominal."""
+    """Whether sensors and physics are drawn from the seed, or exact and nominal."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,11 @@ class JobRecord:
 def run_job_trial(trial: JobTrial) -> JobRecord:
     """Build a task once in physics and judge the end by poses."""
     job = read_job(trial.task)
-    senses, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(trial.seed).spawn(2))
+    sensors, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(trial.seed).spawn(2))
     site = job.site(trial.seed)
     if trial.noise:
-        Varied(site).draw(Spread(), physics)
-    executor = Executor(site, sensors=Sensors(site, NOISY if trial.noise else EXACT, senses))
+        RandomizedSite(site).draw(DomainRandomization(), physics)
+    executor = Executor(site, sensors=Sensors(site, NOISY if trial.noise else EXACT, sensors))
     start = job.drawing.grid(np.random.default_rng(trial.seed))
     schedule = make_schedule(start, job.plan.ticks, Rules("physical"), trial.order)
     run = run_schedule(executor, schedule)

@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.checked_run import CheckedSite
+from craftsim.checking.recipe import Recipe, do_last, run_up
 from craftsim.discrete.errors import InputError
 from craftsim.models.composition import compose
 from craftsim.models.placement import placements
+from craftsim.models.randomization import Nominal
 from craftsim.models.site import Site
-from craftsim.models.variation import Nominal
 from craftsim.report import output_directory, versions
-from craftsim.validation.attempts.attempt import Attempt
-from craftsim.validation.attempts.checked_run import CheckedSite
-from craftsim.validation.replays.recipe import Recipe, do_last, run_up
 
 SCHEMA_VERSION: Final = 1
 """Raised whenever something in a bundle changes its meaning or goes away."""

@@ -11,13 +11,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.recipe import do_last, run_up
 from craftsim.discrete.errors import InputError
 from craftsim.models.site import Site
 from craftsim.report import versions
 from craftsim.skills.executor import Observer
-from craftsim.validation.attempts.attempt import Attempt
 from craftsim.validation.replays.bundle import AFTER, BEFORE, PHYSICS, Arrays, Recorded, physics_of, state_of
-from craftsim.validation.replays.recipe import do_last, run_up
 
 DECISIVE: Final = ("craftsim", "mujoco", "numpy")
 """Packages whose version decides every bit; with other versions poses are compared with a tolerance."""

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.checking.checked_run import ActionRecord
+from craftsim.checking.recipe import Recipe, Step, do, prepare
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
-from craftsim.validation.attempts.checked_run import ActionRecord
-from craftsim.validation.replays.recipe import Recipe, Step, do, prepare
 
 
 class CheckedBackend:

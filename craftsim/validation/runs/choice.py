@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from craftsim.checking.recipe import Step
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.plan import read_actions, read_plan, shipped_plan
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.validation.campaign import Item
-from craftsim.validation.replays.recipe import Step
 from craftsim.validation.runs.policies import policy_digest
 from craftsim.validation.runs.run import Run, Terms, read_task
 

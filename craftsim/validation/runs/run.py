@@ -10,6 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from craftsim.checking.attempt import Attempt, Result, attempt_of
+from craftsim.checking.recipe import Recipe, Seed, Step
+from craftsim.checking.settings import TrialSettings
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid
@@ -19,13 +22,10 @@ from craftsim.discrete.tasks.measures import Complexity
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.envs.core import Options
 from craftsim.envs.parallel import ParallelConstruction
-from craftsim.validation.attempts.attempt import Attempt, Result, attempt_of
 from craftsim.validation.campaign import Done
 from craftsim.validation.replays.bundle import write_bundle
-from craftsim.validation.replays.recipe import Recipe, Seed, Step
 from craftsim.validation.runs.backend import CheckedBackend
 from craftsim.validation.runs.policies import Policy, make_policy
-from craftsim.validation.settings import TrialSettings
 
 BUNDLES: Final = "bundles"
 
@@ -69,13 +69,13 @@ class _Seeds:
     """The start, and the orders in which the cars act."""
     policy: int
     physics: Seed
-    senses: Seed
+    sensors: Seed
 
     @classmethod
     def of(cls, run: Run) -> _Seeds:
-        world, policy, physics, senses = np.random.SeedSequence([run.terms.seed, run.episode]).spawn(4)
+        world, policy, physics, sensors = np.random.SeedSequence([run.terms.seed, run.episode]).spawn(4)
         world_number, policy_number = (int(s.generate_state(1)[0]) for s in (world, policy))
-        return cls(world_number, policy_number, Seed.of(physics), Seed.of(senses))
+        return cls(world_number, policy_number, Seed.of(physics), Seed.of(sensors))
 
 
 def read_task(place: str) -> Task:
@@ -127,7 +127,7 @@ def start_recipe(run: Run) -> Recipe:
 
 def _start(run: Run, task: Task, seeds: _Seeds) -> Recipe:
     recipe = Recipe.of(_draw(task, seeds), (), run.terms.settings)
-    return replace(recipe, rules=run.terms.rules, physics=seeds.physics, senses=seeds.senses)
+    return replace(recipe, rules=run.terms.rules, physics=seeds.physics, sensors=seeds.sensors)
 
 
 def _draw(task: Task, seeds: _Seeds) -> Grid:
@@ -146,12 +146,12 @@ def _follow(plan: Sequence[Step], task: Task, backend: CheckedBackend) -> bool:
 
 def _predict(plan: Sequence[Step], task: Task, seeds: _Seeds, rules: RuleSet) -> bool:
     """Return whether a plan reaches the goal by the rules alone."""
-    law, grid = Rules(rules), _draw(task, seeds)
+    by_rules, grid = Rules(rules), _draw(task, seeds)
     for step in plan:
         for act in step.acts:
             action = Action[act.action]
-            if law.legal(grid, act.car, action):
-                grid = law.apply(grid, act.car, action)
+            if by_rules.legal(grid, act.car, action):
+                grid = by_rules.apply(grid, act.car, action)
     return task.succeeded(grid)
 
 

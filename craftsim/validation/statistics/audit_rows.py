@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 from craftsim.validation.statistics.proportions import wilson
 from craftsim.validation.statistics.records import RESULTS, Record, carried_out, grouped, worst
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import RESULTS, AttemptRecord
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from craftsim.validation.campaign import Finished
+from craftsim.validation.campaign import FinishedCampaign
 from craftsim.validation.campaign.store import differences
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import Record, carried_out
@@ -45,7 +45,7 @@ class Comparison:
     """The earlier run is the first."""
 
 
-def compare_runs(earlier: Finished, now: Finished) -> Comparison:
+def compare_runs(earlier: FinishedCampaign, now: FinishedCampaign) -> Comparison:
     """Return how a run compares with an earlier one of the same seed."""
     before, after = ({key: run.header.get(key) for key in ("config", "versions")} for run in (earlier, now))
     return Comparison(

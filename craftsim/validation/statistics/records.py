@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final, TypeAlias, TypeVar
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 from craftsim.validation.campaign.items import TrialRecord
 
 Record: TypeAlias = TrialRecord
 """One trial, a line of ``trials.jsonl``."""
 AttemptRecord: TypeAlias = Mapping[str, Any]
-"""One attempt of a trial, an :class:`~craftsim.validation.attempts.attempt.Attempt` as a mapping."""
+"""One attempt of a trial, an :class:`~craftsim.checking.attempt.Attempt` as a mapping."""
 
 RESULTS: Final = (Result.AS_PREDICTED, Result.FAILED, Result.SIDE_EFFECT, Result.UNSAFE)
 """Results from the best to the worst, the order of columns and of :func:`worst`."""

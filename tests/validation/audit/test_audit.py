@@ -5,6 +5,7 @@ import json
 import pytest
 
 from craftsim import cli
+from craftsim.checking.settings import MILDLY
 from craftsim.validation.audit.corrections import corrections
 from craftsim.validation.audit.results import Results
 from craftsim.validation.audit.rows import audit_plan
@@ -12,7 +13,6 @@ from craftsim.validation.audit.trial import BATCH, items_of, try_it
 from craftsim.validation.campaign import Header, run_campaign
 from craftsim.validation.replays.bundle import read_bundle
 from craftsim.validation.replays.replay import replay
-from craftsim.validation.settings import MILDLY
 
 UNSOUND = {
     "FOLD/level=1/ground=flat/own=body-back/load=none/beyond=taken/room=free": "swinging_flap",

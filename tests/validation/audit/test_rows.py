@@ -5,16 +5,16 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from craftsim.checking.settings import NOMINAL
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.validation.audit.intended import NoPredictionError, intended
-from craftsim.validation.audit.rows import action_in, audit_plan, spread_trials, world_of
+from craftsim.validation.audit.rows import action_in, audit_plan, distribute_trials, world_of
 from craftsim.validation.audit.scenes import SCENES, Scene
 from craftsim.validation.audit.suspects import SUSPECTS, find
 from craftsim.validation.audit.trial import items_of
 from craftsim.validation.contexts.survey import survey
-from craftsim.validation.settings import NOMINAL
 
 PLAN = {rules: audit_plan(rules) for rules in ("published", "physical")}
 BOTH = pytest.mark.parametrize("rules", PLAN)
@@ -67,9 +67,9 @@ def test_a_full_audit_tries_each_row_often_and_each_context_and_stays_within_its
 
 def test_trials_are_spread_evenly_over_the_members_of_a_row():
     row = max(PLAN["published"], key=lambda row: (not row.no_prediction, len(row.members)))
-    counts = Counter(member.id for member, _ in spread_trials(row, 2 * len(row.members) + 1))
+    counts = Counter(member.id for member, _ in distribute_trials(row, 2 * len(row.members) + 1))
     assert sorted(set(counts.values())) == [2, 3]
-    assert len(list(spread_trials(row, 1))) == len(row.members)
+    assert len(list(distribute_trials(row, 1))) == len(row.members)
 
 
 def test_every_suspect_has_rows():

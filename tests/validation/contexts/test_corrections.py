@@ -3,12 +3,12 @@
 import pytest
 from drawn import draw
 
+from craftsim.checking.checked_run import CheckedSite
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
-from craftsim.validation.attempts.checked_run import CheckedSite
 
 PUBLISHED, PHYSICAL = Rules("published"), Rules("physical")
 BLOCK = Kind.BLOCK

@@ -30,7 +30,7 @@ CONTEXTS = survey().contexts
 
 
 def _spread(per_verb):
-    """Return contexts spread over the actions, moves being the most varied."""
+    """Return contexts randomization over the actions, moves being the most varied."""
     chosen = []
     for verb in Verb:
         mine = [context for context in CONTEXTS if context.verb is verb]

@@ -7,18 +7,18 @@ from html.parser import HTMLParser
 import pytest
 from synthetic import attempt, audit, episodes, record
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 from craftsim.validation.html import films as films_module
 from craftsim.validation.html.audit import audit_page
 from craftsim.validation.html.page import Column, Table
-from craftsim.validation.html.provenance import Provenance
+from craftsim.validation.html.run_description import RunDescription
 from craftsim.validation.html.validate import validate_page
 from craftsim.validation.html.writing import write_html
 from craftsim.validation.statistics.audit_rows import audit_rows
 from craftsim.validation.statistics.figures import campaign_figures
 
 HOSTILE = '</td><script>alert("x")</script><img src=http://a.b/c onerror=go()>{{ 7 * 7 }}$a_b$'
-PROVENANCE = Provenance(
+PROVENANCE = RunDescription(
     "craftsim validate",
     7,
     {"trials": 60, "noise": {"pose_m": 0.001}},
@@ -123,7 +123,7 @@ def test_text_from_files_and_policies_is_escaped(tmp_path):
     ]
     records.append(record("late", error=HOSTILE, agrees=False))
     figures = campaign_figures(records, seed=0)
-    provenance = Provenance(HOSTILE, 0, {HOSTILE: HOSTILE}, {HOSTILE: 1}, {HOSTILE: HOSTILE})
+    provenance = RunDescription(HOSTILE, 0, {HOSTILE: HOSTILE}, {HOSTILE: 1}, {HOSTILE: HOSTILE})
     page = write_html(tmp_path, validate_page(records, figures, provenance, HOSTILE)).read_text(
         encoding="utf-8"
     )

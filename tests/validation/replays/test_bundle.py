@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 
 from craftsim import cli
+from craftsim.checking.recipe import Recipe, Seed, Step, perform, prepare
+from craftsim.checking.settings import NOMINAL, WITH_NOISE
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.variation import Varied
+from craftsim.models.randomization import RandomizedSite
 from craftsim.validation.contexts.context import Verb
 from craftsim.validation.contexts.survey import survey
 from craftsim.validation.contexts.trials import Trial, recipe_of, run_trial
@@ -30,9 +32,7 @@ from craftsim.validation.replays.bundle import (
     read_bundle,
     write_bundle,
 )
-from craftsim.validation.replays.recipe import Recipe, Seed, Step, perform, prepare
 from craftsim.validation.replays.replay import replay
-from craftsim.validation.settings import NOMINAL, WITH_NOISE
 
 
 def _world() -> Grid:
@@ -53,7 +53,7 @@ def _recipe(settings=NOMINAL) -> Recipe:
         Step.single(2, 0, Action.UNFOLD),
     )
     recipe = Recipe.of(_world(), steps, settings)
-    return replace(recipe, rules="published", physics=Seed((5, 1), (1,)), senses=Seed((5, 1), (2,)))
+    return replace(recipe, rules="published", physics=Seed((5, 1), (1,)), sensors=Seed((5, 1), (2,)))
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def test_the_recipe_of_a_trial_is_the_trial():
 
 def test_a_site_used_again_gives_the_numbers_of_a_fresh_one():
     noisy, calm = _recipe(WITH_NOISE), _recipe()
-    varied = Varied(prepare(calm).site)
+    varied = RandomizedSite(prepare(calm).site)
     again = [perform(recipe, varied) for recipe in (noisy, calm, noisy)]
     fresh = [perform(recipe) for recipe in (noisy, calm, noisy)]
     assert [p.attempts for p in again] == [p.attempts for p in fresh]

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from craftsim.checking.settings import NOMINAL
 from craftsim.models.site import Site
 from craftsim.validation.replays.bundle import read_bundle
 from craftsim.validation.runs.choice import items_of, policy_pilot, subjects_of
 from craftsim.validation.runs.policies import make_policy
 from craftsim.validation.runs.run import Terms, do_run
-from craftsim.validation.settings import NOMINAL
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic import attempt, record
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 from craftsim.validation.statistics.matrix import legality_matrix
 from craftsim.validation.statistics.paired import compare_paired
 from craftsim.validation.statistics.proportions import Proportion, wilson

@@ -3,7 +3,7 @@
 import pytest
 from synthetic import attempt, episodes, record
 
-from craftsim.validation.attempts.attempt import Result
+from craftsim.checking.attempt import Result
 from craftsim.validation.statistics.ranking import (
     PolicyScore,
     mean_maximum_rank_violation,

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from craftsim.checking.attempt import verb_of
+from craftsim.checking.recipe import Step
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Grid, Kind, beside
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Order
-from craftsim.validation.attempts.attempt import verb_of
 from craftsim.validation.audit.intended import NoPredictionError, intended
-from craftsim.validation.replays.recipe import Step
 
 _SIZE: Final = (8, 7, 4)
 

@@ -5,14 +5,14 @@ import csv
 import numpy as np
 import pytest
 
+from craftsim.checking.contact_log import ContactLog
+from craftsim.checking.safety import FALL_M_S, TIPPED_RAD, hazards, is_unsafe
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.parameters import BLOCK, SMARTCAR
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.skill import GRAVITY
-from craftsim.validation.attempts.contact_log import ContactLog
-from craftsim.validation.attempts.safety import FALL_M_S, TIPPED_RAD, hazards, is_unsafe
 
 SIZE = (4, 3, 3)
 

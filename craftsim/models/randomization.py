@@ -14,7 +14,7 @@ from craftsim.models.site import Site
 
 
 @dataclass(frozen=True)
-class Spread:
+class DomainRandomization:
     """Half-widths of the even distributions from which a Site's physics is drawn; hashable.
 
     All are fractions of the nominal figure but the tilt. Raises InputError for a figure outside [0, 1).
@@ -35,7 +35,7 @@ class Spread:
         for field in fields(self):
             if not 0 <= getattr(self, field.name) < 1:
                 raise InputError(
-                    f"Spread.{field.name} must be at least 0 and below 1, not {getattr(self, field.name)}"
+                    f"DomainRandomization.{field.name} must be at least 0 and below 1, not {getattr(self, field.name)}"
                 )
 
 
@@ -69,7 +69,7 @@ class Nominal:
         return {f.name: getattr(model.opt if f.name == "gravity" else model, f.name) for f in fields(cls)}
 
 
-class Varied:
+class RandomizedSite:
     """A Site whose physics can be drawn anew, again and again, without compiling it again."""
 
     def __init__(self, site: Site) -> None:
@@ -82,7 +82,7 @@ class Varied:
         self._nominal.write(self.site.model)
         self._refresh()
 
-    def draw(self, spread: Spread, rng: np.random.Generator) -> None:
+    def draw(self, randomization: DomainRandomization, rng: np.random.Generator) -> None:
         """Draw new physics around the nominal one and reset the Site; equal generators give equal physics."""
         model = self.site.model
         self._nominal.write(model)
@@ -91,18 +91,18 @@ class Varied:
             return rng.uniform(1 - width, 1 + width, count)
 
         tree = np.where(model.body_rootid > 0, model.body_rootid, 0)
-        mass = factors(spread.mass, model.nbody)[tree]
+        mass = factors(randomization.mass, model.nbody)[tree]
         model.body_mass[:] *= mass
         model.body_inertia[:] *= mass[:, None]
-        model.geom_friction[:, 0] *= self._by_material(factors(spread.friction, model.ngeom))
-        motor = factors(spread.motor, model.nu)
+        model.geom_friction[:, 0] *= self._by_material(factors(randomization.friction, model.ngeom))
+        motor = factors(randomization.motor, model.nu)
         model.actuator_forcerange[:] *= motor[:, None]
         model.actuator_gainprm[:, 0] *= motor
         model.actuator_biasprm[:, 1:] *= motor[:, None]
-        friction = factors(spread.joint_friction, model.nv)
+        friction = factors(randomization.joint_friction, model.nv)
         model.dof_frictionloss[:] *= friction
         model.dof_damping[:] *= friction
-        tilt, towards = spread.tilt_rad * math.sqrt(rng.uniform()), rng.uniform(0, math.tau)
+        tilt, towards = randomization.tilt_rad * math.sqrt(rng.uniform()), rng.uniform(0, math.tau)
         down = np.array(
             [math.sin(tilt) * math.cos(towards), math.sin(tilt) * math.sin(towards), -math.cos(tilt)]
         )

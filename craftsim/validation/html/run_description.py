@@ -11,7 +11,7 @@ from craftsim.validation.html.page import Cell, Column, Section, Table
 
 
 @dataclass(frozen=True)
-class Provenance:
+class RunDescription:
     """What decides the figures of a run, as in its ``report.json``."""
 
     command: str
@@ -23,7 +23,7 @@ class Provenance:
     versions: Mapping[str, str] = field(default_factory=versions)
 
 
-def provenance_section(provenance: Provenance) -> Section:
+def provenance_section(provenance: RunDescription) -> Section:
     """Return the section that tells thresholds, seed, versions and configuration."""
     return Section(
         "provenance",

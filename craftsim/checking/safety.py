@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from craftsim.checking.contact_log import ContactLog
 from craftsim.models.parameters import SLOPE, SMARTCAR
 from craftsim.skills.skill import GRAVITY
-from craftsim.validation.attempts.contact_log import ContactLog
 
 TIPPED_RAD: Final = 0.5
 """How far anything may lean: the incline is 0.28 rad, and a car on it slides before it leans further."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
+from craftsim.checking.checked_run import ActionRecord
+from craftsim.checking.settings import Thresholds
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.verdict import Finding
-from craftsim.validation.attempts.checked_run import ActionRecord
-from craftsim.validation.settings import Thresholds
 
 _SHOWN: Final = 2
 """How many hazards, and how many contacts, a reason names."""

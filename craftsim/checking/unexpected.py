@@ -6,12 +6,12 @@ from collections.abc import Collection
 
 import numpy as np
 
+from craftsim.checking.contact_log import GROUND, WALL, Contact
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.readback import Poses, Reading
-from craftsim.validation.attempts.contact_log import GROUND, WALL, Contact
 
 
-def surprises(
+def unexpected_contacts(
     contacts: Collection[Contact], poses: Poses, before: Reading, predicted: Grid, cars: Collection[int]
 ) -> tuple[Contact, ...]:
     """Return the contacts that were not there at the start and that the prediction does not explain, hardest first.

@@ -14,6 +14,9 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.checking.attempt import Attempt, attempt_of
+from craftsim.checking.checked_run import ActionRecord, CheckedSite
+from craftsim.checking.settings import NOMINAL, TrialSettings
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.files.blueprint import Blueprint, parse_blueprint
@@ -22,14 +25,11 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.rules.sets import RuleSet
 from craftsim.discrete.schedule import Order
+from craftsim.models.randomization import RandomizedSite
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
-from craftsim.models.variation import Varied
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import Gains, load_gains
-from craftsim.validation.attempts.attempt import Attempt, attempt_of
-from craftsim.validation.attempts.checked_run import ActionRecord, CheckedSite
-from craftsim.validation.settings import NOMINAL, TrialSettings
 
 _NAMES: Final = [action.name for action in Action]
 
@@ -110,9 +110,9 @@ class Recipe:
     settings: TrialSettings = NOMINAL
     rules: RuleSet = "physical"
     physics: Seed | None = None
-    """Of the draw of the physics; needed with ``settings.spread``."""
-    senses: Seed | None = None
-    """Of the noise of the senses; needed where there is some."""
+    """Of the draw of the physics; needed with ``settings.randomization``."""
+    sensors: Seed | None = None
+    """Of the noise of the sensors; needed where there is some."""
     gains: Gains = field(default_factory=load_gains)
     goals: tuple[Cell, ...] = ()
     """Cells that get a marker without contact."""
@@ -142,10 +142,10 @@ def set_up(
     settings: TrialSettings = NOMINAL,
     rules: RuleSet = "physical",
     physics: np.random.Generator | None = None,
-    senses: np.random.Generator | None = None,
+    sensors: np.random.Generator | None = None,
     gains: Gains | None = None,
     goals: tuple[Cell, ...] = (),
-    varied: Varied | None = None,
+    varied: RandomizedSite | None = None,
 ) -> CheckedSite:
     """Return a world in physics, ready for actions.
 
@@ -153,28 +153,28 @@ def set_up(
         grid: the start.
         settings: noise, randomised physics, simulation.
         rules: the rule set that predicts.
-        physics: draws the physics; needed with ``settings.spread``.
-        senses: draws the noise; needed where there is some.
+        physics: draws the physics; needed with ``settings.randomization``.
+        sensors: draws the noise; needed where there is some.
         gains: of the skills; the nominal ones unless given.
         goals: cells to mark.
         varied: a Site of an equal grid and simulation to be used again, which saves compiling; its numbers are the
             same as those of a fresh one.
     """
-    if settings.spread is not None and physics is None:
+    if settings.randomization is not None and physics is None:
         raise InputError("randomised physics needs a seed for its draw")
-    if not settings.noise.silent and senses is None:
-        raise InputError("noisy senses need a seed")
+    if not settings.noise.silent and sensors is None:
+        raise InputError("noisy sensors need a seed")
     if varied is None:
-        drawn = settings.spread is not None
+        drawn = settings.randomization is not None
         site = Site(grid, settings.simulation, goals, reset=not drawn)
-        varied = Varied(site) if drawn else None
-    elif settings.spread is None:
+        varied = RandomizedSite(site) if drawn else None
+    elif settings.randomization is None:
         varied.restore()
     if varied is not None:
         site = varied.site
-        if settings.spread is not None and physics is not None:
-            varied.draw(settings.spread, physics)
-    executor = Executor(site, gains, sensors=Sensors(site, settings.noise, senses))
+        if settings.randomization is not None and physics is not None:
+            varied.draw(settings.randomization, physics)
+    executor = Executor(site, gains, sensors=Sensors(site, settings.noise, sensors))
     return CheckedSite(site, Rules(rules), executor)
 
 
@@ -188,18 +188,18 @@ class Performance:
     """Parallel to the records."""
 
 
-def prepare(recipe: Recipe, varied: Varied | None = None) -> CheckedSite:
+def prepare(recipe: Recipe, varied: RandomizedSite | None = None) -> CheckedSite:
     """Return the world of a recipe at its start; ``varied`` as of :func:`set_up`."""
-    physics, senses = (None if s is None else s.generator() for s in (recipe.physics, recipe.senses))
+    physics, sensors = (None if s is None else s.generator() for s in (recipe.physics, recipe.sensors))
     grid = recipe.grid()
     for step in recipe.steps:
         for act in step.acts:
             if not 0 <= act.car < grid.n_cars:
                 raise InputError(f"there is no car {act.car}: the world has {grid.n_cars}, counted from 0")
-    return set_up(grid, recipe.settings, recipe.rules, physics, senses, recipe.gains, recipe.goals, varied)
+    return set_up(grid, recipe.settings, recipe.rules, physics, sensors, recipe.gains, recipe.goals, varied)
 
 
-def run_up(recipe: Recipe, varied: Varied | None = None) -> CheckedSite:
+def run_up(recipe: Recipe, varied: RandomizedSite | None = None) -> CheckedSite:
     """Return the world of a recipe before its last step."""
     checked = prepare(recipe, varied)
     for step in recipe.steps[:-1]:
@@ -214,7 +214,7 @@ def do_last(checked: CheckedSite, recipe: Recipe) -> Performance:
     return Performance(checked, records, tuple(attempt_of(record, limits) for record in records))
 
 
-def perform(recipe: Recipe, varied: Varied | None = None) -> Performance:
+def perform(recipe: Recipe, varied: RandomizedSite | None = None) -> Performance:
     """Do all of a recipe and return what came of its last step."""
     return do_last(run_up(recipe, varied), recipe)
 

@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.checking.joint import JointSite
 from craftsim.discrete.actions import Action
 from craftsim.discrete.durations import SITUATIONS, situation, verb
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
-from craftsim.skills.joint import JointSite
 
 _LEFT, _RIGHT, _BACK, _FORWARD = (
     Action.MOVE_LEFT,

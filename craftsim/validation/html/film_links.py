@@ -17,7 +17,7 @@ BUDGET_BYTES: Final = 20_000_000
 
 
 @dataclass(frozen=True)
-class Film:
+class FilmLink:
     """A film as a page shows it."""
 
     source: str
@@ -33,12 +33,12 @@ class Films:
         self.out = out
         self.left_bytes = budget_bytes
 
-    def beside(self, cases: Iterable[Case], filmed_only: bool = False) -> list[tuple[Case, Film | None]]:
+    def beside(self, cases: Iterable[Case], filmed_only: bool = False) -> list[tuple[Case, FilmLink | None]]:
         """Return each case with the film of its bundle, those without one only where they are wanted."""
         found = [(case, self._film(case.bundle)) for case in cases]
         return [(case, film) for case, film in found if film or not filmed_only]
 
-    def _film(self, bundle: str) -> Film | None:
+    def _film(self, bundle: str) -> FilmLink | None:
         """Return the film in a bundle, None when there is none, or it lies outside of the page's folder."""
         if not bundle:
             return None
@@ -48,6 +48,8 @@ class Films:
             return None
         size = -(-path.stat().st_size // 3) * 4
         if size > self.left_bytes:
-            return Film(quote(path.relative_to(root).as_posix()), embedded=False)
+            return FilmLink(quote(path.relative_to(root).as_posix()), embedded=False)
         self.left_bytes -= size
-        return Film("data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode(), embedded=True)
+        return FilmLink(
+            "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode(), embedded=True
+        )

@@ -8,6 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.checking.contact_log import Contact, ContactLog
+from craftsim.checking.joint import CarStep, JointSite
+from craftsim.checking.safety import Hazard, hazards, is_unsafe
+from craftsim.checking.unexpected import handled, unexpected_contacts
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import CarField, Grid, Kind
@@ -20,11 +24,7 @@ from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
 from craftsim.skills.driving import Terrain
 from craftsim.skills.executor import Executor
-from craftsim.skills.joint import CarStep, JointSite
 from craftsim.skills.outcome import Outcome
-from craftsim.validation.attempts.contact_log import Contact, ContactLog
-from craftsim.validation.attempts.safety import Hazard, hazards, is_unsafe
-from craftsim.validation.attempts.surprises import handled, surprises
 
 SETTLED_M_S: Final = 0.01
 """Below this speed a thing counts as at rest: eight times what was seen at the end of any good action."""
@@ -211,7 +211,7 @@ class CheckedSite:
             placed_error_m=None if set_down is None else self.reading.objects[set_down].offset_m,
             others_moved_m=moved_m,
             moved=moved,
-            touched=surprises(self.log.contacts, poses, before, predicted, actors),
+            touched=unexpected_contacts(self.log.contacts, poses, before, predicted, actors),
             hazards=hazards(self.log),
             peak_force_n=self.log.peak_n,
         )

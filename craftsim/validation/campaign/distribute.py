@@ -42,7 +42,7 @@ class _Batch:
         return [_Batch((item,)) for item in self.items]
 
 
-def spread(
+def distribute(
     workers: Sequence[Worker], items: Sequence[Item], timeout_s: float, batch: int
 ) -> Iterator[tuple[Item, Answer]]:
     """Yield each item with its answer once, as soon as it is known; the workers are closed at the end.

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from craftsim.checking.checked_run import CheckedSite, run_plan
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Grid, Kind
@@ -13,7 +14,6 @@ from craftsim.discrete.verdict import Finding
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Reason
-from craftsim.validation.attempts.checked_run import CheckedSite, run_plan
 
 SIZE = (4, 1, 2)
 

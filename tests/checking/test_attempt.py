@@ -5,15 +5,15 @@ from dataclasses import asdict, replace
 
 import pytest
 
+from craftsim.checking.attempt import Attempt, Result, attempt_of, result_of, verb_of
+from craftsim.checking.contact_log import Contact
+from craftsim.checking.recipe import set_up
+from craftsim.checking.safety import IMPACT_N, Hazard
+from craftsim.checking.settings import Thresholds
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.verdict import Finding, Verdict
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.validation.attempts.attempt import Attempt, Result, attempt_of, result_of, verb_of
-from craftsim.validation.attempts.contact_log import Contact
-from craftsim.validation.attempts.safety import IMPACT_N, Hazard
-from craftsim.validation.replays.recipe import set_up
-from craftsim.validation.settings import Thresholds
 
 LIMITS = Thresholds()
 

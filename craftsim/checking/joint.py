@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from craftsim.checking.scheduled_run import run_schedule
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.readback import Reading, read_grid
@@ -15,7 +16,6 @@ from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
-from craftsim.skills.scheduled_run import run_schedule
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from craftsim.models.config import SimulationConfig
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
-from craftsim.models.variation import Spread
+from craftsim.models.randomization import DomainRandomization
 
 
 @dataclass(frozen=True)
@@ -28,22 +28,24 @@ class TrialSettings:
 
     thresholds: Thresholds = field(default_factory=Thresholds)
     noise: SensorNoise = EXACT
-    """Of the cars' senses and motors."""
-    spread: Spread | None = None
+    """Of the cars' sensors and motors."""
+    randomization: DomainRandomization | None = None
     """From which each trial draws its own physics; None for the nominal one."""
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
 
 
 NOMINAL: Final = TrialSettings()
-"""Exact senses, nominal physics."""
+"""Exact sensors, nominal physics."""
 
-WITH_NOISE: Final = TrialSettings(Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), NOISY, Spread())
-"""Noisy senses and randomised physics. A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
+WITH_NOISE: Final = TrialSettings(Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), NOISY, DomainRandomization())
+"""Noisy sensors and randomised physics. A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
 
 MILDLY: Final = TrialSettings(
     Thresholds(0.0015, 0.0045, 0.0025, 0.001, 0.002),
     SensorNoise(**{f.name: getattr(NOISY, f.name) / 2 for f in fields(SensorNoise)}),
-    Spread(**{f.name: getattr(Spread(), f.name) / 2 for f in fields(Spread)}),
+    DomainRandomization(
+        **{f.name: getattr(DomainRandomization(), f.name) / 2 for f in fields(DomainRandomization)}
+    ),
 )
 """Half of that noise and randomisation; limits are halved where that leaves them above those without noise."""
 

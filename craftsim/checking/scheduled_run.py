@@ -9,7 +9,7 @@ import numpy as np
 
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.readback import Reading, read_grid
-from craftsim.discrete.schedule import Schedule, Step
+from craftsim.discrete.schedule import Schedule, ScheduledAction
 from craftsim.discrete.verdict import Verdict, compare, describe_car
 from craftsim.models.sensing import read_poses
 from craftsim.skills.driving import Terrain
@@ -55,7 +55,9 @@ class ScheduledRun:
 
 
 def run_schedule(
-    executor: Executor, schedule: Schedule, tell: Callable[[dict[int, Step]], None] = lambda running: None
+    executor: Executor,
+    schedule: Schedule,
+    tell: Callable[[dict[int, ScheduledAction]], None] = lambda running: None,
 ) -> ScheduledRun:
     """Run the steps of a schedule, each as soon as all that it waits for have ended well.
 
@@ -109,7 +111,7 @@ def _read(executor: Executor) -> Reading:
     return read_grid(read_poses(site), site.size, site.walls)
 
 
-def _check(read: Grid, step: Step, index: int, began_s: float, outcome: Outcome) -> StepRecord:
+def _check(read: Grid, step: ScheduledAction, index: int, began_s: float, outcome: Outcome) -> StepRecord:
     """Compare what a step alone is responsible for: its car, and the cells that it changes."""
     ended_s = began_s + outcome.duration_s
     differences = []

@@ -9,11 +9,11 @@ import pytest
 
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.site import Site
-from craftsim.models.variation import Spread, Varied
 
-SPREAD = Spread()
-NONE = Spread(0.0, 0.0, 0.0, 0.0, 0.0)
+SPREAD = DomainRandomization()
+NONE = DomainRandomization(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def _grid() -> Grid:
@@ -34,16 +34,16 @@ def _figures(model) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture
-def varied() -> Varied:
-    return Varied(Site(_grid()))
+def varied() -> RandomizedSite:
+    return RandomizedSite(Site(_grid()))
 
 
-def _ratios(varied: Varied, name: str, seeds=range(12), spread=SPREAD) -> np.ndarray:
+def _ratios(varied: RandomizedSite, name: str, seeds=range(12), randomization=SPREAD) -> np.ndarray:
     """Return (seeds, ...): the drawn figures over the nominal ones, where those are not 0."""
     nominal = getattr(varied.site.model, name).copy()
     drawn = []
     for seed in seeds:
-        varied.draw(spread, np.random.default_rng(seed))
+        varied.draw(randomization, np.random.default_rng(seed))
         drawn.append(getattr(varied.site.model, name).copy())
     return np.array(drawn)[:, nominal != 0] / nominal[nominal != 0]
 
@@ -154,7 +154,7 @@ def test_draws_do_not_add_up(varied):
 
 
 def _after_a_second(seed) -> np.ndarray:
-    varied = Varied(Site(_grid()))
+    varied = RandomizedSite(Site(_grid()))
     site, model, data = varied.site, varied.site.model, varied.site.data
     varied.draw(SPREAD, np.random.default_rng(seed))
     assert site.model is model
@@ -189,8 +189,8 @@ def test_after_a_draw_everything_stands_where_it_was(varied):
             assert np.linalg.norm(site.data.qpos[at] - nominal[at]) < 1e-3
 
 
-@pytest.mark.parametrize("name", [field.name for field in fields(Spread)])
+@pytest.mark.parametrize("name", [field.name for field in fields(DomainRandomization)])
 @pytest.mark.parametrize("value", [-1e-9, 1.0, math.nan, math.inf])
 def test_a_width_that_cannot_be_is_refused_by_its_name(name, value):
-    with pytest.raises(InputError, match=f"Spread.{name} must be"):
+    with pytest.raises(InputError, match=f"DomainRandomization.{name} must be"):
         replace(SPREAD, **{name: value})

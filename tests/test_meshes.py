@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from craftsim.mjcf.make_meshes import MESHES, write_meshes
 
 import craftsim.mjcf
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.mjcf.make_meshes import MESHES, write_meshes
 
 DIRECTORY = Path(craftsim.mjcf.__file__).parent / "meshes"
 

@@ -22,9 +22,9 @@ from craftsim.discrete.terrain import inclines_of
 from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, has_effect
 from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
-from craftsim.skills.driving import Terrain
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
+from craftsim.skills.skill import Terrain
 
 SETTLED_M_S: Final = 0.01
 """Below this speed a thing counts as at rest: eight times what was seen at the end of any good action."""

@@ -12,9 +12,9 @@ from craftsim.discrete.readback import Reading, read_grid
 from craftsim.discrete.schedule import Schedule, ScheduledAction
 from craftsim.discrete.verdict import Verdict, compare, describe_car
 from craftsim.models.sensing import read_poses
-from craftsim.skills.driving import Terrain
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
+from craftsim.skills.skill import Terrain
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from craftsim.discrete.terrain import incline_under
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import BLOCK, SMARTCAR
 from craftsim.models.site import Site
-from craftsim.skills.driving import Terrain
 from craftsim.skills.executor import Executor
+from craftsim.skills.skill import Terrain
 
 PLAY_M = (BLOCK.pocket_side_m - SMARTCAR.boss_side_m) / 2
 STILL_M = 1e-4

@@ -12,12 +12,11 @@ from craftsim.discrete.errors import InputError
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Kind
 from craftsim.models.sensing import CarMeasurement, measure
-from craftsim.skills.driving import Terrain
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.library import make_skill
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.skill import Command
+from craftsim.skills.skill import Command, Terrain
 
 PERIOD_S = 0.02
 RIGHT = Action.MOVE_RIGHT

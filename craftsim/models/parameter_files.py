@@ -85,7 +85,7 @@ def load_machines(path: Path | str) -> Machines:
     cars = [base | own for own in _cars(source, given.items.get("cars"))] or [base]
     try:
         made = {name: _KINDS[name](**values) for name, values in figures.items()}
-        return Machines(cars=tuple(SmartcarParameters(**values) for values in cars), **made)
+        return Machines(cars=tuple(_KINDS["smartcar"](**values) for values in cars), **made)
     except InputError as error:
         message = str(error).replace("SmartcarParameters.", "smartcar.")
         raise InputError(f"{path}: {message}") from error

@@ -194,9 +194,6 @@ class SlopeParameters:
     side_m: float = published(
         0.32, "the visual mesh; the collision meshes' 0.34 overlap at the grid's pitch", _GRID
     )
-    height_m: float = derived(
-        LEVEL_HEIGHT_M, "one level, so that the incline ends flush with a block's deck", _GRID
-    )
     hinge_x_m: float = derived(
         CELL_PITCH_M / 2, "on the cell's border, so that the folded flap covers the base", _GRID
     )
@@ -253,6 +250,11 @@ class SlopeParameters:
     def mass_kg(self) -> float:
         """Mass of the whole slope."""
         return self.base_mass_kg + self.flap_mass_kg
+
+    @property
+    def height_m(self) -> float:
+        """One level: the incline ends flush with a block's deck."""
+        return 2 * self.hinge_z_m
 
 
 @dataclass(frozen=True)

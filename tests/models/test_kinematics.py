@@ -5,8 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from craftsim.models.parameters import SMARTCAR
+from craftsim.models.parameters import NOMINAL
 from craftsim.skills.mecanum import body_twist
+
+SMARTCAR = NOMINAL.cars[0]
 
 SPEED_RAD_S = 10.0
 """A normal driving speed: 0.5 m/s."""

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from craftsim.models.parameters import SMARTCAR
+from craftsim.models.parameters import NOMINAL
 from craftsim.skills.mecanum import body_twist, wheel_speeds, wheel_torques
+
+SMARTCAR = NOMINAL.cars[0]
 
 R = 0.0496
 LEVER = 0.060 + 0.083

@@ -21,9 +21,9 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Order, Schedule, ScheduledAction, make_schedule
 from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, own_differences
 from craftsim.models.sensing import read_poses
-from craftsim.skills.driving import Terrain
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
+from craftsim.skills.skill import Terrain
 
 SETTLED_M_S: Final = 0.01
 """Below this speed a thing counts as at rest: eight times what was seen at the end of any good action."""

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
+from pathlib import Path
 from typing import Final, Literal
 
 from craftsim.discrete.rules import RuleSet
 from craftsim.models.config import SimulationConfig
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
+from craftsim.models.parameter_files import load_machines
+from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.randomization import DomainRandomization
+from craftsim.report import digest
 from craftsim.skills.gains import Gains, load_gains
 
 nominal_gains = cache(load_gains)
@@ -43,6 +47,12 @@ class Setup:
     """From which each seed draws its own physics; None for the nominal one."""
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     gains: Gains = field(default_factory=nominal_gains)
+    machines: Machines = NOMINAL
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of what a user may bring."""
+        return {"gains": digest(self.gains), "machines": self.machines.digest}
 
 
 Randomize = Literal["none", "mild", "strong"]
@@ -66,6 +76,26 @@ RANDOMIZE: Final[Mapping[Randomize, tuple[Thresholds, SensorNoise, DomainRandomi
 """What the option ``--randomize`` stands for: thresholds, sensor noise and domain randomization."""
 
 
-def setup_of(randomize: Randomize = "none", rules: RuleSet = "physical", gains: Gains | None = None) -> Setup:
-    """Return the configuration that the options of the commands stand for."""
-    return Setup(rules, *RANDOMIZE[randomize], gains=gains or nominal_gains())
+def setup_of(
+    randomize: Randomize = "none",
+    rules: RuleSet = "physical",
+    gains: Gains | str | Path | None = None,
+    machines: Machines | str | Path | None = None,
+) -> Setup:
+    """Return the configuration that the options of the commands stand for.
+
+    Args:
+        randomize: sensor noise and domain randomization, with limits that suit them.
+        rules: the rule set that predicts.
+        gains: of the skills, or a file of them; those of the file of the machines, if it has some, unless given.
+        machines: their parameters, or a file of them; the nominal ones unless given.
+
+    Raises InputError for what no file should say.
+    """
+    if gains is None and isinstance(machines, str | Path):
+        gains = machines
+    if not isinstance(gains, Gains):
+        gains = nominal_gains() if gains is None else load_gains(Path(gains))
+    if not isinstance(machines, Machines):
+        machines = NOMINAL if machines is None else load_machines(Path(machines))
+    return Setup(rules, *RANDOMIZE[randomize], gains=gains, machines=machines)

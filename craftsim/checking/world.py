@@ -47,7 +47,7 @@ SEED_0: Final = Seed((0,))
 
 def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> RandomizedSite:
     """Return the compiled world of a grid, to be set up again and again; it stands nowhere yet."""
-    return RandomizedSite(Site(grid, setup.simulation, goals, reset=False))
+    return RandomizedSite(Site(grid, setup.simulation, goals, reset=False, machines=setup.machines))
 
 
 def set_up(

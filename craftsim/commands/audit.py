@@ -52,7 +52,6 @@ def audit(
     from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.films import film_failures, rendering_works
     from craftsim.commands.progress import counting
-    from craftsim.skills.gains import load_gains
     from craftsim.validation.audit.audit import run_audit
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.html.audit import audit_page
@@ -68,7 +67,7 @@ def audit(
         trials = 1
     result = run_audit(
         plan,
-        setup_of(campaign.randomize, campaign.rules, load_gains(campaign.gains)),
+        setup_of(campaign.randomize, campaign.rules, campaign.gains, campaign.parameters),
         trials,
         campaign.seed,
         out,

@@ -48,15 +48,14 @@ def demo(
     from craftsim.commands.films import rendering_works
     from craftsim.commands.progress import counting
     from craftsim.rendering.episode_film import EpisodeFilm
-    from craftsim.report import digest, output_directory, write_report
-    from craftsim.skills.gains import load_gains
+    from craftsim.report import output_directory, write_report
     from craftsim.validation.building import Building, read_building
 
     started = time.perf_counter()
     console = Console()
     if task == "all" and (blueprint or plan or goal):
         raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
-    setup = setup_of(physics.randomize, physics.rules, load_gains(physics.gains))
+    setup = setup_of(physics.randomize, physics.rules, physics.gains, physics.parameters)
     names = TASK_NAMES if task == "all" else (task,)
     buildings = [read_building(name, blueprint, plan, goal) for name in names]
     output_directory(out)
@@ -74,7 +73,7 @@ def demo(
         if film is not None:
             films.append(f"{path} ({film.frames} frames)")
     config: dict[str, Any] = {"setup": setup, "order": order, "rules": physics.rules}
-    config |= {"randomize": physics.randomize, "digests": {"gains": digest(setup.gains)}}
+    config |= {"randomize": physics.randomize, "digests": setup.digests}
     if task == "all":
         figures: dict[str, Any] = {
             "tasks": {one.name: one.figures for one in done},

@@ -86,6 +86,7 @@ def validate(
         rules=campaign.rules,
         randomize=campaign.randomize,
         gains=campaign.gains,
+        machines=campaign.parameters,
         order=order,
         trials=campaign.trials,
         seed=campaign.seed,

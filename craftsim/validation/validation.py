@@ -15,8 +15,9 @@ from craftsim.checking.settings import Randomize, setup_of
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
-from craftsim.report import digest, write_report
-from craftsim.skills.gains import Gains, load_gains
+from craftsim.models.parameters import Machines
+from craftsim.report import write_report
+from craftsim.skills.gains import Gains
 from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign, run_here
 from craftsim.validation.runs.choice import (
     PLANNER,
@@ -108,6 +109,7 @@ def validate(
     rules: RuleSet = "physical",
     randomize: Randomize = "none",
     gains: Gains | str | Path | None = None,
+    machines: Machines | str | Path | None = None,
     order: PlanOrder = "ticks",
     trials: int = 1,
     seed: int = 0,
@@ -132,6 +134,7 @@ def validate(
         rules: the rule set that predicts, and by which policies may act.
         randomize: how noisy the sensors and how random the physics are; sets the limits of the errors, too.
         gains: of the skills, or a file of them.
+        machines: parameters of the machines, or a file of them, which may hold gains, too.
         order: how plans are carried out.
         trials: how many runs of each; under ``randomize="none"`` in a fixed world all are alike.
         seed: decides all that is drawn; the same for every plan and policy.
@@ -168,9 +171,8 @@ def validate(
         named = policy or default
         named = list(named) if isinstance(named, Iterable) and not isinstance(named, str) else [named]
         pilots = [policy_pilot(one, subjects, order) for one in dict.fromkeys(named)]
-    skills = gains if isinstance(gains, Gains) else load_gains(None if gains is None else Path(gains))
     folder = None if out is None else Path(out)
-    setup = setup_of(randomize, rules, skills)
+    setup = setup_of(randomize, rules, gains, machines)
     config: dict[str, Any] = {
         "worlds": {subject.name: subject.digest for subject in subjects},
         "by": {pilot.name: pilot.digest for pilot in pilots},
@@ -179,7 +181,7 @@ def validate(
         "rules": rules,
         "order": order,
         "setup": setup,
-        "digests": {"gains": digest(skills)},
+        "digests": setup.digests,
     }
     terms = Terms(seed, setup, None if folder is None else folder.resolve())
     items = list(items_of(subjects, pilots, trials, terms))

@@ -8,7 +8,7 @@ import pytest
 from craftsim.checking.attempt import Attempt, Result, attempt_of, result_of, verb_of
 from craftsim.checking.contact_log import Contact
 from craftsim.checking.recipe import set_up
-from craftsim.checking.safety import IMPACT_N, Hazard
+from craftsim.checking.safety import Hazard, impact_limit_n
 from craftsim.checking.settings import Thresholds
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
@@ -174,7 +174,7 @@ def test_what_still_moves_when_all_motors_rest_is_unsettled():
 
 
 def test_the_impact_limit_is_above_what_a_loaded_car_and_its_motors_do():
-    assert 400 < IMPACT_N < 700
+    assert 400 < impact_limit_n() < 700
 
 
 def test_verbs_forget_the_direction():

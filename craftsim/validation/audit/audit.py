@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from craftsim.checking.settings import Setup
-from craftsim.report import digest, output_directory, write_report
+from craftsim.report import output_directory, write_report
 from craftsim.validation.audit.corrections import rows_by_switch
 from craftsim.validation.audit.results import Results, bundle_disagreements, judged_by_rules
 from craftsim.validation.audit.rows import Row
@@ -80,13 +80,7 @@ def run_audit(
     """
     started = time.perf_counter()
     output_directory(out)
-    config = {
-        **asked,
-        "trials": trials,
-        "rules": setup.rules,
-        "setup": setup,
-        "digests": {"gains": digest(setup.gains)},
-    }
+    config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     items = items_of(plan, trials, seed, setup)
     earlier = None if against is None else Earlier.read(against, COMMAND, out, seed, items)
     with progress(len(items)) as on_record:

@@ -27,7 +27,12 @@ class RunDescription:
         """Return the description of a run by its configuration, the ``setup`` of the physics included."""
         setup = config["setup"]
         brief = {key: value for key, value in config.items() if key != "setup"}
-        return cls(command, seed, plain(brief | {"gains": setup.gains}), plain(setup.thresholds))
+        return cls(
+            command,
+            seed,
+            plain(brief | {"gains": setup.gains, "machines": setup.machines}),
+            plain(setup.thresholds),
+        )
 
 
 def provenance_section(provenance: RunDescription) -> Section:

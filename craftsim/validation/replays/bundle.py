@@ -6,11 +6,9 @@ contacts, and the scene as MJCF for people. Nothing in it is code: text, and Num
 
 from __future__ import annotations
 
-import shutil
 import zipfile
 import zlib
 from dataclasses import dataclass, fields
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final
 
@@ -22,9 +20,8 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe, do, run_up
 from craftsim.discrete.errors import InputError
-from craftsim.models.composition import compose
-from craftsim.models.placement import placements
 from craftsim.models.randomization import Nominal
+from craftsim.models.scene import write_scene
 from craftsim.models.site import Site
 from craftsim.report import output_directory, versions
 
@@ -146,19 +143,10 @@ def _write(folder: Path, bundle: Bundle, checked: CheckedSite, before: Arrays) -
         np.savez_compressed(folder / name, allow_pickle=False, **arrays)
     assert checked.log is not None
     checked.log.write(folder / CONTACTS)
-    _write_scene(folder / SCENE, bundle.recipe)
+    recipe = bundle.recipe
+    write_scene(folder / SCENE, recipe.grid, recipe.setup.simulation, recipe.goals, recipe.setup.machines)
     # Written last, so that a folder with this file is a whole bundle.
     (folder / TEXT).write_bytes(_BUNDLE.dump_json(bundle, indent=1) + b"\n")
-
-
-def _write_scene(folder: Path, recipe: Recipe) -> None:
-    """Write the nominal scene as MJCF that opens in the MuJoCo viewer, beside its meshes."""
-    grid = recipe.grid
-    spec, _ = compose(grid, placements(grid), recipe.setup.simulation, recipe.goals)
-    spec.compile()
-    with as_file(files("craftsim.mjcf") / "meshes") as meshes:
-        shutil.copytree(meshes, folder / "meshes", dirs_exist_ok=True)
-    (folder / "site.xml").write_text(spec.to_xml(), encoding="utf-8")
 
 
 def read_bundle(folder: Path) -> Recorded:

@@ -41,6 +41,9 @@ class Backend(Protocol):
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return the world as a picture, shape (height, width, 3)."""
 
+    def pictures(self, grid: Grid, goal: Cell | None) -> list[NDArray[np.uint8]]:
+        """Return pictures of what has happened since the last call, the latest last; one or more."""
+
     def show(self, grid: Grid, goal: Cell | None) -> None:
         """Show the world to a person."""
 

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Sequence
+from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.joint import CarStep, JointSite, JointStep
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.readback import Placed
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
+from craftsim.envs.pictures import Pictures
 from craftsim.models.config import SimulationConfig
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site, SiteState
 from craftsim.skills.executor import Executor
-from craftsim.skills.gains import load_gains
-
-if TYPE_CHECKING:
-    from mujoco.viewer import Handle
-
-PICTURE_SIZE: Final = (640, 480)
-"""Width and height of a picture in pixels."""
+from craftsim.skills.gains import Gains, load_gains
 
 
 class PhysicsBackend:
@@ -45,23 +37,31 @@ class PhysicsBackend:
         randomization: DomainRandomization | None = None,
         config: SimulationConfig | None = None,
         goals: Sequence[Cell] = (),
+        *,
+        gains: Gains | None = None,
+        machines: Any = None,
+        observers: Sequence[Callable[[Site], None]] = (),
+        pictures: Pictures | None = None,
     ) -> None:
-        """Prepare for episodes with this sensor noise and domain randomization, none unless given."""
+        """Prepare for episodes; :class:`craftsim.envs.options.Options` explains the arguments."""
         self.rules, self.noise, self.randomization, self.config = rules, noise or EXACT, randomization, config
         self.goals = goals
-        self._gains = load_gains()
+        self._gains = gains or load_gains()
+        # What is not given is left to the Site's own default.
+        self._of_site = {} if machines is None else {"machines": machines}
+        self._pictures = pictures or Pictures()
+        self._observers = (self._pictures.watch, *observers)
         self._planner = None if helper_depth is None else Planner(rules, helper_depth)
         self._start: Grid | None = None
         self._rested: SiteState | None = None
-        self._renderer: mujoco.Renderer | None = None
-        self._viewer: Handle | None = None
         self.world: JointSite
 
     def start(self, grid: Grid, rng: np.random.Generator) -> Grid:
         """Begin an episode; a Site is compiled only when the start is another than the last one's."""
         if self._start is None or not self._start.same_visible(grid):
-            self.close()
-            self._site = Site(grid, self.config, self.goals, reset=self.randomization is None)
+            self._site = Site(
+                grid, self.config, self.goals, reset=self.randomization is None, **self._of_site
+            )
             self._varied = RandomizedSite(self._site)
             self._rested = self._site.save() if self.randomization is None else None
             self._start = grid.copy()
@@ -70,7 +70,9 @@ class PhysicsBackend:
         elif self.randomization is not None:
             self._varied.draw(self.randomization, rng)
         sensors = Sensors(self._site, self.noise, rng)
-        executor = Executor(self._site, self._gains, self._observe, sensors)
+        executor = Executor(self._site, self._gains, sensors=sensors)
+        executor.observers.extend(self._observers)
+        self._pictures.begin(self._site)
         self.world = JointSite(self._site, self.rules, executor)
         return self.world.grid
 
@@ -106,36 +108,20 @@ class PhysicsBackend:
         return primitives
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
-        """Return what the overview camera sees."""
-        if self._renderer is None:
-            width, height = PICTURE_SIZE
-            self._renderer = mujoco.Renderer(self._site.model, height, width)
-        self._renderer.update_scene(self._site.data, "overview")
-        return self._renderer.render()
+        """Return what the camera sees."""
+        return self._pictures.picture()
+
+    def pictures(self, grid: Grid, goal: Cell | None) -> list[NDArray[np.uint8]]:
+        """Return the pictures of the motion since the last call."""
+        return self._pictures.taken()
 
     def show(self, grid: Grid, goal: Cell | None) -> None:
         """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
-        if self._viewer is None:
-            if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-                raise InputError(
-                    "render_mode 'human' needs a display, and there is none here; try 'rgb_array' or 'ansi'"
-                )
-            import mujoco.viewer
-
-            self._viewer = mujoco.viewer.launch_passive(self._site.model, self._site.data)
-        self._viewer.sync()
+        self._pictures.show()
 
     def close(self) -> None:
         """Close the viewer and the renderer."""
-        if self._viewer is not None:
-            self._viewer.close()
-        if self._renderer is not None:
-            self._renderer.close()
-        self._viewer = self._renderer = None
-
-    def _observe(self, site: Site) -> None:
-        if self._viewer is not None:
-            self._viewer.sync()
+        self._pictures.close()
 
 
 def _tell(step: JointStep, done: CarStep, placed: Placed) -> dict[str, Any]:

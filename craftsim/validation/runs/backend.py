@@ -62,6 +62,10 @@ class CheckedBackend:
         """Show nothing: films are made from bundles."""
         raise NotImplementedError
 
+    def pictures(self, grid: Grid, goal: Cell | None) -> list[NDArray[np.uint8]]:
+        """Show nothing."""
+        raise NotImplementedError
+
     def show(self, grid: Grid, goal: Cell | None) -> None:
         """Show nothing."""
         raise NotImplementedError

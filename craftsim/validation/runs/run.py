@@ -20,7 +20,7 @@ from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
 from craftsim.discrete.tasks.measures import Complexity
 from craftsim.discrete.tasks.rewards import Reward
-from craftsim.envs.core import Options
+from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.validation.campaign import Done
 from craftsim.validation.replays.bundle import write_bundle

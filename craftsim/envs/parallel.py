@@ -21,6 +21,14 @@ from craftsim.envs.spaces import car_space, state_space
 Observation = dict[str, NDArray[Any]]
 
 
+class Observations(dict[str, Observation]):
+    """What all agents observe, by agent; it knows of which task, so that a policy can refuse another one."""
+
+    def __init__(self, seen: dict[str, Observation], task: Task) -> None:
+        super().__init__(seen)
+        self.task = task
+
+
 class ParallelConstruction(ParallelEnv[str, Observation, int]):
     """A task for cars that share one reward; ``car_0``, ``car_1``, ... are the agents.
 
@@ -105,10 +113,11 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
         if self._own is not None:
             grid = self.core.grid
             seen = [self._own.of(grid, car) for car in range(self.core.n_cars)]
-        return {
+        of_cars = {
             agent: {"observation": seen[car], "action_mask": masks[car]}
             for car, agent in enumerate(self.possible_agents)
         }
+        return Observations(of_cars, self.core.task)
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: the rows of all entities, flattened, as ``state_space`` says."""

@@ -27,7 +27,7 @@ _RESET_FIRST: Final = "call reset() before anything else"
 
 @dataclass(frozen=True)
 class CoreStep:
-    """What a tick brought."""
+    """The result of a tick."""
 
     reward: float
     """Shared by all cars."""
@@ -92,7 +92,7 @@ class Core:
         self._t = np.zeros(1, np.int64)
         self._paid = np.zeros(1, np.bool_)
         self._runs = True
-        self._worth = self.task.reward.measure.of_worlds(self._worlds.arrays)
+        self._potential = self.task.reward.measure.of_worlds(self._worlds.arrays)
         self._look()
         self._pictures.clear()
         self._show()
@@ -142,20 +142,20 @@ class Core:
         Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.
         """
         self.require_episode()
-        told = checked(actions, (self.n_cars,))
+        chosen = checked(actions, (self.n_cars,))
         offered, helped = self.masks, self.options.helper_depth is not None
         queued = self.worlds.queue[0, :, 0] >= 0 if helped else None
         order = self._rng.permutation(self.n_cars)
-        tick = self.backend.tick(self.worlds, told, order)
+        tick = self.backend.tick(self.worlds, chosen, order)
         arrays = self.worlds.arrays
-        after = self._worth if tick.problems else self.task.reward.measure.of_worlds(arrays)
-        reward, self._paid = self.task.reward.pay(self._worth, after, self._t, self._paid)
+        after = self._potential if tick.problems else self.task.reward.measure.of_worlds(arrays)
+        reward, self._paid = self.task.reward.pay(self._potential, after, self._t, self._paid)
         success = not tick.problems and bool(self._success.of_worlds(arrays)[0])
         over = bool(self.task.over(self._t, np.array([success]))[0])
-        self._worth, self._t = after, self._t + 1
+        self._potential, self._t = after, self._t + 1
         self._look()
         self._show()
-        wrong = illegal(told, tick.applied, offered, queued)
+        wrong = illegal(chosen, tick.applied, offered, queued)
         shared = {"success": success, "duration_s": tick.duration_s, "problems": tick.problems}
         extras = tick.of_car or ({},) * self.n_cars
         infos = [

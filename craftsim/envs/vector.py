@@ -90,18 +90,18 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         """
         if not self._begun:
             raise InputError("call reset() before anything else")
-        episodes, told = self.episodes, checked(actions, (self.num_envs, self.task.layout.n_cars))
+        episodes, chosen = self.episodes, checked(actions, (self.num_envs, self.task.layout.n_cars))
         worlds, offered = episodes.worlds, self._masks
         queued = None if worlds.depth is None else worlds.queue[:, :, 0] >= 0
         before = worlds.arrays.cars.copy()
-        steps = episodes.step(told)
-        duration = tick_durations(before, worlds.arrays.cars, told, steps.applied)
+        steps = episodes.step(chosen)
+        duration = tick_durations(before, worlds.arrays.cars, chosen, steps.applied)
         terminated = steps.success & self.task.ends_on_success
         truncated = steps.done & ~terminated
         infos: dict[str, Any] = {
             "success": steps.success,
             "duration_s": duration,
-            "illegal": illegal(told, steps.applied, offered, queued),
+            "illegal": illegal(chosen, steps.applied, offered, queued),
         }
         self._look()
         ended = np.flatnonzero(steps.done)

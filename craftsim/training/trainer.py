@@ -164,5 +164,5 @@ class Trainer:
 
 
 def training_versions() -> dict[str, str]:
-    """Return the versions that decide what is learnt."""
+    """Return the versions that decide what a run learns."""
     return {**versions(), **{name: version(name) for name in PACKAGES}}

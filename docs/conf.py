@@ -11,7 +11,7 @@ project = "craftsim"
 author = "The craftsim developers"
 version = release = craftsim.__version__
 
-extensions = ["myst_parser", "public_names", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "public_names"]
 exclude_patterns = ["_build"]
 
 myst_enable_extensions = ["attrs_inline"]
@@ -21,9 +21,8 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
 autodoc_preserve_defaults = True
-napoleon_google_docstring = True
-napoleon_numpy_docstring = False
 python_use_unqualified_type_names = True
+maximum_signature_line_length = 100
 
 html_theme = "furo"
 html_title = f"craftsim {version}"

@@ -1,4 +1,4 @@
-"""Two different machines in one world: a car with weak wheels drives beside a standard one, one action each."""
+"""Two different machines in one world: a car with slower, weaker wheels drives beside a standard one."""
 
 from dataclasses import replace
 
@@ -19,5 +19,5 @@ outcomes = executor.run({0: Action.MOVE_RIGHT, 1: Action.MOVE_RIGHT})
 
 for car, outcome in outcomes.items():
     torque = site.cars[car].parameters.wheel_torque_nm
-    print(f"car {car} with {torque:.1f} Nm a wheel: {outcome}")
+    print(f"car {car} with {torque:.1f} Nm a wheel: {outcome} after {outcome.duration_s:.2f} s")
 assert all(outcome.succeeded for outcome in outcomes.values())

@@ -19,6 +19,7 @@ result = craftsim.validate(
 print(result)
 
 actions = result.to_frame()  # one row for each action of each trial, as a pandas DataFrame
-print(actions.groupby("action")[["car_error_m", "heading_error_rad", "duration_s"]].max().round(4))
+errors = actions.groupby("action")[["car_error_m", "heading_error_rad", "placed_error_m"]].max()
+print("largest errors in mm and mrad:", (1e3 * errors).round(2), sep="\n")
 
 assert result.agrees, "physics and rules disagree"

@@ -20,7 +20,7 @@ from sphinx.util.docutils import SphinxDirective
 
 import craftsim
 
-PUBLIC = frozenset(getattr(craftsim, "__all__", ())) - {"__version__"}
+PUBLIC = frozenset(craftsim.__all__) - {"__version__"}
 
 logger = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ class Public(SphinxDirective):
             if name in PUBLIC:
                 _listed(self.env).add(name)
                 lines += _autodoc(name)
-            elif PUBLIC:
+            else:
                 logger.warning("craftsim.%s is not public", name, location=self.get_location())
         # The page is Markdown; autodoc writes reStructuredText.
         return self.parse_text_to_nodes("\n".join(["```{eval-rst}", *lines, "```"]))

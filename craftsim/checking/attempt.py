@@ -9,8 +9,8 @@ from typing import Final
 
 from craftsim.checking.checked_run import ActionRecord
 from craftsim.checking.settings import Thresholds
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.verdict import Finding
 
 _SHOWN: Final = 2
@@ -70,7 +70,7 @@ def attempt_of(record: ActionRecord, limits: Thresholds) -> Attempt:
         tick=record.tick,
         car=record.car,
         action=record.action.name,
-        verb=verb_of(record.action),
+        verb=ACTIONS[record.action].verb,
         level=record.level,
         load="none" if record.load == Kind.AIR else record.load.name.lower(),
         slope=record.sloping,
@@ -88,11 +88,6 @@ def attempt_of(record: ActionRecord, limits: Thresholds) -> Attempt:
         duration_s=record.outcome.duration_s,
         peak_force_n=record.peak_force_n,
     )
-
-
-def verb_of(action: Action) -> str:
-    """Return the name of an action whatever its map direction."""
-    return "MOVE" if action in MOVE_DIRECTION or action > Action.STOP else action.name
 
 
 def result_of(record: ActionRecord, limits: Thresholds) -> Result:

@@ -9,9 +9,10 @@ import numpy as np
 
 from craftsim.checking.joint import JointSite
 from craftsim.discrete.actions import Action
-from craftsim.discrete.durations import SITUATIONS, situation, verb
+from craftsim.discrete.durations import SITUATIONS, situation
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 
@@ -61,7 +62,7 @@ def measure_durations() -> dict[str, dict[str, float]]:
         if not done.applied or done.outcome is None:
             raise RuntimeError(f"action {number} of the tour, {action.name}, failed: {done}")
         name = SITUATIONS[int(situation(before, world.grid.cars)[0])]
-        seconds[verb(action)][name].append(done.outcome.duration_s)
+        seconds[ACTIONS[action].duration][name].append(done.outcome.duration_s)
     return {
         name: {where: round(float(np.mean(taken)), 2) for where, taken in rows.items()}
         for name, rows in seconds.items()

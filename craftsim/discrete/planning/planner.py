@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.cells import AIR, World, derive_marks, pose_of
+from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.planning.search import (
     Space,
@@ -23,8 +25,6 @@ from craftsim.discrete.planning.search import (
     visit_near,
     write_plan,
 )
-from craftsim.discrete.rules.cells import AIR, World, derive_marks, pose_of
-from craftsim.discrete.rules.compiled import compiled
 from craftsim.discrete.rules.legality import FIRST_MOVE, LAST_MOVE, STOP
 from craftsim.discrete.rules.sets import Rules, act, acting_order, check_car, world_of
 

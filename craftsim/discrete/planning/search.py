@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
+from craftsim.discrete.cells import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
+from craftsim.discrete.compiled import compiled
 from craftsim.discrete.planning.heap import heapify, pop, push
-from craftsim.discrete.rules.cells import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
-from craftsim.discrete.rules.compiled import compiled
 from craftsim.discrete.rules.effects import turned
-from craftsim.discrete.rules.legality import FIRST_MOVE, ROTATE_LEFT, ROTATE_RIGHT, legal, move_direction
+from craftsim.discrete.rules.legality import FIRST_MOVE, ROTATE_LEFT, ROTATE_RIGHT, move_direction
 from craftsim.discrete.rules.moves import moved
+from craftsim.discrete.rules.table import legal
 
 MOVE_FORWARD = int(Action.MOVE_FORWARD)
 MOVE_BACK = int(Action.MOVE_BACK)

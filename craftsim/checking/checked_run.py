@@ -11,7 +11,7 @@ import numpy as np
 from craftsim.checking.contact_log import Contact, ContactLog
 from craftsim.checking.joint import CarStep, JointSite
 from craftsim.checking.safety import Hazard, hazards, is_unsafe
-from craftsim.checking.unexpected import handled, unexpected_contacts
+from craftsim.checking.unexpected import handled, shoved, unexpected_contacts
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import CarField, Grid, Kind
@@ -188,8 +188,11 @@ class CheckedSite:
         car, (poses, before) = step.car, start
         actors = together or (car,)
         placed = self.reading.cars[car]
-        set_down = self._set_down(before, car, step.action)
-        moved_m, moved = self._furthest_moved(poses, before, actors)
+        own = handled(before, predicted, car)
+        # What the car should not carry afterwards is set down, folded, unfolded or shoved.
+        set_down = own[0] if own and predicted.cars[car, CarField.LOAD] == Kind.AIR else None
+        meant = {index for actor in actors for index in shoved(before, predicted, actor)}
+        moved_m, moved = self._furthest_moved(poses, before, actors, meant)
         row = before.grid.cars[car]
         return ActionRecord(
             tick=tick,
@@ -201,7 +204,7 @@ class CheckedSite:
             level=int(row[CarField.Z]),
             load=Kind(row[CarField.LOAD]),
             sloping=bool(row[CarField.SLOPE] or predicted.cars[car, CarField.SLOPE]),
-            own=(f"car {car}", *(poses.name(i) for i in handled(before, predicted, car))),
+            own=(f"car {car}", *(poses.name(i) for i in own)),
             outcome=step.outcome or Outcome(None, 0.0),
             verdict=verdict,
             effect=step.in_place,
@@ -216,17 +219,13 @@ class CheckedSite:
             peak_force_n=self.log.peak_n,
         )
 
-    def _set_down(self, before: Reading, car: int, action: Action) -> int | None:
-        """Return the object that the action set down, folded or unfolded, if there is one."""
-        for index, (was, kind) in enumerate(zip(before.objects, self.poses.kinds, strict=True)):
-            dropped = action is Action.DROP and was.carrier == car
-            turned = action in (Action.FOLD, Action.UNFOLD) and kind == Kind.FSLOPE
-            if dropped or (turned and was.carrier is None and was.cell == before.cars[car].cell):
-                return index
-        return None
+    def _furthest_moved(
+        self, before: Poses, was: Reading, actors: Collection[int], meant: Collection[int]
+    ) -> tuple[float, str]:
+        """Return the longest way in metres of anything that is not meant to move, and its name.
 
-    def _furthest_moved(self, before: Poses, was: Reading, actors: Collection[int]) -> tuple[float, str]:
-        """Return the longest way in metres of anything that the acting cars neither are nor carry, and its name."""
+        That is all but the acting cars, what they carry, and the objects ``meant``.
+        """
         ways = {
             f"car {car}": float(np.linalg.norm(now - then))
             for car, (then, now) in enumerate(
@@ -237,7 +236,7 @@ class CheckedSite:
         ways |= {
             self.poses.name(i): float(np.linalg.norm(self.poses.positions[i] - before.positions[i]))
             for i, (a, b) in enumerate(zip(was.objects, self.reading.objects, strict=True))
-            if a.carrier not in actors and b.carrier not in actors
+            if a.carrier not in actors and b.carrier not in actors and i not in meant
         }
         moved = max(ways, key=lambda name: ways[name], default="")
         return ways.get(moved, 0.0), moved

@@ -45,7 +45,7 @@ def unexpected_contacts(
 
 
 def handled(before: Reading, predicted: Grid, car: int) -> list[int]:
-    """Return the objects, by their index, that an action of a car is about: its load, what it takes, turns or shoves."""
+    """Return the objects, by their index, that an action is about: the car's load, what it takes, turns or shoves."""
     cell = _cell(before.grid, car)
     loads = [index for index, thing in enumerate(before.objects) if thing.carrier == car]
     return [*loads, *_changing(before, predicted, cell), *shoved(before, predicted, car)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Final
 
 
 class Kind(IntEnum):
@@ -17,6 +18,20 @@ class Kind(IntEnum):
     GEAR = 6
     BODY = 7
     FOOT = 8
+
+
+NAMES: Final = {
+    Kind.AIR: "nothing",
+    Kind.GROUND: "the ground",
+    Kind.WALL: "a wall",
+    Kind.BLOCK: "a block",
+    Kind.FLAG: "a flag",
+    Kind.FSLOPE: "a folded slope",
+    Kind.GEAR: "the gear of a folded slope",
+    Kind.BODY: "the body of a slope",
+    Kind.FOOT: "the foot of a slope",
+}
+"""What is in a cell, in words."""
 
 
 class CarField(IntEnum):

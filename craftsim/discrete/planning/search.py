@@ -257,34 +257,6 @@ def near_enough(w: World, me: int, space: Space, limit: int) -> int:
 
 
 @compiled
-def visit_near(w: World, me: int, space: Space, start: Pose, view: int, out: NDArray[np.bool_]) -> None:
-    """Mark in out (L, W, H + 2) the cells that car ``me`` could get to from a state, at most ``view`` columns away."""
-    forget_ways(space)
-    space.state[:] = UNSEEN
-    space.heap[0] = node_of(w, start)
-    space.state[space.heap[0]] = OPEN
-    space.slope[space.heap[0]] = start.slope
-    head, tail = 0, 1
-    while head < tail:
-        node = space.heap[head]
-        head += 1
-        car = pose_at(w, start, node, space.slope[node])
-        out[car.x, car.y, car.z] = True
-        ways = ways_from(w, me, space, node, car)
-        for i in range(len(SUCCESSORS)):
-            if not ways & (1 << i):
-                continue
-            new = after(w, car, SUCCESSORS[i])
-            next_node = node_of(w, new)
-            near = abs(new.x - start.x) <= view and abs(new.y - start.y) <= view
-            if near and space.state[next_node] == UNSEEN:
-                space.state[next_node] = OPEN
-                space.slope[next_node] = new.slope
-                space.heap[tail] = next_node
-                tail += 1
-
-
-@compiled
 def fill_reachable(w: World, space: Space, limit: int, mask: NDArray[np.bool_]) -> None:
     """Turn a mask (n, 15) of legal actions into the helper's: a MOVE with a plan is on, too."""
     for me in range(w.cars.shape[0]):

@@ -14,7 +14,8 @@ from typing import Final
 from craftsim.discrete.actions import Action
 from craftsim.discrete.cells import RuleFlags, World, pose_of
 from craftsim.discrete.grid import CarField, Cell, Kind
-from craftsim.discrete.rules.reasons import NAMES, at
+from craftsim.discrete.kinds import NAMES
+from craftsim.discrete.rules.reasons import at
 from craftsim.discrete.rules.table import ACTIONS, legal
 
 _NEAR: Final = 3

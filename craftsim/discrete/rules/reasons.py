@@ -10,21 +10,9 @@ from typing import Final, NamedTuple
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.cells import Pose, World, back_at, kind_at, standable, top_at, yaw_at
 from craftsim.discrete.grid import CarField, Cell, Kind, beside
+from craftsim.discrete.kinds import NAMES
 from craftsim.discrete.rules.moves import ascent_legal, descent_legal, goes_on, load_has_room
 from craftsim.discrete.rules.reach import carried_gear_in
-
-NAMES: Final = {
-    Kind.AIR: "nothing",
-    Kind.GROUND: "the ground",
-    Kind.WALL: "a wall",
-    Kind.BLOCK: "a block",
-    Kind.FLAG: "a flag",
-    Kind.FSLOPE: "a folded slope",
-    Kind.GEAR: "the gear of a folded slope",
-    Kind.BODY: "the body of a slope",
-    Kind.FOOT: "the foot of a slope",
-}
-"""What is in a cell, in words."""
 
 ON_A_SLOPE: Final = "on a slope a car can only move forward"
 

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import Footprint, footprint
+from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules.table import footprint
 from craftsim.discrete.terrain import inclines_of
 
 Order = Literal["sequential", "concurrent", "at-once"]

@@ -14,7 +14,6 @@ from craftsim.checking.safety import hazards, is_unsafe
 from craftsim.checking.settings import Thresholds
 from craftsim.checking.unexpected import handled, shoved, unexpected_contacts
 from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Poses, Reading, read_grid
 from craftsim.discrete.rules import Rules
@@ -34,8 +33,6 @@ Joint = Sequence[tuple[int, Action]]
 """(car, action) in acting order."""
 OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
-
-_NOWHERE: Final = Footprint(frozenset(), frozenset(), frozenset(), frozenset())
 
 
 @dataclass
@@ -104,7 +101,7 @@ class CheckedSite:
         """
         if intended is None:
             return self.perform_tick([(car, action)], tick=tick)[0]
-        step = ScheduledAction(tick, car, action, self.grid, intended, _NOWHERE, frozenset())
+        step = ScheduledAction(tick, car, action, self.grid, intended)
         legal = self.rules.legal(self.grid, car, action)
         return self._perform(Schedule((step,), (), intended, ((tick, car),)), legal=legal)[0]
 
@@ -147,11 +144,7 @@ class CheckedSite:
                 one = running.pop(car)
                 evidence[one.index] = self._measure(one, outcome, legal)
         world = self._world_verdict(before, schedule.final, settled)
-        never = [(step, True) for step in waiting.values()]
-        never += [
-            (ScheduledAction(tick, car, action, self.grid, self.grid, _NOWHERE, frozenset()), False)
-            for tick, car, action in schedule.forbidden
-        ]
+        never = [*((step, True) for step in waiting.values()), *((step, False) for step in schedule.forbidden)]
         found = [evidence[index] for index in sorted(evidence)]
         found += [self._measure(self._now(step), None, allowed) for step, allowed in never]
         attempts = [judge(one, self._verdict(one, world, found), self.thresholds) for one in found]
@@ -244,9 +237,10 @@ class CheckedSite:
         """Return the verdict on one of many actions."""
         car, action = one.step.car, one.step.action
         if one.outcome is None:
-            waits = f"car {car} waits for an action that failed"
-            forbidden = f"the rules forbid {action.name} to car {car} here"
-            return Verdict(Finding.NOT_EXECUTED, (waits if one.legal else forbidden,))
+            if one.legal:
+                return Verdict(Finding.NOT_EXECUTED, (f"car {car} waits for an action that failed",))
+            why = self.rules.explain(one.step.before, car, action)
+            return Verdict(Finding.NOT_EXECUTED, (f"the rules forbid it: {why}",))
         tried = [other for other in all_evidence if other.legal or other.outcome is not None]
         nobodys = len(tried) == 1 or all(other.applied for other in tried)
         if world.agrees or (one.applied and not nobodys):

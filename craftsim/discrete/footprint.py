@@ -19,13 +19,13 @@ from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 class Footprint:
     """The cells (x, y, z) that matter to one action."""
 
-    space: frozenset[Cell]
+    space: frozenset[Cell] = frozenset()
     """Swept by the car, its load or a flap."""
-    changes: frozenset[Cell]
+    changes: frozenset[Cell] = frozenset()
     """Whose object the action takes, puts down or turns."""
-    relies: frozenset[Cell]
+    relies: frozenset[Cell] = frozenset()
     """Whose object must stay as it is: what is stood on, driven under or out of."""
-    loads: frozenset[Cell]
+    loads: frozenset[Cell] = frozenset()
     """Through which a load moves, sideways play and all."""
 
     def __or__(self, other: Footprint) -> Footprint:
@@ -48,7 +48,7 @@ class Footprint:
 
 def of_nothing(before: Grid, after: Grid, car: int) -> Footprint:
     """Return that nothing is needed beyond what the car needs where it stands."""
-    return Footprint(frozenset(), frozenset(), frozenset(), frozenset())
+    return Footprint()
 
 
 def of_move(before: Grid, after: Grid, car: int) -> Footprint:

@@ -82,7 +82,9 @@ def test_a_registered_task_is_found_by_its_name(monkeypatch):
 def test_a_blueprint_is_a_task_with_the_goal_file_beside_it(folder):
     bare = task_of("mine.yaml")
     assert (bare.name, bare.design) == ("mine", None)
-    assert isinstance(bare.success, OnePlatform)
+    assert not bare.has_goal
+    (folder / "platform.yaml").write_text("start: mine.yaml\ngoal: platform\n")
+    assert isinstance(task_of("platform.yaml").success, OnePlatform)
     (folder / "mine_goal.yaml").write_text(GOAL)
     assert [target.cell for target in task_of(str(folder / "mine.yaml")).design.targets] == [(1, 1, 1)]
     (folder / "flag.yaml").write_text(START + "flag: [{x: 0, y: 0, z: 1}]\ngoal: [{x: 3, y: 3, z: 1}]\n")

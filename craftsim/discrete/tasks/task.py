@@ -140,10 +140,10 @@ def _no_goal(grid: Grid) -> bool:
     return False
 
 
-def free_play(name: str, start: Blueprint, max_steps: int = DEFAULT_MAX_STEPS) -> Task:
-    """Return a task without a goal around a blueprint: the reward is how elaborate a building is."""
+def free_play(name: str, starts: tuple[Blueprint, ...], max_steps: int = DEFAULT_MAX_STEPS) -> Task:
+    """Return a task without a goal around start files: the reward is how elaborate a building is."""
     reward = Reward(Complexity())
-    return Task(name, (start,), reward, _no_goal, max_steps=max_steps, ends_on_success=False)
+    return Task(name, starts, reward, _no_goal, max_steps=max_steps, ends_on_success=False)
 
 
 def make_task(

@@ -13,9 +13,11 @@ from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.documents import Node, Scalar, Sequence, Source, parse_keys, read_text
 from craftsim.discrete.files.shipped import Shelf, find
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS, RewardName, Task, build_task
+from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS, RewardName, Task, build_task, free_play
 
 TASK_KEYS: Final = ["start", "goal", "reward", "max_steps", "cars", "blocks"]
+PLATFORM: Final = "platform"
+"""The goal of building one platform of all blocks."""
 MAX_STEPS: Final = 100_000
 
 
@@ -25,7 +27,7 @@ def read_task(
     """Return the task of a blueprint or of a task file.
 
     A blueprint ``mine.yaml`` has the design in ``mine_goal.yaml`` beside it as its goal. Without one, the goal is to
-    bring its flag to its goal cell if it has both, else to build one platform of all its blocks. What a task file says
+    bring its flag to its goal cell if it has both; else there is none, unless a task file says ``goal: platform``. What a task file says
     of reward and counts goes before the arguments. Raises BlueprintError with file, line and key.
     """
     path = Path(path)
@@ -47,12 +49,14 @@ def read_task(
     starts = tuple(
         read_blueprint(place).with_counts(*counts) for place in _places(source, keys.items["start"])
     )
-    design = None
+    design, platform = None, False
     if "goal" in keys.items:
+        platform = isinstance(keys.items["goal"], Scalar) and keys.items["goal"].text == PLATFORM
+    if "goal" in keys.items and not platform:
         design = read_design(_place(source, keys.items["goal"], "goal", "goals"))
     if "reward" in keys.items:
         reward = source.word(keys.items["reward"], "reward", [*get_args(RewardName)])  # type: ignore[assignment]
-    return _task(path, starts, design, reward, whole("max_steps", None, MAX_STEPS) or DEFAULT_MAX_STEPS)
+    return _task(path, starts, design, reward, whole("max_steps", None, MAX_STEPS) or DEFAULT_MAX_STEPS, platform)
 
 
 def _places(source: Source, node: Node) -> list[Path]:
@@ -72,8 +76,15 @@ def _place(source: Source, node: Node, key: str, shelf: Shelf) -> Path:
 
 
 def _task(
-    path: Path, starts: tuple[Blueprint, ...], design: Design | None, reward: RewardName, max_steps: int
+    path: Path,
+    starts: tuple[Blueprint, ...],
+    design: Design | None,
+    reward: RewardName,
+    max_steps: int,
+    platform: bool = False,
 ) -> Task:
     flags = all(start.goal is not None and start.listed(Kind.FLAG) for start in starts)
     goal = starts[0].goal if flags and design is None and starts else None
+    if design is None and goal is None and not platform:
+        return free_play(path.stem, starts, max_steps)
     return build_task(path.stem, starts, design, goal, reward, max_steps)

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from craftsim import cli
-from craftsim.checking.settings import MILDLY
+from craftsim.checking.settings import setup_of
 from craftsim.validation.audit.corrections import corrections
 from craftsim.validation.audit.results import Results
 from craftsim.validation.audit.rows import audit_plan
@@ -33,7 +33,7 @@ def records(tmp_path_factory):
     wanted = {*UNSOUND, CONSERVATIVE, AT_ONCE, "STOP/level=1/ground=flat/own=air/load=none/room=free"}
     plan = [row for row in audit_plan("published") if row.name in wanted]
     assert {row.name for row in plan} == wanted
-    items = items_of(plan, 2, 0, "published", MILDLY)
+    items = items_of(plan, 2, 0, setup_of("mild", "published"))
     return [
         run_campaign(
             items, try_it, tmp_path_factory.mktemp("audit"), Header("audit", 0, {}), workers=n, batch=BATCH

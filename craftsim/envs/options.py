@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from craftsim.discrete.errors import InputError, suggestion
-from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.envs.backend import Backend
 from craftsim.envs.grid_backend import GridBackend
@@ -18,6 +18,7 @@ from craftsim.envs.observe import Observe
 if TYPE_CHECKING:
     from craftsim.models.config import SimulationConfig
     from craftsim.models.noise import SensorNoise
+    from craftsim.models.parameters import Machines
     from craftsim.models.randomization import DomainRandomization
     from craftsim.models.site import Site
     from craftsim.skills.gains import Gains
@@ -37,6 +38,8 @@ _PHYSICS_KINDS: Final = {
     "gains": ("craftsim.skills.gains", "Gains"),
     "machines": ("craftsim.models.parameters", "Machines"),
 }
+_OF_SETUP: Final = {name: "simulation" if name == "config" else name for name in _PHYSICS_KINDS}
+"""What each is called in :class:`craftsim.checking.settings.Setup`."""
 _PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "render_camera", "render_size")
 
 
@@ -63,8 +66,8 @@ class Options:
     """How the physics is computed; physics only."""
     gains: Gains | None = None
     """Of the controllers, the shipped ones unless given; physics only."""
-    machines: Any = None
-    """The parameters of cars, blocks and slopes (``craftsim.models.parameters.Machines``); physics only."""
+    machines: Machines | None = None
+    """The parameters of cars, blocks and slopes, the nominal ones unless given; physics only."""
     observers: tuple[Callable[[Site], None], ...] = ()
     """Called with the Site after every control period; they may look, but not change it. Physics only."""
     observe: Observe | None = None
@@ -133,6 +136,7 @@ class Options:
             from craftsim.rendering.backend import choose_backend
 
             choose_backend()
+        from craftsim.checking.settings import Setup
         from craftsim.envs.physics_backend import PhysicsBackend
         from craftsim.envs.pictures import Pictures
 
@@ -140,16 +144,14 @@ class Options:
             value = getattr(self, name)
             if value is not None and not isinstance(value, getattr(import_module(module), kind)):
                 raise InputError(f"the option '{name}' must be a {kind}, not {value!r}")
-        goals = [target.cell for target in task.design.targets] if task.design else [task.starts[0].goal]
+        given = {
+            field: getattr(self, name) for name, field in _OF_SETUP.items() if getattr(self, name) is not None
+        }
+        pictures = Pictures(self.render_camera, self.render_size, self._shows_motion)
         return PhysicsBackend(
-            Rules(self.rule_set),
+            Setup(self.rule_set, **given),
             self.helper_depth,
-            self.noise,
-            self.randomization,
-            self.config,
-            [cell for cell in goals if cell is not None and cell[2] == 1],
-            gains=self.gains,
-            machines=self.machines,
-            observers=self.observers,
-            pictures=Pictures(self.render_camera, self.render_size, self._shows_motion),
+            task.goal_cells,
+            self.observers,
+            pictures=pictures,
         )

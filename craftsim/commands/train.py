@@ -84,7 +84,7 @@ def train(
         return INTERRUPTED
     trainer.save(folder)
     asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
-    asked |= {"task_digest": trainer.identity.digest, "starts_digest": trainer.starts}
+    asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
     _report(trainer, console, folder, asked, time.perf_counter() - begun)
     return 0
 

@@ -7,16 +7,16 @@ ARGS ?=
 TORCH ?= torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format mutants faults campaigns picture machines libraries clean
+.PHONY: help demo test lint format docs hooks importtime mutants faults campaigns picture machines libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-demo: $(VENV)/installed libraries  ## Build the simple two-story building in physics; report and film in out/demo (ARGS are passed on)
+demo: $(VENV)/installed libraries  ## Build the simple two-story building in physics: report and film in out/demo (ARGS are passed on)
 	$(BIN)/craftsim demo --out out/demo $(ARGS)
 
-test: lint libraries  ## Lint, type-check and run every test, from nothing (ARGS are passed to pytest)
+test: lint libraries  ## Lint, type-check and run all tests, from a fresh checkout (ARGS are passed to pytest)
 	$(BIN)/pytest -n 2 $(ARGS)
 
 lint: $(VENV)/installed-dev  ## Check style, formatting and types
@@ -28,26 +28,38 @@ format: $(VENV)/installed-dev  ## Format the code and apply safe lint fixes
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-mutants: $(VENV)/installed-dev  ## Break one grid rule at a time and see which tests notice
+docs: $(VENV)/installed-dev  ## Build the documentation site with its API reference in out/docs
+	$(BIN)/sphinx-build -W --keep-going -q docs out/docs
+	@echo "Open out/docs/index.html"
+
+hooks: $(VENV)/installed-dev  ## Run linter, formatter and type checker before each commit (pre-commit)
+	$(BIN)/pre-commit install
+
+importtime: $(VENV)/installed  ## Time "import craftsim" in fresh interpreters (the bar is 0.15 s)
+	$(BIN)/python scripts/import_time.py
+
+mutants: $(VENV)/installed-dev  ## Mutation testing: break one grid rule at a time, list the tests that fail
 	$(BIN)/python tests/discrete/mutants.py
 
-faults: $(VENV)/installed-dev  ## Kill a real validation ten times at random moments, resume it, and compare (some minutes)
+faults: $(VENV)/installed-dev  ## Fault injection: kill a validation ten times at random, resume it, compare (some minutes)
 	$(BIN)/python tests/validation/campaign/faults.py
 
-campaigns: $(VENV)/installed  ## Measure the skills at length (about 40 minutes on two cores): every context with and without noise, the six tasks, long episodes
-	$(BIN)/craftsim trials --trials 10000 --workers 2 --out out/trials
-	$(BIN)/craftsim trials --trials 10000 --workers 2 --noise --out out/trials-noise
-	$(BIN)/craftsim tasks --workers 2 --out out/tasks
-	$(BIN)/craftsim episodes --workers 2 --out out/episodes
+campaigns: $(VENV)/installed  ## Measure the skills at length (hours on two cores): what the rules allow with and without noise, the six tasks, long episodes, both audits
+	$(BIN)/craftsim audit --rules physical --only legal --randomize none --workers 2 --out out/legal
+	$(BIN)/craftsim audit --rules physical --only legal --randomize strong --workers 2 --out out/legal-strong
+	$(BIN)/craftsim validate --order concurrent --randomize strong --trials 20 --workers 2 --video none --out out/tasks-strong
+	$(BIN)/craftsim validate random --randomize none --trials 10 --workers 2 --video none --out out/random
+	$(BIN)/craftsim audit --rules physical --workers 2 --out out/audit-physical
+	$(BIN)/craftsim audit --workers 2 --out out/audit-published
 
-picture: $(VENV)/installed libraries  ## Film the most striking unsound rule again, as docs/unsound_rule.webp
+picture: $(VENV)/installed libraries  ## Film the clearest unsound rule again, as docs/unsound_rule.webp
 	$(BIN)/craftsim audit --contexts 'MOVE/scene=over the edge to a foot across' --trials 1 --video --out out/unsound-rule || [ $$? -eq 1 ]
 	$(BIN)/python scripts/animate.py out/unsound-rule/bundles/00000/film.mp4 docs/unsound_rule.webp
 
 machines: $(VENV)/installed  ## Write the MJCF and the meshes of the nominal machines in craftsim/mjcf again
 	$(BIN)/python -m craftsim.mjcf.make_machines
 
-libraries: $(VENV)/installed  ## See that off-screen rendering has its system libraries (installs them when root)
+libraries: $(VENV)/installed  ## Check for the system libraries of off-screen rendering (installs them when root)
 	@scripts/system-libraries $(BIN)/python
 
 clean:  ## Remove the virtual environment, outputs and caches

@@ -18,10 +18,11 @@ def bench_workers(console: Console, runs: int, seed: int) -> dict[str, float]:
     seconds, lines = [], []
     for workers in (1, 2):
         with tempfile.TemporaryDirectory() as folder:
+            out = Path(folder)
             begun = time.perf_counter()
-            validate("strip", randomize="mild", trials=runs, seed=seed, workers=workers, out=folder)
+            validate("strip", randomize="mild", trials=runs, seed=seed, workers=workers, out=out)
             seconds.append(time.perf_counter() - begun)
-            lines.append((Path(folder) / "trials.jsonl").read_bytes())
+            lines.append((out / "trials.jsonl").read_bytes())
         console.print(f"{workers} workers: {runs} runs in {seconds[-1]:.1f} s")
     if lines[0] != lines[1]:
         raise CraftsimError("two workers gave other results than one")

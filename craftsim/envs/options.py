@@ -38,8 +38,6 @@ _PHYSICS_KINDS: Final = {
     "gains": ("craftsim.skills.gains", "Gains"),
     "machines": ("craftsim.models.parameters", "Machines"),
 }
-_OF_SETUP: Final = {name: "simulation" if name == "config" else name for name in _PHYSICS_KINDS}
-"""What each is called in :class:`craftsim.checking.settings.Setup`."""
 _PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "render_camera", "render_size")
 
 
@@ -68,6 +66,8 @@ class Options:
     """Of the controllers, the shipped ones unless given; physics only."""
     machines: Machines | None = None
     """The parameters of cars, blocks and slopes, the nominal ones unless given; physics only."""
+    check_contacts: bool = False
+    """Whether the judge logs contacts, 8 % of the time; what is unsafe then ends at once. Physics only."""
     observers: tuple[Callable[[Site], None], ...] = ()
     """Called with the Site after every control period; they may look, but not change it. Physics only."""
     observe: Observe | None = None
@@ -136,22 +136,26 @@ class Options:
             from craftsim.rendering.backend import choose_backend
 
             choose_backend()
-        from craftsim.checking.settings import Setup
+        from craftsim.checking.settings import Setup, nominal_gains
         from craftsim.envs.physics_backend import PhysicsBackend
         from craftsim.envs.pictures import Pictures
+        from craftsim.models.config import SimulationConfig
+        from craftsim.models.noise import EXACT
+        from craftsim.models.parameters import NOMINAL
 
         for name, (module, kind) in _PHYSICS_KINDS.items():
             value = getattr(self, name)
             if value is not None and not isinstance(value, getattr(import_module(module), kind)):
                 raise InputError(f"the option '{name}' must be a {kind}, not {value!r}")
-        given = {
-            field: getattr(self, name) for name, field in _OF_SETUP.items() if getattr(self, name) is not None
-        }
+        setup = Setup(
+            rules=self.rule_set,
+            noise=self.noise or EXACT,
+            randomization=self.randomization,
+            simulation=self.config or SimulationConfig(),
+            gains=self.gains or nominal_gains(),
+            machines=self.machines or NOMINAL,
+        )
         pictures = Pictures(self.render_camera, self.render_size, self._shows_motion)
         return PhysicsBackend(
-            Setup(self.rule_set, **given),
-            self.helper_depth,
-            task.goal_cells,
-            self.observers,
-            pictures=pictures,
+            setup, self.helper_depth, task.goal_cells, self.observers, self.check_contacts, pictures
         )

@@ -44,14 +44,13 @@ class PhysicsBackend:
             goals: cells to mark.
             observers: called with the Site after every control period.
             watch_contacts: whether the judge logs contacts, 8 % of the time; unsafe actions then end at once.
-            pictures: what a person sees; the overview in pictures of the usual size unless given.
+            pictures: shows the world to people.
         """
         self.setup, self.goals = setup, tuple(goals)
-        self.watch_contacts = watch_contacts
-        self._pictures = pictures or Pictures()
-        self._observers = (self._pictures.watch, *observers)
+        self.observers, self.watch_contacts = observers, watch_contacts
         self._planner = None if helper_depth is None else Planner(Rules(setup.rules), helper_depth)
         self._start: Grid | None = None
+        self._pictures = pictures or Pictures()
         self.checked: CheckedSite
         self.recipe: Recipe
         """How the episode starts, and all its ticks so far: it is re-run bit for bit from this."""
@@ -65,10 +64,10 @@ class PhysicsBackend:
             self._world = compile_world(grid, self.setup, self.goals)
             self._start = grid.copy()
         self.checked = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
-        self.checked.executor.observers += self._observers
-        self._pictures.begin(self.checked.site)
+        self.checked.executor.observers += [self._pictures.watch, *self.observers]
         self.recipe = Recipe(blueprint_text(grid), (), self.setup, seed, self.goals)
         self.ticks = []
+        self._pictures.begin(self.checked.site)
         return self.checked.grid
 
     def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:

@@ -14,8 +14,9 @@ from craftsim.commands.bench_calibration import (
     unit,
 )
 from craftsim.discrete.actions import Action
-from craftsim.discrete.durations import SITUATIONS, nominal_durations, tick_durations, verb
+from craftsim.discrete.durations import SITUATIONS, nominal_durations, tick_durations
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.tasks import make_task
 from craftsim.envs.timing import time_physics
 
@@ -25,7 +26,7 @@ def test_the_shipped_durations_are_what_physics_takes():
     table = nominal_durations()
     for action in Action:
         for column, name in enumerate(SITUATIONS):
-            seconds = measured.get(verb(action), {}).get(name, 0.0)
+            seconds = measured.get(ACTIONS[action].duration, {}).get(name, 0.0)
             assert table[action, column] == pytest.approx(seconds, abs=0.05), (
                 f"{action.name}, {name}: run `craftsim bench durations` and put it into durations.yaml"
             )

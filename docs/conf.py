@@ -1,0 +1,29 @@
+"""Sphinx configuration: Markdown pages by MyST, the API reference from docstrings, the furo theme."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
+
+import craftsim
+
+project = "craftsim"
+author = "The craftsim developers"
+version = release = craftsim.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "public_names"]
+exclude_patterns = ["_build"]
+
+myst_enable_extensions = ["attrs_inline"]
+myst_heading_anchors = 4
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 100
+
+html_theme = "furo"
+html_title = f"craftsim {version}"
+html_copy_source = False

@@ -1,0 +1,23 @@
+"""Does the building still stand with a heavier car? Build it with the shipped machines and with my own.
+
+The same from a shell:  craftsim demo --parameters heavier_car.yaml --gains heavier_car.yaml
+"""
+
+from pathlib import Path
+
+import craftsim
+
+FILE = Path(__file__).parent / "heavier_car.yaml"
+
+machines, gains = craftsim.load_machines(FILE), craftsim.load_gains(FILE)
+print(
+    f"the car weighs {machines.car(0).mass_kg:.2f} kg instead of {craftsim.SmartcarParameters().mass_kg:.2f} kg"
+)
+
+for name, mine in {"shipped": {}, "heavier": {"machines": machines, "gains": gains}}.items():
+    result = craftsim.validate("simple_two_story", **mine)
+    actions = result.to_frame()
+    print(
+        f"{name}: {(actions.result == 'as predicted').sum()} of {len(actions)} actions as predicted, "
+        f"{actions.duration_s.sum():.0f} s of work, largest error {1e3 * actions.car_error_m.max():.2f} mm"
+    )

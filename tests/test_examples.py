@@ -1,0 +1,58 @@
+"""Every example runs from any folder, as its reader would run it, and says what its text promises."""
+
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from craftsim.cli import COMMANDS
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SCRIPTS = sorted(EXAMPLES.glob("*.py"))
+
+SAYS = {
+    "film_an_episode": r"pictures in out/strip\.mp4; built: True",
+    "heavier_car": r"shipped: 24 of 24 actions[^\n]*\nheavier: 24 of 24 actions",
+    "my_gains": r"shipped gains: a move takes .*agrees: True\nmy gains: a move takes .*agrees: True",
+    "own_action": r"now: \[.*'MOVE_RIGHT'.*(?s:.)*then: \[.*'LIFT'",
+    "train_my_task": r"\n2 \[",
+    "two_machines": r"car 0 with 2\.5 Nm a wheel: .*\n.*car 1 with 1\.2 Nm a wheel: ",
+    "validate_my_plan": r"MOVE_RIGHT",
+}
+"""What the output of each must match."""
+
+
+def test_every_example_is_tested():
+    assert set(SAYS) == {path.stem for path in SCRIPTS}
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_an_example_runs_and_says_what_it_promises(path, tmp_path, request):
+    if path.stem.startswith("train") and not (find_spec("torch") and find_spec("torchrl")):
+        pytest.skip("needs the extra 'train'")
+    if path.stem.startswith("film"):
+        request.getfixturevalue("rendering")
+    done = subprocess.run([sys.executable, path], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert re.search(SAYS[path.stem], done.stdout), done.stdout
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_an_example_is_short_and_begins_with_what_it_shows(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 60
+    assert text.startswith('"""')
+    assert set(re.findall(r"craftsim ([a-z]+)\b", text.split('"""')[1])) <= set(COMMANDS)
+
+
+def test_the_list_of_examples_and_their_page_name_them_all():
+    listed = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    page = (EXAMPLES.parent / "docs" / "examples.md").read_text(encoding="utf-8")
+    for path in SCRIPTS:
+        assert f"[{path.name}]({path.name})" in listed
+        assert f"../examples/{path.name}\n" in page
+    for path in EXAMPLES.iterdir():
+        assert f"({path.name})" in listed or path.name in ("README.md", "__pycache__")

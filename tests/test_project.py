@@ -1,0 +1,57 @@
+"""What several files say of the project is the same in all of them."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+from craftsim.rendering.backend import DEBIAN_PACKAGES
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def _yaml(name: str):
+    return yaml.safe_load((ROOT / name).read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def job():
+    return _yaml(".github/workflows/test.yml")["jobs"]["test"]
+
+
+def test_the_citation_is_of_this_version_and_licence():
+    citation = _yaml("CITATION.cff")
+    assert citation["version"] == PROJECT["version"]
+    assert citation["license"] == PROJECT["license"]
+    assert citation["title"].split(":")[0] == PROJECT["name"]
+
+
+def test_the_workflow_tests_every_python_that_the_package_claims(job):
+    claimed = re.findall(r"Python :: (3\.\d+)", "\n".join(PROJECT["classifiers"]))
+    assert job["strategy"]["matrix"]["python"] == claimed
+    assert PROJECT["requires-python"] == f">={claimed[0]}"
+
+
+def test_the_workflow_runs_make_test_with_the_libraries_of_the_renderer(job):
+    commands = [step["run"] for step in job["steps"] if "run" in step]
+    assert "make test" in commands
+    assert any(all(name in command for name in DEBIAN_PACKAGES) for command in commands)
+
+
+def test_the_hooks_are_the_checks_of_make_lint():
+    hooks = [
+        hook["entry"].split()[0]
+        for repo in _yaml(".pre-commit-config.yaml")["repos"]
+        for hook in repo["hooks"]
+    ]
+    lint = re.search(
+        r"^lint:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert lint
+    assert {Path(entry).name for entry in hooks} == set(re.findall(r"\$\(BIN\)/(\w+)", lint[1]))
+    assert {"ruff", "mypy", "pre-commit"} <= {
+        re.split(r"[>=!<]", name)[0] for name in PROJECT["optional-dependencies"]["dev"]
+    }

@@ -1,0 +1,101 @@
+"""The wheel holds all that the package needs, and runs where there is no checkout."""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "craftsim"
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+
+ACTION = """
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Grid
+from craftsim.models.site import Site
+from craftsim.skills.executor import Executor
+
+outcomes = Executor(Site(Grid.empty((2, 1, 1), n_cars=1))).run({0: Action.MOVE_RIGHT})
+assert outcomes[0].succeeded, outcomes
+
+import craftsim
+print(craftsim.__file__)
+"""
+
+
+def _run(*words: object, **options: object) -> str:
+    done = subprocess.run(
+        [str(word) for word in words], capture_output=True, text=True, check=False, **options
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Build the wheel from a copy, so that nothing left in the checkout slips in."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    shutil.copytree(PACKAGE, source / "craftsim", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
+    _run(*pip, "wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder, source)
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """Install the wheel into an environment of its own, which borrows the dependencies of this one."""
+    venv = tmp_path_factory.mktemp("installed") / "venv"
+    _run(sys.executable, "-m", "venv", "--without-pip", venv)
+    bin_folder, python = venv / "bin", venv / "bin" / "python"
+    _run(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel)
+    site = Path(_run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+    # Folders named in a .pth file come last, and their own .pth files, an editable craftsim, are not read.
+    paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    (site / "dependencies.pth").write_text("".join(f"{path}\n" for path in sorted(paths)))
+    return bin_folder
+
+
+@pytest.fixture
+def run(installed, tmp_path):
+    """Run a program of the environment in an empty folder, without a trace of the checkout."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+
+    def program(name: str, *words: str) -> str:
+        return _run(installed / name, *words, cwd=tmp_path, env=environment)
+
+    return program
+
+
+def test_every_file_of_the_package_is_in_the_wheel(wheel):
+    files = {
+        str(path.relative_to(ROOT))
+        for path in PACKAGE.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    packed = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert packed == files
+    for part in ("data/blueprints", "data/plans", "data/gains", "mjcf/meshes", "validation/html/template"):
+        assert any(name.startswith(f"craftsim/{part}/") for name in packed), part
+
+
+def test_the_command_says_its_version(run):
+    assert run("craftsim", "--version") == f"craftsim {VERSION}\n"
+
+
+def test_a_shipped_world_is_shown(run):
+    assert "level 1" in run("craftsim", "show", "strip")
+
+
+def test_a_car_moves_in_physics(run, installed):
+    loaded_from = Path(run("python", "-c", ACTION).strip())
+    assert loaded_from.is_relative_to(installed.parent)

@@ -56,9 +56,7 @@ def read_task(
         design = read_design(_place(source, keys.items["goal"], "goal", "goals"))
     if "reward" in keys.items:
         reward = source.word(keys.items["reward"], "reward", [*get_args(RewardName)])  # type: ignore[assignment]
-    return _task(
-        path, starts, design, reward, whole("max_steps", None, MAX_STEPS) or DEFAULT_MAX_STEPS, platform
-    )
+    return _task(path, starts, design, reward, whole("max_steps", None, MAX_STEPS) or DEFAULT_MAX_STEPS, platform)
 
 
 def _places(source: Source, node: Node) -> list[Path]:

@@ -19,7 +19,7 @@ STOP = int(Action.STOP)
     ("options", "words"),
     [
         ({"task": "strap"}, "did you mean 'strip'"),
-        ({"task": 3}, "the name of one"),
+        ({"task": 3}, "a task is a Task"),
         ({"backend": "grit"}, "there are physics, grid"),
         ({"rule_set": "pysical"}, "did you mean 'physical'"),
         ({"render_mode": "rgb"}, "rgb_array"),

@@ -69,8 +69,8 @@ def train(
     learnt = as_task(task)
     if not learnt.has_goal:
         raise InputError(
-            f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, or name one "
-            "in a task file (docs/tasks.md)"
+            f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, or name "
+            "one in a task file (docs/tasks.md)"
         )
     folder = output_directory(out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}"))
 

@@ -13,6 +13,11 @@ class SensorNoise:
 
     They concern localisation (at the control rate of 50 Hz), wheel encoders and wheel motors. Pitch and roll, board and
     hinge are read as they are: good inclinometers and encoders err far less than localisation does.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.SensorNoise(position_m=0.001, heading_rad=0.003).silent
+        False
     """
 
     position_m: float = 0.0

@@ -32,7 +32,13 @@ _FRICTION: Final = Allowed(most=3.0)
 
 @dataclass(frozen=True)
 class SmartcarParameters:
-    """The mecanum smartcar. Heights are above the axle line unless the name says floor."""
+    """The mecanum smartcar. Heights are above the axle line unless the name says floor.
+
+    Example:
+        >>> import craftsim
+        >>> round(craftsim.SmartcarParameters().mass_kg, 1)
+        10.3
+    """
 
     wheel_radius_m: float = published(
         0.0496, "the mesh; the collision cylinder's 0.043 would ground the car on the crest of the slope"
@@ -139,7 +145,13 @@ class SmartcarParameters:
 
 @dataclass(frozen=True)
 class BlockParameters:
-    """The block: a table with a deck and four legs. Flag and wall have the same shape."""
+    """The block: a table with a deck and four legs. Flag and wall have the same shape.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.BlockParameters(deck_mass_kg=1.0).mass_kg
+        1.004
+    """
 
     side_m: float = published(0.32, allowed=_GRID)
     height_m: float = derived(
@@ -189,7 +201,13 @@ class BlockParameters:
 
 @dataclass(frozen=True)
 class SlopeParameters:
-    """The foldable slope: a hollow base wedge, and a flap on a motorised hinge."""
+    """The foldable slope: a hollow base wedge, and a flap on a motorised hinge.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.SlopeParameters(hinge_speed_rad_s=1.0).hinge_speed_rad_s
+        1.0
+    """
 
     side_m: float = published(
         0.32, "the visual mesh; the collision meshes' 0.34 overlap at the grid's pitch", _GRID
@@ -296,6 +314,13 @@ class Machines:
     """The figures of everything in a world: hashable, and written into every report.
 
     Raises InputError for cars that do not fit under the blocks and slopes, or cannot lift them.
+
+    Example:
+        >>> import craftsim
+        >>> light, heavy = craftsim.SmartcarParameters(), craftsim.SmartcarParameters(chassis_mass_kg=2.0)
+        >>> machines = craftsim.Machines(cars=(light, heavy))
+        >>> machines.car(1).chassis_mass_kg
+        2.0
     """
 
     cars: tuple[SmartcarParameters, ...] = (SmartcarParameters(),)

@@ -18,6 +18,11 @@ class DomainRandomization:
     """Half-widths of the even distributions from which a Site's physics is drawn; hashable.
 
     All are fractions of the nominal figure but the tilt. Raises InputError for a figure outside [0, 1).
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.DomainRandomization(friction=0.1, tilt_rad=0.0).mass
+        0.2
     """
 
     friction: float = 0.30

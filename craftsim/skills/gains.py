@@ -156,7 +156,14 @@ class HealthGains:
 
 @dataclass(frozen=True)
 class Gains:
-    """The gains of all skills; hashable. Raises InputError for a gain that is not a positive finite number."""
+    """The gains of all skills; hashable. Raises InputError for a gain that is not a positive finite number.
+
+    Example:
+        >>> import craftsim
+        >>> gains = craftsim.load_gains()
+        >>> gains.source, gains.drive.max_speed > 0
+        ('nominal', True)
+    """
 
     drive: DriveGains
     board: BoardGains
@@ -194,6 +201,12 @@ def load_gains(path: Path | str | None = None) -> Gains:
     (:func:`craftsim.models.parameter_files.load_machines`).
 
     Raises InputError, naming the file and key, for what is not a known gain.
+
+    Example:
+        >>> import craftsim
+        >>> _ = (folder / "slow.yaml").write_text("drive: {max_speed: 0.4}")
+        >>> craftsim.load_gains(folder / "slow.yaml").drive.max_speed
+        0.4
     """
     nominal = _nominal()
     if path is None:

@@ -102,7 +102,8 @@ def check_machines(machines: Machines) -> None:
         _require(
             rest <= room + 1e-9,
             "board_top_m",
-            f"and wheel_radius_m put the lowered board {rest:.4f} over the floor; at most {room:.4f} drives under a slope",
+            f"and wheel_radius_m put the lowered board {rest:.4f} over the floor; "
+            f"at most {room:.4f} drives under a slope",
         )
         least = high - rest + LIFT_RANGE_M[0] + _LIFT_MARGIN_M
         most = low - rest + LIFT_RANGE_M[1] - _LIFT_MARGIN_M

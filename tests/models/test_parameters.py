@@ -278,6 +278,9 @@ def test_an_edited_length_is_seen_by_the_meshes_before_they_are_made_again():
 def test_the_digest_tells_figures_apart():
     assert Machines().digest == NOMINAL.digest
     assert OTHER.digest != NOMINAL.digest
+    whole, same = (Machines(cars=(SmartcarParameters(wheel_torque_nm=t),)) for t in (3, 3.0))
+    assert whole == same
+    assert whole.digest == same.digest
     assert replace(NOMINAL, slope=SlopeParameters(hinge_speed_rad_s=1.0)).digest != NOMINAL.digest
 
 

@@ -62,6 +62,11 @@ def check_car(car: SmartcarParameters) -> None:
         "wheel_mass_kg",
         f"must be above {2 * rollers:g}, twice its rollers'",
     )
+    _require(
+        car.wheel_torque_nm > car.gear_friction_nm,
+        "wheel_torque_nm",
+        f"is {car.wheel_torque_nm:g} and must be above gear_friction_nm, {car.gear_friction_nm:g}, to turn the wheel",
+    )
     _check_slope(car)
 
 

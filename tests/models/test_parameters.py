@@ -291,6 +291,7 @@ def test_the_digest_tells_figures_apart():
         (lambda: SmartcarParameters(wheel_torque_nm=0.0), "wheel_torque_nm must be above 0"),
         (lambda: SmartcarParameters(wheel_torque_nm=math.nan), "wheel_torque_nm must be a number, not nan"),
         (lambda: SmartcarParameters(wheel_torque_nm="strong"), "wheel_torque_nm must be a number"),
+        (lambda: SmartcarParameters(wheel_torque_nm=0.4), "must be above gear_friction_nm, 0.45"),
         (lambda: SmartcarParameters(boss_side_m=0.1), "boss_side_m cannot be changed from 0.11: the pockets"),
         (lambda: SmartcarParameters(wheel_radius_m=0.043), "ground on the crest of a slope"),
         (lambda: SmartcarParameters(wheel_x_m=0.07), "ground on the crest of a slope"),

@@ -25,7 +25,7 @@ class SensorNoise:
     heading_rad: float = 0.0
     """Standard deviation of the heading of one localisation, white."""
     min_delay_s: float = 0.0
-    """Least age of a localisation; each car's own delay is drawn once, evenly up to ``max_delay_s``."""
+    """Least age of a localisation; each car's own delay is drawn once, uniformly up to ``max_delay_s``."""
     max_delay_s: float = 0.0
     encoder_lag_s: float = 0.0
     """Time constant of the wheel speeds' low-pass filter."""

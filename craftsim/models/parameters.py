@@ -12,16 +12,14 @@ cannot work.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Final
+from typing import ClassVar, Final
 
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
-from craftsim.models.figures import Allowed, assumed, check, derived, fixed, published
+from craftsim.models.figures import Allowed, assumed, check, derived, digest_of, fixed, published
 from craftsim.models.fit import check_car, check_machines
 
 _SEAT: Final = fixed("the pockets of blocks and the pads of slopes fit this board and its boss")
@@ -34,11 +32,16 @@ _FRICTION: Final = Allowed(most=3.0)
 class SmartcarParameters:
     """The mecanum smartcar. Heights are above the axle line unless the name says floor.
 
+    A car with another drive is a subclass that names its own MJCF template.
+
     Example:
         >>> import craftsim
         >>> round(craftsim.SmartcarParameters().mass_kg, 1)
         10.3
     """
+
+    template: ClassVar[str] = "smartcar"
+    """Name of the MJCF template in ``craftsim/mjcf/templates``."""
 
     wheel_radius_m: float = published(
         0.0496, "the mesh; the collision cylinder's 0.043 would ground the car on the crest of the slope"
@@ -348,7 +351,7 @@ class Machines:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all figures, in hexadecimal: equal for equal figures."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        return digest_of(asdict(self))
 
     @cached_property
     def docking_reach_m(self) -> float:

@@ -12,6 +12,7 @@ from typing import Final
 import yaml
 
 from craftsim.discrete.errors import InputError
+from craftsim.models.figures import digest_of
 from craftsim.models.parameter_files import MACHINE_SECTIONS, numbers, read_keys
 
 
@@ -173,6 +174,11 @@ class Gains:
     localisation: LocalisationGains
     health: HealthGains
     source: str = field(default="nominal", compare=False)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all gains, in hexadecimal: equal for equal gains, wherever they came from."""
+        return digest_of({section: asdict(getattr(self, section)) for section in SECTIONS})
 
     def __post_init__(self) -> None:
         for section in SECTIONS:

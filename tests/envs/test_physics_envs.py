@@ -87,29 +87,30 @@ def test_noise_and_varied_physics_are_drawn_anew_for_every_episode_from_the_seed
     assert first[0][4]["car_0"]["car_error_m"] != second[0][4]["car_0"]["car_error_m"]
 
 
-def test_a_failed_skill_shows_as_what_happened_and_is_told():
+def test_a_failed_skill_shows_as_what_happened_and_in_the_infos():
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
-    site = env.core.backend.world.site
+    site = env.core.backend.checked.site
     site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
     before = env.grid
     observations, _, terminated, truncated, infos = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})
-    told = infos["car_0"]
-    assert told["reason"] in ("blocked", "slipped")
-    assert told["outcome"].startswith(told["reason"])
-    assert not told["illegal"]
-    assert not told["in_place"]
-    assert told["disagreement"] == ("car 0: predicted 0,1,1 +x, read 1,1,1 +x",)
+    info = infos["car_0"]
+    assert info["outcome"].startswith(("blocked", "slipped"))
+    assert info["result"] == "failed"
+    assert info["reason"] != ""
+    assert not info["illegal"]
+    assert info["disagreement"] == ("car 0: predicted 0,1,1 +x, read 1,1,1 +x",)
     assert env.grid.same_visible(before)
     assert observations["car_0"]["observation"][0] == 1
-    assert infos["car_1"]["reason"] is None
+    assert infos["car_1"]["result"] == "as predicted"
+    assert infos["car_1"]["reason"] == ""
     assert not any({**terminated, **truncated}.values())
 
 
 def test_a_world_that_cannot_be_read_truncates_the_episode_and_says_why():
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
-    site = env.core.backend.world.site
+    site = env.core.backend.checked.site
     site.data.qpos[site.blocks[0].qpos] += 0.06  # what no skill would do
     _, rewards, terminated, truncated, infos = env.step({"car_0": STOP, "car_1": STOP})
     assert set(truncated.values()) == {True}
@@ -124,7 +125,7 @@ def test_a_world_that_cannot_be_read_truncates_the_episode_and_says_why():
 def test_a_simulation_that_breaks_down_truncates_the_episode_and_says_so():
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
-    site = env.core.backend.world.site
+    site = env.core.backend.checked.site
     site.data.qvel[site.blocks[0].dof] = (
         1e12  # MuJoCo then starts over, and all seems to stand where it stood
     )

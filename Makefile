@@ -7,7 +7,7 @@ ARGS ?=
 TORCH ?= torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs hooks importtime mutants faults campaigns picture meshes libraries clean
+.PHONY: help demo test lint format docs hooks importtime mutants faults campaigns picture machines libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -54,8 +54,8 @@ picture: $(VENV)/installed libraries  ## Film the clearest unsound rule again, a
 	$(BIN)/craftsim audit --contexts 'MOVE/scene=over the edge to a foot across' --trials 1 --video --out out/unsound-rule || [ $$? -eq 1 ]
 	$(BIN)/python scripts/animate.py out/unsound-rule/bundles/00000/film.mp4 docs/unsound_rule.webp
 
-meshes: $(VENV)/installed  ## Make the visual meshes in craftsim/mjcf/meshes again
-	$(BIN)/python -m craftsim.mjcf.make_meshes
+machines: $(VENV)/installed  ## Write the MJCF and the meshes of the nominal machines in craftsim/mjcf again
+	$(BIN)/python -m craftsim.mjcf.make_machines
 
 libraries: $(VENV)/installed  ## Check for the system libraries of off-screen rendering (installs them when root)
 	@scripts/system-libraries $(BIN)/python

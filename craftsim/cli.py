@@ -15,17 +15,14 @@ from typing import Annotated, Any, Final, get_type_hints
 
 COMMANDS: Final[dict[str, str]] = {
     "demo": "Build the paper's tasks in physics, and check every action.",
-    "validate": "Run plans, actions or policies in physics, and check each step.",
+    "validate": "Run plans, actions or policies in physics, and judge each action.",
     "audit": "Try in physics what the rules allow, and what they forbid.",
-    "replay": "Do again what a replay bundle shows, and compare the two.",
-    "trials": "Try every action in every situation where the rules allow it.",
-    "tasks": "Build the paper's tasks again and again, all cars at once.",
-    "episodes": "Run long random episodes with many cars: does anything drift?",
+    "replay": "Re-run a recorded failure bit for bit, and compare the two.",
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",
     "bench": "Measure how fast rules, environments and workers are.",
     "show": "Show a world as coloured text, and as a picture with --out.",
-    "doctor": "Say what works on this machine, and what mends what does not.",
+    "doctor": "Say what works on this machine, and what fixes what does not.",
 }
 """One line on every command, in the order of the help text."""
 
@@ -100,8 +97,9 @@ def _with_checked_seed(function: Callable[..., int]) -> Callable[..., int]:
 
     @functools.wraps(function)
     def checked(*arguments: Any, **options: Any) -> int:
-        if options.get("seed", 0) < 0:
-            raise InputError(f"--seed is {options['seed']}; allowed: 0 or more")
+        for seed in [options.get("seed", 0), *(getattr(group, "seed", 0) for group in options.values())]:
+            if seed < 0:
+                raise InputError(f"--seed is {seed}; allowed: 0 or more")
         return function(*arguments, **options)
 
     return checked

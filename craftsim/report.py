@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import math
 import os
@@ -17,7 +18,7 @@ import numpy as np
 
 from craftsim.discrete.errors import InputError
 
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 """Raised whenever a key of the report changes its meaning or goes away."""
 
 
@@ -69,7 +70,7 @@ def write_report(
     Args:
         out: directory, made when missing.
         figures: results. Dataclasses, enums (by name), paths and NumPy values may be nested in them; a number
-            that is not finite is written as null, since JSON has no other word for it.
+            that is not finite is written as null, since JSON has no other value for it.
         command: name of the command that ran.
         seed: what its random generators were seeded with, if it has any.
         config: what else decides the figures.
@@ -94,6 +95,11 @@ def write_report(
     partial.write_text(text, encoding="utf-8")
     partial.replace(path)
     return path
+
+
+def digest(value: Any) -> str:
+    """Return the SHA-256 of a value as a report would hold it, in hexadecimal: the same for equal values."""
+    return hashlib.sha256(json.dumps(plain(value), sort_keys=True).encode()).hexdigest()
 
 
 def plain(value: Any) -> Any:

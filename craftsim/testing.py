@@ -178,10 +178,9 @@ def check_skills(
         observations, *_, infos = env.step(actions)
         for agent, info in infos.items():
             what = f"tick {tick}, {agent}, {Action(actions[agent]).name}"
-            if info["illegal"] or info["outcome"] == "not started":
+            if info["illegal"] or info["outcome"] == "not performed":
                 continue
-            assert info["reason"] is None, f"{what}: {info['outcome']}"
-            assert info["in_place"], f"{what}: not where predicted; {'; '.join(info['disagreement'])}"
+            assert info["result"] == "as predicted", f"{what}: {info['result']}; {info['reason']}"
             assert info["car_error_m"] <= position_m, f"{what}: {info['car_error_m'] * 1e3:.1f} mm off"
             assert abs(info["heading_error_rad"]) <= heading_rad, (
                 f"{what}: {info['heading_error_rad'] * 1e3:.1f} mrad off"

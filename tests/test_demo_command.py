@@ -97,7 +97,7 @@ def test_the_report_says_what_ran_and_what_came_out(shipped):
     assert figures["max_car_error_mm"] <= 1.0
     assert figures["max_car_heading_error_mrad"] <= 3.0
     assert figures["max_placed_error_mm"] <= 2.0
-    assert figures["max_others_moved_mm"] <= 1.0
+    assert figures["max_bystander_displacement_mm"] <= 1.0
     assert len(figures["actions"]) == 24
     assert {action["outcome"] for action in figures["actions"]} == {"succeeded"}
 

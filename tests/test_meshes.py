@@ -8,8 +8,15 @@ import trimesh
 
 import craftsim.mjcf
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.mjcf.make_meshes import MESHES, write_meshes
+from craftsim.mjcf.make_machines import write_machines
+from craftsim.mjcf.meshes import NAMES, mesh_parts
+from craftsim.models.parameters import NOMINAL, SmartcarParameters
 
+MESHES = {
+    name: figures
+    for figures in (NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope)
+    for name in NAMES[type(figures)]
+}
 DIRECTORY = Path(craftsim.mjcf.__file__).parent / "meshes"
 
 # name: smallest corner, largest corner (m). Car, block and slope as published; what stands proud for the eye
@@ -30,10 +37,14 @@ def _load(name: str) -> trimesh.Trimesh:
 
 
 def test_the_files_are_what_the_script_makes(tmp_path):
-    write_meshes(tmp_path)
+    write_machines(tmp_path)
     assert {path.name for path in DIRECTORY.iterdir()} == {f"{name}.stl" for name in MESHES}
     for path in DIRECTORY.iterdir():
-        assert path.read_bytes() == (tmp_path / path.name).read_bytes(), f"{path.name}: run 'make meshes'"
+        assert path.read_bytes() == (tmp_path / "meshes" / path.name).read_bytes(), (
+            f"{path.name}: run 'make machines'"
+        )
+    record = DIRECTORY.parent / "meshes.json"
+    assert record.read_bytes() == (tmp_path / record.name).read_bytes()
 
 
 def test_the_files_are_small():
@@ -44,10 +55,21 @@ def test_the_files_are_small():
 
 @pytest.mark.parametrize("name", MESHES)
 def test_every_part_is_a_closed_solid_facing_outward(name):
-    for part in MESHES[name]():
+    for part in mesh_parts(MESHES[name])[name]:
         assert part.is_watertight
         assert part.is_winding_consistent
         assert part.volume > 0
+
+
+def test_a_car_of_other_lengths_has_closed_solids_of_those_lengths():
+    car = SmartcarParameters(
+        chassis_length_m=0.2, chassis_width_m=0.15, wheel_x_m=0.056, wheel_y_m=0.08, wheel_width_m=0.04
+    )
+    parts = mesh_parts(car)
+    assert all(part.is_watertight for solids in parts.values() for part in solids)
+    chassis = trimesh.util.concatenate(parts["chassis"])
+    assert chassis.extents == pytest.approx([0.2, 0.15, 0.09], abs=1e-6)
+    assert trimesh.util.concatenate(parts["wheel_hub"]).extents[1] == pytest.approx(0.04, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", BOUNDS)

@@ -11,7 +11,7 @@ PACKAGE = Path(craftsim.__file__).parent
 
 ALLOWED = {
     "discrete": set(),
-    "mjcf": set(),
+    "mjcf": {"discrete.geometry", "models.parameters", "models.config"},
     "models": {"discrete", "mjcf"},
     "skills": {"models", "discrete"},
     "checking": {"skills", "models", "discrete"},

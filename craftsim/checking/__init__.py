@@ -1,1 +1,1 @@
-"""One action tried in physics: what it did, what it touched, and how it is judged."""
+"""The one judge: sets up a world in physics, performs actions in it, reads poses, and judges what came of each."""

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Any, Final
 
-from craftsim.checking.checked_run import ActionRecord
+from craftsim.checking.contact_log import Contact
+from craftsim.checking.safety import Hazard
 from craftsim.checking.settings import Thresholds
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
-from craftsim.discrete.grid import Kind
-from craftsim.discrete.verdict import Finding
+from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.schedule import ScheduledAction
+from craftsim.discrete.verdict import Finding, Verdict, describe_car
+from craftsim.skills.outcome import Outcome
 
 _SHOWN: Final = 2
 """How many hazards, and how many contacts, a reason names."""
@@ -21,6 +24,7 @@ class Result(StrEnum):
     """What came of an attempt."""
 
     AS_PREDICTED = "as predicted"
+    """The grid that was read is the predicted one, and every figure is within its limit."""
     FAILED = "failed"
     SIDE_EFFECT = "side effect"
     """It did what was predicted, and something else moved or changed."""
@@ -30,7 +34,7 @@ class Result(StrEnum):
 
 @dataclass(frozen=True)
 class Attempt:
-    """One action tried in physics; made of what JSON knows."""
+    """One action tried in physics; made of what JSON knows. Errors are those at the action's end."""
 
     tick: int
     car: int
@@ -46,47 +50,110 @@ class Attempt:
     """Whether it starts on a slope, or should end on one."""
     legal: bool
     """By the rule set in use."""
+    performed: bool
+    """Whether the skill was begun: what is forbidden is not, nor what waits for something that failed."""
     result: str
+    """A :class:`Result`."""
     finding: str
-    """Of the verdict."""
+    """Of the verdict, a :class:`~craftsim.discrete.verdict.Finding`."""
     skill: str
-    """What the skill says."""
+    """What the skill reports: succeeded, or failed for a stated reason."""
     reason: str
     """What went wrong physically, in one line; empty when it went as predicted."""
     differences: tuple[str, ...]
+    """What reads otherwise than predicted."""
+    predicted: str
+    """The acting car as the rules predict it: cell, heading, load, place on a slope."""
+    read: str
+    """The acting car as its pose reads."""
+    car_error_m: float
+    """Distance of the car from its cell's centre."""
+    heading_error_rad: float
+    height_error_m: float
+    placed_error_m: float | None
+    """Distance of what was set down, folded or unfolded from its cell's centre; None for other actions."""
+    bystander_displacement_m: float
+    """The furthest that anything moved which no action of that time concerns."""
+    start_s: float
+    """Simulated time since the world was set up."""
+    duration_s: float
+    peak_force_n: float
+    """The largest force between any two machines, the ground included, of all that ran at the same time."""
+
+    @classmethod
+    def of(cls, fields: Mapping[str, Any]) -> Attempt:
+        """Return the attempt that was written as JSON."""
+        return cls(**{**fields, "differences": tuple(fields["differences"])})
+
+    @property
+    def agrees(self) -> bool:
+        """Whether physics did what the rules predict, within all limits, and nothing else."""
+        return self.result == Result.AS_PREDICTED
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What was measured of one action at its end, before it is judged."""
+
+    step: ScheduledAction
+    legal: bool
+    outcome: Outcome | None
+    """Of the skill; None where it was never begun."""
+    differences: tuple[str, ...]
+    """What reads otherwise of what the action was to change, whatever else happened."""
+    own: tuple[str, ...]
+    """The car and what it handles, by name."""
+    read: str
     car_error_m: float
     heading_error_rad: float
     height_error_m: float
     placed_error_m: float | None
-    others_moved_m: float
-    duration_s: float
+    bystander_displacement_m: float
+    bystander: str
+    """Name of what moved furthest; empty where there is nothing else."""
+    start_s: float
+    contacts: tuple[Contact, ...]
+    """Unexpected ones, hardest first."""
+    hazards: tuple[Hazard, ...]
     peak_force_n: float
 
+    @property
+    def applied(self) -> bool:
+        """Whether the skill succeeded and the world reads as it should where the action changes it."""
+        return not self.differences and self.outcome is not None and self.outcome.succeeded
 
-def attempt_of(record: ActionRecord, limits: Thresholds) -> Attempt:
-    """Judge one action by the limits."""
-    result = result_of(record, limits)
+
+def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:
+    """Return the attempt that the evidence of an action and the verdict on it make, by limits set beforehand."""
+    step, outcome = evidence.step, evidence.outcome
+    row, after = step.before.cars[step.car], step.after.cars[step.car]
+    load = Kind(row[CarField.LOAD])
+    result = result_of(evidence, verdict, limits)
     return Attempt(
-        tick=record.tick,
-        car=record.car,
-        action=record.action.name,
-        verb=verb_of(record.action),
-        level=record.level,
-        load="none" if record.load == Kind.AIR else record.load.name.lower(),
-        slope=record.sloping,
-        legal=record.legal,
+        tick=step.tick,
+        car=step.car,
+        action=step.action.name,
+        verb=verb_of(step.action),
+        level=int(row[CarField.Z]),
+        load="none" if load == Kind.AIR else load.name.lower(),
+        slope=bool(row[CarField.SLOPE] or after[CarField.SLOPE]),
+        legal=evidence.legal,
+        performed=outcome is not None,
         result=str(result),
-        finding=str(record.verdict.finding),
-        skill=str(record.outcome) if _performed(record) else "not performed",
-        reason="" if result is Result.AS_PREDICTED else _reason(record, limits),
-        differences=record.verdict.differences,
-        car_error_m=record.car_error_m,
-        heading_error_rad=abs(record.car_heading_error_rad),
-        height_error_m=abs(record.car_height_error_m),
-        placed_error_m=record.placed_error_m,
-        others_moved_m=record.others_moved_m,
-        duration_s=record.outcome.duration_s,
-        peak_force_n=record.peak_force_n,
+        finding=str(verdict.finding),
+        skill="not performed" if outcome is None else str(outcome),
+        reason="" if result is Result.AS_PREDICTED else reason_of(evidence, verdict, limits),
+        differences=verdict.differences,
+        predicted=describe_car(step.after, step.car),
+        read=evidence.read,
+        car_error_m=evidence.car_error_m,
+        heading_error_rad=evidence.heading_error_rad,
+        height_error_m=evidence.height_error_m,
+        placed_error_m=evidence.placed_error_m,
+        bystander_displacement_m=evidence.bystander_displacement_m,
+        start_s=evidence.start_s,
+        duration_s=0.0 if outcome is None else round(outcome.duration_s, 6),
+        peak_force_n=evidence.peak_force_n,
     )
 
 
@@ -95,63 +162,50 @@ def verb_of(action: Action) -> str:
     return "MOVE" if action in MOVE_DIRECTION or action > Action.STOP else action.name
 
 
-def result_of(record: ActionRecord, limits: Thresholds) -> Result:
+def result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Result:
     """Return what came of an action; what is unsafe is so even if all ended as predicted."""
-    if record.verdict.finding is Finding.UNSAFE:
+    if verdict.finding is Finding.UNSAFE:
         return Result.UNSAFE
-    own = [name for name, _ in excesses(record, limits) if name != "others moved"]
-    if own or not record.effect or record.outcome.reason is not None:
+    if not evidence.applied or any(name != "bystander" for name, _ in _excesses(evidence, limits)):
         return Result.FAILED
-    if record.verdict.agrees and record.others_moved_m <= limits.others_m:
+    if verdict.agrees and evidence.bystander_displacement_m <= limits.bystander_m:
         return Result.AS_PREDICTED
-    spoilt = record.verdict.finding in (Finding.NOT_EXECUTED, Finding.UNSETTLED, Finding.DIVERGED)
-    problems = record.verdict.differences if record.verdict.finding is Finding.UNREADABLE else ()
-    concerned = any(line.startswith(f"{name} ") for line in problems for name in record.own)
+    spoilt = verdict.finding in (Finding.NOT_EXECUTED, Finding.UNSETTLED, Finding.DIVERGED)
+    problems = verdict.differences if verdict.finding is Finding.UNREADABLE else ()
+    concerned = any(line.startswith(f"{name} ") for line in problems for name in evidence.own)
     return Result.FAILED if spoilt or concerned else Result.SIDE_EFFECT
 
 
-def excesses(record: ActionRecord, limits: Thresholds) -> Iterator[tuple[str, str]]:
-    """Yield the name of each error that is over its limit, or that is no number, with a description."""
-    if not record.car_error_m <= limits.car_m:
-        yield "car error", _beyond("the car is", record.car_error_m, limits.car_m, "mm off")
-    if not abs(record.car_heading_error_rad) <= limits.heading_rad:
-        turn = abs(record.car_heading_error_rad)
-        yield "heading error", _beyond("the car is turned by", turn, limits.heading_rad, "mrad")
-    if not abs(record.car_height_error_m) <= limits.height_m:
-        yield (
-            "height error",
-            _beyond("the car's height is", abs(record.car_height_error_m), limits.height_m, "mm off"),
-        )
-    if record.placed_error_m is not None and not record.placed_error_m <= limits.placed_m:
-        yield (
-            "placed error",
-            _beyond("the thing is set down", record.placed_error_m, limits.placed_m, "mm off"),
-        )
-    if not record.others_moved_m <= limits.others_m:
-        yield (
-            "others moved",
-            _beyond(f"{record.moved} was moved by", record.others_moved_m, limits.others_m, "mm"),
-        )
-
-
-def _beyond(what: str, value: float, limit: float, unit: str) -> str:
-    return f"{what} {1e3 * value:.1f} {unit} (allowed {1e3 * limit:.1f})"
-
-
-def _performed(record: ActionRecord) -> bool:
-    return record.outcome.reason is not None or record.outcome.duration_s > 0
-
-
-def _reason(record: ActionRecord, limits: Thresholds) -> str:
+def reason_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> str:
     """Return what happened physically: hazards, contacts, the skill's own reason; what is off only without these."""
-    if not _performed(record):
-        return record.verdict.differences[0]
-    parts = [hazard.text for hazard in record.hazards[:_SHOWN]]
-    told = {hazard.machines for hazard in record.hazards}
-    contacts = [c for c in record.touched if (c.first, c.second) not in told]
-    contacts.sort(key=lambda c: c.first not in record.own and c.second not in record.own)
+    if evidence.outcome is None:
+        return verdict.differences[0]
+    parts = [hazard.text for hazard in evidence.hazards[:_SHOWN]]
+    known = {hazard.machines for hazard in evidence.hazards}
+    contacts = [c for c in evidence.contacts if (c.first, c.second) not in known]
+    contacts.sort(key=lambda c: c.first not in evidence.own and c.second not in evidence.own)
     parts += [f"{c.first} touched {c.second} ({c.peak_n:.0f} N)" for c in contacts[:_SHOWN]]
-    if record.outcome.reason is not None:
-        parts.append(str(record.outcome))
-    parts += [text for name, text in excesses(record, limits) if name == "others moved" or not parts]
-    return "; ".join(parts or record.verdict.differences[:1])
+    if not evidence.outcome.succeeded:
+        parts.append(str(evidence.outcome))
+    parts += [text for name, text in _excesses(evidence, limits) if name == "bystander" or not parts]
+    return "; ".join(parts or verdict.differences[:1])
+
+
+def _excesses(evidence: Evidence, limits: Thresholds) -> Iterator[tuple[str, str]]:
+    """Yield the name of each error that is over its limit, or that is no number, with a description."""
+    measured = (
+        ("car", "the car is", evidence.car_error_m, limits.car_m, "mm off"),
+        ("heading", "the car is turned by", evidence.heading_error_rad, limits.heading_rad, "mrad"),
+        ("height", "the car's height is", evidence.height_error_m, limits.height_m, "mm off"),
+        ("placed", "the thing is set down", evidence.placed_error_m, limits.placed_m, "mm off"),
+        (
+            "bystander",
+            f"{evidence.bystander} was moved by",
+            evidence.bystander_displacement_m,
+            limits.bystander_m,
+            "mm",
+        ),
+    )
+    for name, what, value, limit, unit in measured:
+        if value is not None and not value <= limit:
+            yield name, f"{what} {1e3 * value:.1f} {unit} (allowed {1e3 * limit:.1f})"

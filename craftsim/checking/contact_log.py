@@ -125,12 +125,6 @@ class ContactLog:
         tilts = np.arccos(np.clip(self._upright, -1.0, 1.0))
         return {name: float(tilt) for name, tilt in zip(self.names[2:], tilts, strict=True)}
 
-    @property
-    def speed_m_s(self) -> float:
-        """How fast the fastest machine moves now."""
-        velocity = self.site.data.qvel[self._velocity_address[:, None] + np.arange(3)]
-        return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
-
     def write(self, path: Path) -> None:
         """Write the contacts as CSV with a line of headings."""
         with path.open("w", newline="", encoding="utf-8") as file:
@@ -160,6 +154,18 @@ class ContactLog:
         forces = np.bincount(pairs, data.efc_force[address[counts]], minlength=len(self._peak))
         np.maximum(self._peak, forces, out=self._peak)
         self._since[pairs] = np.minimum(self._since[pairs], self.site.time_s)
+
+
+def speed_m_s(site: Site) -> float:
+    """Return how fast the fastest machine of a Site moves now."""
+    handles = [
+        *(car.base for car in site.cars),
+        *site.blocks,
+        *site.flags,
+        *(slope.base for slope in site.slopes),
+    ]
+    velocity = site.data.qvel[np.array([body.dof for body in handles], np.intp)[:, None] + np.arange(3)]
+    return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
 
 
 def _roots(model: mujoco.MjModel) -> list[int]:

@@ -7,13 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.joint import JointSite
+from craftsim.checking.settings import Setup
+from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.durations import SITUATIONS, situation, verb
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.rules import Rules
-from craftsim.models.site import Site
-from craftsim.skills.executor import Executor
 
 _LEFT, _RIGHT, _BACK, _FORWARD = (
     Action.MOVE_LEFT,
@@ -52,16 +50,15 @@ def measure_durations() -> dict[str, dict[str, float]]:
 
     Raises RuntimeError if an action of the tour fails: then there is nothing to measure.
     """
-    site = Site(tour_start())
-    world = JointSite(site, Rules("physical"), Executor(site))
+    checked = set_up(tour_start(), Setup())
     seconds: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for number, action in enumerate(TOUR):
-        before = world.grid.cars
-        done = world.step([(0, action)]).cars[0]
-        if not done.applied or done.outcome is None:
-            raise RuntimeError(f"action {number} of the tour, {action.name}, failed: {done}")
-        name = SITUATIONS[int(situation(before, world.grid.cars)[0])]
-        seconds[verb(action)][name].append(done.outcome.duration_s)
+        before = checked.grid.cars
+        attempt = checked.perform(0, action)
+        if not attempt.agrees:
+            raise RuntimeError(f"action {number} of the tour, {action.name}, failed: {attempt}")
+        name = SITUATIONS[int(situation(before, checked.grid.cars)[0])]
+        seconds[verb(action)][name].append(attempt.duration_s)
     return {
         name: {where: round(float(np.mean(taken)), 2) for where, taken in rows.items()}
         for name, rows in seconds.items()

@@ -1,59 +1,101 @@
-"""What attempts in physics run under: limits that are set beforehand, noise, randomised physics, simulation."""
+"""What decides a world in physics besides its Grid and its seed: limits, noise, randomization, gains, simulation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cache
+from pathlib import Path
 from typing import Final, Literal
 
+from craftsim.discrete.rules import RuleSet
 from craftsim.models.config import SimulationConfig
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
+from craftsim.models.parameter_files import load_machines
+from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.randomization import DomainRandomization
+from craftsim.report import digest
+from craftsim.skills.gains import Gains, load_gains
+
+nominal_gains = cache(load_gains)
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """The largest errors with which an action counts as done well."""
+    """The largest errors with which an action still agrees with its prediction; set before anything is run."""
 
     car_m: float = 0.001
+    """Distance of the car from its cell's centre."""
     heading_rad: float = 0.003
     placed_m: float = 0.002
-    others_m: float = 0.001
+    """Distance of what was set down, folded or unfolded from its cell's centre."""
+    bystander_m: float = 0.001
+    """Displacement of anything that the action does not concern."""
     height_m: float = 0.002
 
 
 @dataclass(frozen=True)
-class TrialSettings:
-    """What a trial runs under besides its world; hashable, and written into the report."""
+class Setup:
+    """Configuration of a world in physics; hashable, and written into every report and replay bundle."""
 
+    rules: RuleSet = "physical"
+    """The rule set that predicts."""
     thresholds: Thresholds = field(default_factory=Thresholds)
     noise: SensorNoise = EXACT
     """Of the cars' sensors and motors."""
     randomization: DomainRandomization | None = None
-    """From which each trial draws its own physics; None for the nominal one."""
+    """From which each seed draws its own physics; None for the nominal one."""
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
+    gains: Gains = field(default_factory=nominal_gains)
+    machines: Machines = NOMINAL
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of what a user may bring."""
+        return {"gains": digest(self.gains), "machines": self.machines.digest}
 
 
-NOMINAL: Final = TrialSettings()
-"""Exact sensors, nominal physics."""
+Randomize = Literal["none", "mild", "strong"]
 
-WITH_NOISE: Final = TrialSettings(Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), NOISY, DomainRandomization())
-"""Noisy sensors and randomised physics. A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
-
-MILDLY: Final = TrialSettings(
+_STRONG: Final = (Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), NOISY, DomainRandomization())
+"""A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
+_MILD: Final = (
     Thresholds(0.0015, 0.0045, 0.0025, 0.001, 0.002),
     SensorNoise(**{f.name: getattr(NOISY, f.name) / 2 for f in fields(SensorNoise)}),
     DomainRandomization(
         **{f.name: getattr(DomainRandomization(), f.name) / 2 for f in fields(DomainRandomization)}
     ),
 )
-"""Half of that noise and randomisation; limits are halved where that leaves them above those without noise."""
+"""Half of that noise and randomization; limits are halved where that leaves them above those without noise."""
 
-Randomize = Literal["none", "mild", "strong"]
-
-SETTINGS: Final[Mapping[Randomize, TrialSettings]] = {
-    "none": NOMINAL,
-    "mild": MILDLY,
-    "strong": WITH_NOISE,
+RANDOMIZE: Final[Mapping[Randomize, tuple[Thresholds, SensorNoise, DomainRandomization | None]]] = {
+    "none": (Thresholds(), EXACT, None),
+    "mild": _MILD,
+    "strong": _STRONG,
 }
-"""What the option ``--randomize`` stands for."""
+"""What the option ``--randomize`` stands for: thresholds, sensor noise and domain randomization."""
+
+
+def setup_of(
+    randomize: Randomize = "none",
+    rules: RuleSet = "physical",
+    gains: Gains | str | Path | None = None,
+    machines: Machines | str | Path | None = None,
+) -> Setup:
+    """Return the configuration that the options of the commands stand for.
+
+    Args:
+        randomize: sensor noise and domain randomization, with limits that suit them.
+        rules: the rule set that predicts.
+        gains: of the skills, or a file of them; those of the file of the machines, if it has some, unless given.
+        machines: their parameters, or a file of them; the nominal ones unless given.
+
+    Raises InputError for what no file should say.
+    """
+    if gains is None and isinstance(machines, str | Path):
+        gains = machines
+    if not isinstance(gains, Gains):
+        gains = nominal_gains() if gains is None else load_gains(Path(gains))
+    if not isinstance(machines, Machines):
+        machines = NOMINAL if machines is None else load_machines(Path(machines))
+    return Setup(rules, *RANDOMIZE[randomize], gains=gains, machines=machines)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Final
 
 from rich.console import Console
 from rich.table import Table
 
+from craftsim.validation.audit.audit import Audit
 from craftsim.validation.audit.results import Results
-from craftsim.validation.campaign import TrialRecord
 from craftsim.validation.statistics.audit_rows import Judgement, provisional_note
 
 _SHOWN: Final = 40
@@ -37,30 +36,29 @@ def print_results(console: Console, results: Results) -> None:
     console.print(table)
 
 
-def conclude(
-    console: Console,
-    results: Results,
-    records: Sequence[TrialRecord],
-    rules: str,
-    switches: Mapping[str, int],
-) -> int:
-    """Print the verdict on a rule set, and return the exit status.
-
-    ``switches`` says how many unsound rows each of them corrects.
-    """
-    n = {judgement: len(results.of_kind(judgement)) for judgement in Judgement}
-    errors = sum(record["error"] is not None for record in records)
+def conclude(console: Console, audit: Audit) -> int:
+    """Print the verdict on a rule set, and return the exit status."""
+    n = {judgement: len(audit.results.of_kind(judgement)) for judgement in Judgement}
+    errors = sum(record["error"] is not None for record in audit.records)
     allowed = n[Judgement.UNSOUND] + n[Judgement.SOUND]
-    if switches:
-        told = ", ".join(f"{switch} {count}" for switch, count in switches.items())
-        console.print(f"unsound rows by the switch that corrects them: {told}", soft_wrap=True)
+    if flags := audit.rows_by_flag:
+        text = ", ".join(f"{flag} {count}" for flag, count in flags.items())
+        console.print(f"unsound rows by the rule flag that corrects them: {text}", soft_wrap=True)
     console.print(
-        f"{rules}: {n[Judgement.UNSOUND]} of {allowed} rows that the rules allow are unsound; "
+        f"{audit.config['rules']}: {n[Judgement.UNSOUND]} of {allowed} rows that the rules allow are unsound; "
         f"{n[Judgement.CONSERVATIVE]} that they forbid would have worked, "
         f"{n[Judgement.RIGHTLY_FORBIDDEN]} are rightly forbidden."
         + (f" {errors} trials came to no end." if errors else ""),
         soft_wrap=True,
     )
-    if note := provisional_note(results.rows):
+    if note := provisional_note(audit.results.rows):
         console.print(note, soft_wrap=True)
+    if car := audit.figures.precision.car_error_mm:
+        heading, placed = audit.figures.precision.heading_error_mrad, audit.figures.precision.placed_error_mm
+        console.print(
+            f"Of what the rules allow and did as predicted, 99th percentiles: cars {car.p99:.2f} mm"
+            + (f" and {heading.p99:.2f} mrad" if heading else "")
+            + (f", set down {placed.p99:.2f} mm" if placed else ""),
+            soft_wrap=True,
+        )
     return 1 if n[Judgement.UNSOUND] or errors else 0

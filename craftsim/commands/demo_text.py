@@ -8,9 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from craftsim.checking.checked_run import CheckedRun
-from craftsim.validation.jobs.figures import job_figures
-from craftsim.validation.jobs.job import Job, JobResult
+from craftsim.validation.building import Building
 
 _OTHER_GOALS: Final[dict[str, tuple[str, str]]] = {
     "free_building": ("all blocks form one platform", "the blocks do NOT form one platform"),
@@ -19,48 +17,46 @@ _OTHER_GOALS: Final[dict[str, tuple[str, str]]] = {
 """What to say of goals that are no building, reached and missed."""
 
 
-def actions_table(run: CheckedRun) -> Table:
-    """Return a table with a row for each action of a run."""
+def actions_table(building: Building) -> Table:
+    """Return a table with a row for each action."""
     caption = "cell, heading, load, low or high on a slope; mm, mrad: error of the car"
     table = Table(title="Predicted by the rules, read from poses", caption=caption, box=None, pad_edge=False)
-    for heading in ("tick", "car", "action", "predicted", "read", "verdict"):
-        table.add_column(heading, no_wrap=heading != "verdict", overflow="fold")
+    for heading in ("tick", "car", "action", "predicted", "read", "result"):
+        table.add_column(heading, no_wrap=heading != "result", overflow="fold")
     for heading in ("s", "mm", "mrad"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for record in run.records:
-        verdict = str(record.verdict.finding) + ("" if record.outcome.succeeded else f"; {record.outcome}")
-        good = record.legal and record.verdict.agrees
+    for attempt in building.attempts:
         table.add_row(
-            str(record.tick),
-            str(record.car),
-            record.action.name,
-            record.predicted,
-            "same" if record.read == record.predicted else record.read,
-            f"[{'green' if good else 'red'}]{verdict}[/]",
-            f"{record.outcome.duration_s:.2f}",
-            f"{record.car_error_m * 1e3:.2f}",
-            f"{record.car_heading_error_rad * 1e3:+.2f}",
+            str(attempt.tick),
+            str(attempt.car),
+            attempt.action,
+            attempt.predicted,
+            "same" if attempt.read == attempt.predicted else attempt.read,
+            f"[{'green' if attempt.agrees else 'red'}]{'agrees' if attempt.agrees else attempt.result}[/]",
+            f"{attempt.duration_s:.2f}",
+            f"{attempt.car_error_m * 1e3:.2f}",
+            f"{attempt.heading_error_rad * 1e3:.2f}",
         )
     return table
 
 
-def summary(results: Sequence[JobResult]) -> Table:
-    """Return a table with a row for each job."""
-    caption = "s simulated; at worst: mm, mrad of cars, set: mm of things set down, others: mm moved"
+def summary(buildings: Sequence[Building]) -> Table:
+    """Return a table with a row for each building."""
+    caption = "s: makespan; at worst: mm, mrad of cars, set: mm of things set down, others: mm that bystanders moved"
     table = Table(title="Built in physics, checked by the rules", caption=caption, box=None, pad_edge=False)
     table.add_column("task", no_wrap=True)
     for heading in ("ticks", "agree", "goal", "s", "mm", "mrad", "set", "others"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for result in results:
-        figures = job_figures(result)
-        worst = ("car_error_mm", "car_heading_error_mrad", "placed_error_mm", "others_moved_mm")
-        goal = {None: "none", True: "[green]reached[/]", False: "[red]missed[/]"}[result.reached]
+    for one in buildings:
+        figures = one.figures
+        worst = ("car_error_mm", "car_heading_error_mrad", "placed_error_mm", "bystander_displacement_mm")
+        goal = {None: "none", True: "[green]reached[/]", False: "[red]missed[/]"}[one.reached]
         table.add_row(
-            result.job.name,
+            one.name,
             str(figures["ticks"]),
-            f"[{'green' if result.run.agrees else 'red'}]{figures['agree']} of {figures['total']}[/]",
+            f"[{'green' if one.n_agree == one.n_actions else 'red'}]{one.n_agree} of {one.n_actions}[/]",
             goal,
-            f"{figures['simulated_s']:.1f}",
+            f"{figures['makespan_s']:.1f}",
             *(f"{figures[f'max_{name}']:.2f}" for name in worst),
         )
     return table
@@ -71,36 +67,35 @@ def print_worst(console: Console, figures: dict[str, Any]) -> None:
     console.print(
         f"At worst: cars {figures['max_car_error_mm']:.2f} mm and "
         f"{figures['max_car_heading_error_mrad']:.2f} mrad off, things set down "
-        f"{figures['max_placed_error_mm']:.2f} mm off, others moved {figures['max_others_moved_mm']:.2f} mm. "
-        f"{figures['simulated_s']:.1f} s simulated.",
+        f"{figures['max_placed_error_mm']:.2f} mm off, bystanders moved "
+        f"{figures['max_bystander_displacement_mm']:.2f} mm. {figures['simulated_s']:.1f} s simulated.",
         soft_wrap=True,
     )
 
 
-def print_differences(console: Console, result: JobResult, name_task: bool) -> None:
-    """Say for each action that did not do what the rules predicted what was different."""
-    prefix = f"{result.job.name}, " if name_task else ""
-    for record in result.run.records:
-        for difference in record.verdict.differences:
-            console.print(
-                f"{prefix}tick {record.tick}, car {record.car} {record.action.name}: {difference}",
-                soft_wrap=True,
-            )
+def print_disagreements(console: Console, building: Building, name_task: bool) -> None:
+    """Print for each action that does not agree why."""
+    prefix = f"{building.name}, " if name_task else ""
+    for attempt in building.attempts:
+        if not attempt.agrees:
+            where = f"{prefix}tick {attempt.tick}, car {attempt.car} {attempt.action}"
+            lines = dict.fromkeys((attempt.reason, *attempt.differences))
+            console.print(f"{where}: {'; '.join(lines)}", soft_wrap=True, markup=False)
 
 
-def conclusion(results: Sequence[JobResult]) -> str:
+def conclusion(buildings: Sequence[Building]) -> str:
     """Return the last line: how many actions agree, and whether the goal, or each goal, is reached."""
-    agree, total = sum(result.agree for result in results), sum(len(r.run.records) for r in results)
+    agree, total = sum(one.n_agree for one in buildings), sum(one.n_actions for one in buildings)
     actions = f"{agree} of {total} actions agree with the rules"
-    if len(results) > 1:
-        return f"{actions}; {sum(r.reached is True for r in results)} of {len(results)} goals are reached."
-    return f"{actions}; {_goal_words(results[0].job, results[0].reached)}."
+    if len(buildings) > 1:
+        return f"{actions}; {sum(one.reached is True for one in buildings)} of {len(buildings)} goals are reached."
+    return f"{actions}; {_goal_words(buildings[0])}."
 
 
-def _goal_words(job: Job, reached: bool | None) -> str:
-    if reached is None:
+def _goal_words(building: Building) -> str:
+    if building.reached is None:
         return "no goal was given"
     words = ("the building matches its goal", "the building does NOT match its goal")
-    if job.task is not None and job.design is None:
-        words = _OTHER_GOALS[job.task]
-    return words[0] if reached else words[1]
+    if building.task.design is None:
+        words = _OTHER_GOALS.get(building.name, ("the goal is reached", "the goal is NOT reached"))
+    return words[0] if building.reached else words[1]

@@ -1,4 +1,4 @@
-"""``craftsim replay``: see again what went wrong, and check that it is the same."""
+"""``craftsim replay``: re-run a recorded failure bit for bit, and check that it is the same."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from craftsim.commands.filming import film_bundle, rendering_works
+from craftsim.commands.films import film_bundle, rendering_works
 from craftsim.discrete.errors import InputError
 from craftsim.report import output_directory, versions, write_report
 
@@ -28,7 +28,7 @@ def replay(
     video: bool = False,
     out: Path = Path("out/replay"),
 ) -> int:
-    """Do again what a replay bundle shows, and compare it with what was recorded.
+    """Re-run what a replay bundle shows, bit for bit, and compare it with what was recorded.
 
     With the versions of the bundle everything must be the same bit for bit; with others, poses must agree within 2 mm
     and 10 mrad, and every action must come out as it did. Exit status 0 when it is reproduced, 1 when it differs, 2
@@ -84,8 +84,10 @@ def _print(console: Console, recorded: Recorded, result: Replay) -> None:
 
     bundle = recorded.bundle
     say(bundle.key)
-    for attempt, predicted, read in zip(bundle.attempts, bundle.predicted, bundle.read, strict=True):
-        say(f"car {attempt.car} {attempt.action}: {attempt.result}. Predicted {predicted}, read {read}.")
+    for attempt in bundle.attempts:
+        say(
+            f"car {attempt.car} {attempt.action}: {attempt.result}. Predicted {attempt.predicted}, read {attempt.read}."
+        )
         if attempt.reason:
             say(f"  {attempt.reason}")
     for package, (was, now) in result.changed.items():

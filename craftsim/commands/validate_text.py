@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median
 from typing import Final
 
 from rich.console import Console
@@ -11,22 +12,19 @@ from rich.table import Table
 
 from craftsim.checking.attempt import Result
 from craftsim.validation.campaign import TrialRecord
+from craftsim.validation.validation import Validation
 
 _SHOWN: Final = 20
 """Disagreements that are printed; the report has all."""
 
 
 def runs_table(records: Sequence[TrialRecord]) -> Table:
-    """Return a table with a row for each blueprint and each plan or policy."""
-    table = Table(
-        box=None,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-        caption="goal: runs that reach it, in physics and by the rules",
-    )
-    table.add_column("blueprint", overflow="fold")
+    """Return a table with a row for each world and each plan or policy."""
+    caption = "goal: runs that reach it, in physics and by the rules; makespan: median, s simulated"
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), caption=caption)
+    table.add_column("world", overflow="fold")
     table.add_column("plan or policy", overflow="fold")
-    for heading in ("runs", "agree", "actions", "good", "goal", "rules", "errors"):
+    for heading in ("runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors"):
         table.add_column(heading, justify="right", no_wrap=True)
     for name, by in dict.fromkeys((record["context"], record["group"]) for record in records):
         own = [record for record in records if (record["context"], record["group"]) == (name, by)]
@@ -47,6 +45,7 @@ def runs_table(records: Sequence[TrialRecord]) -> Table:
             str(results.count(Result.AS_PREDICTED)),
             goal,
             by_rules,
+            f"{median(r['extra']['makespan_s'] for r in done):.1f}" if done else "-",
             str(len(own) - len(done)),
         )
     return table
@@ -56,14 +55,19 @@ def print_disagreements(console: Console, out: Path, records: Sequence[TrialReco
     """Print the first disagreement of each run, and how to see it again."""
     wrong = [record for record in records if not record["agrees"]]
     for record in wrong[:_SHOWN]:
-        bad = next((a for a in record["attempts"] if a["result"] != Result.AS_PREDICTED), None)
-        told = record["error"] or (
-            f"tick {bad['tick']} car {bad['car']} {bad['action']}: {bad['result']}: {bad['reason']}"
-            if bad
-            else ""
-        )
-        console.print(f"{record['key']}: {told}", soft_wrap=True, markup=False, highlight=False)
+        text = record["error"] or ""
+        if bad := next((a for a in record["attempts"] if a["result"] != Result.AS_PREDICTED), None):
+            text = f"tick {bad['tick']} car {bad['car']} {bad['action']}: "
+            text += f"{bad['result']}: {bad['reason']}" if bad["legal"] else f"not tried: {bad['reason']}"
+        console.print(f"{record['key']}: {text}", soft_wrap=True, markup=False, highlight=False)
         if record["bundle"]:
             console.print(f"  craftsim replay {out / record['bundle']}", soft_wrap=True, markup=False)
     if len(wrong) > _SHOWN:
         console.print(f"and {len(wrong) - _SHOWN} more in the report")
+
+
+def conclusion(result: Validation) -> str:
+    """Return the last line: how many runs agree, and whether any asked for what the rules forbid."""
+    asked = sum(any(not a["legal"] for a in record["attempts"]) for record in result.records)
+    text = f"{result.n_agree} of {len(result.records)} runs did in physics what the rules predict"
+    return f"{text}; {asked} asked for actions that the rules forbid." if asked else f"{text}."

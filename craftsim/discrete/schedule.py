@@ -53,6 +53,8 @@ class Schedule:
     """(tick, car, action) of what is left out."""
     final: Grid
     """The predicted world at the end."""
+    acts: tuple[tuple[int, int], ...] = ()
+    """(tick, car) of all actions in the order of the plan."""
 
 
 def make_schedule(
@@ -61,8 +63,10 @@ def make_schedule(
     """Return the schedule of a plan's ticks, each a sequence of (car, action) in acting order, from a world."""
     steps: list[ScheduledAction] = []
     forbidden = []
+    acts = []
     for tick, joint in enumerate(ticks):
         for car, action in joint:
+            acts.append((tick, car))
             if not rules.legal(grid, car, action):
                 forbidden.append((tick, car, action))
                 continue
@@ -71,7 +75,7 @@ def make_schedule(
             waits = frozenset(_predecessors(steps, tick, car, needs, order))
             steps.append(ScheduledAction(tick, car, action, grid, after, needs, waits))
             grid = after
-    return Schedule(tuple(steps), tuple(forbidden), grid)
+    return Schedule(tuple(steps), tuple(forbidden), grid, tuple(acts))
 
 
 def _predecessors(

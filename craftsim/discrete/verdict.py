@@ -59,11 +59,14 @@ def compare(before: Grid, predicted: Grid, reading: Reading) -> Verdict:
     return Verdict(Finding.WRONG_PLACE, differences)
 
 
-def has_effect(before: Grid, predicted: Grid, read: Grid, car: int) -> bool:
-    """Return whether all that the action of a car was to change reads as predicted, whatever else happened."""
+def own_differences(before: Grid, predicted: Grid, read: Grid, car: int) -> list[str]:
+    """Return a line for each thing that a car's action was to change and that reads otherwise than predicted."""
     changes = (before.kind != predicted.kind) | (before.yaw != predicted.yaw)
-    as_predicted = (predicted.kind == read.kind) & (predicted.yaw == read.yaw)
-    return bool(as_predicted[changes].all() and np.array_equal(predicted.cars[car], read.cars[car]))
+    wrong = changes & ((predicted.kind != read.kind) | (predicted.yaw != read.yaw))
+    lines = [_describe_cell(predicted, read, cell) for cell in np.argwhere(wrong).tolist()]
+    if not np.array_equal(predicted.cars[car], read.cars[car]):
+        lines.append(_describe_cars(predicted, read, car))
+    return lines
 
 
 def _untouched_changed(before: Grid, predicted: Grid, read: Grid) -> bool:
@@ -77,15 +80,22 @@ def _untouched_changed(before: Grid, predicted: Grid, read: Grid) -> bool:
 
 def describe_differences(predicted: Grid, read: Grid) -> list[str]:
     """Return one line for each cell and each car in which two Grids of one size differ."""
-    lines = []
-    for x, y, z in np.argwhere((predicted.kind != read.kind) | (predicted.yaw != read.yaw)):
-        want, got = (f"{Kind(g.kind[x, y, z]).name.lower()} yaw {g.yaw[x, y, z]}" for g in (predicted, read))
-        lines.append(f"cell ({x}, {y}, {z}): predicted {want}, read {got}")
-    for car in np.flatnonzero((predicted.cars != read.cars).any(axis=1)):
-        lines.append(
-            f"car {car}: predicted {describe_car(predicted, int(car))}, read {describe_car(read, int(car))}"
-        )
-    return lines
+    cells = np.argwhere((predicted.kind != read.kind) | (predicted.yaw != read.yaw)).tolist()
+    cars = np.flatnonzero((predicted.cars != read.cars).any(axis=1)).tolist()
+    return [
+        *(_describe_cell(predicted, read, cell) for cell in cells),
+        *(_describe_cars(predicted, read, car) for car in cars),
+    ]
+
+
+def _describe_cell(predicted: Grid, read: Grid, cell: list[int]) -> str:
+    x, y, z = cell
+    want, got = (f"{Kind(g.kind[x, y, z]).name.lower()} yaw {g.yaw[x, y, z]}" for g in (predicted, read))
+    return f"cell ({x}, {y}, {z}): predicted {want}, read {got}"
+
+
+def _describe_cars(predicted: Grid, read: Grid, car: int) -> str:
+    return f"car {car}: predicted {describe_car(predicted, car)}, read {describe_car(read, car)}"
 
 
 def describe_car(grid: Grid, car: int) -> str:

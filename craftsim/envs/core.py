@@ -94,24 +94,25 @@ class Options:
             from craftsim.rendering.backend import choose_backend
 
             choose_backend()
+        from craftsim.checking.settings import Setup, nominal_gains
         from craftsim.envs.physics_backend import PhysicsBackend
         from craftsim.models.config import SimulationConfig
-        from craftsim.models.noise import SensorNoise
+        from craftsim.models.noise import EXACT, SensorNoise
         from craftsim.models.randomization import DomainRandomization
 
-        for name, kind in (
-            ("noise", SensorNoise),
-            ("randomization", DomainRandomization),
-            ("config", SimulationConfig),
-        ):
+        kinds = {"noise": SensorNoise, "randomization": DomainRandomization, "config": SimulationConfig}
+        for name, kind in kinds.items():
             value = getattr(self, name)
             if value is not None and not isinstance(value, kind):
                 raise InputError(f"the option '{name}' must be a {kind.__name__}, not {value!r}")
-        goals = [target.cell for target in task.design.targets] if task.design else [task.starts[0].goal]
-        floor = [cell for cell in goals if cell is not None and cell[2] == 1]
-        return PhysicsBackend(
-            Rules(self.rule_set), self.helper_depth, self.noise, self.randomization, self.config, floor
+        setup = Setup(
+            rules=self.rule_set,
+            noise=self.noise or EXACT,
+            randomization=self.randomization,
+            simulation=self.config or SimulationConfig(),
+            gains=nominal_gains(),
         )
+        return PhysicsBackend(setup, self.helper_depth, task.goal_cells)
 
 
 @dataclass(frozen=True)

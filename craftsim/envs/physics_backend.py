@@ -10,22 +10,21 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.checking.joint import CarStep, JointSite, JointStep
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.recipe import Recipe, Step
+from craftsim.checking.settings import Setup
+from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
+from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.planning.planner import Planner
-from craftsim.discrete.readback import Placed
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
-from craftsim.models.config import SimulationConfig
-from craftsim.models.noise import EXACT, SensorNoise
-from craftsim.models.randomization import DomainRandomization, RandomizedSite
-from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site, SiteState
-from craftsim.skills.executor import Executor
-from craftsim.skills.gains import load_gains
+from craftsim.models.site import Site
+from craftsim.skills.executor import Observer
 
 if TYPE_CHECKING:
     from mujoco.viewer import Handle
@@ -39,57 +38,65 @@ class PhysicsBackend:
 
     def __init__(
         self,
-        rules: Rules,
-        helper_depth: int | None,
-        noise: SensorNoise | None = None,
-        randomization: DomainRandomization | None = None,
-        config: SimulationConfig | None = None,
+        setup: Setup,
+        helper_depth: int | None = None,
         goals: Sequence[Cell] = (),
+        observers: Sequence[Observer] = (),
+        watch_contacts: bool = False,
     ) -> None:
-        """Prepare for episodes with this sensor noise and domain randomization, none unless given."""
-        self.rules, self.noise, self.randomization, self.config = rules, noise or EXACT, randomization, config
-        self.goals = goals
-        self._gains = load_gains()
-        self._planner = None if helper_depth is None else Planner(rules, helper_depth)
+        """Prepare for episodes.
+
+        Args:
+            setup: configuration of the physics, the noise, the skills and the judge.
+            helper_depth: search depth of the action helper; None is without it.
+            goals: cells to mark.
+            observers: called with the Site after every control period.
+            watch_contacts: whether the judge logs contacts, 8 % of the time; unsafe actions then end at once.
+        """
+        self.setup, self.goals = setup, tuple(goals)
+        self.observers, self.watch_contacts = observers, watch_contacts
+        self._planner = None if helper_depth is None else Planner(Rules(setup.rules), helper_depth)
         self._start: Grid | None = None
-        self._rested: SiteState | None = None
         self._renderer: mujoco.Renderer | None = None
         self._viewer: Handle | None = None
-        self.world: JointSite
+        self.checked: CheckedSite
+        self.recipe: Recipe
+        """How the episode starts, and all its ticks so far: it is re-run bit for bit from this."""
+        self.ticks: list[tuple[Attempt, ...]]
+        """The attempts of the episode's ticks, in acting order."""
 
     def start(self, grid: Grid, rng: np.random.Generator) -> Grid:
         """Begin an episode; a Site is compiled only when the start is another than the last one's."""
+        seed = Seed.drawn(rng)
         if self._start is None or not self._start.same_visible(grid):
             self.close()
-            self._site = Site(grid, self.config, self.goals, reset=self.randomization is None)
-            self._varied = RandomizedSite(self._site)
-            self._rested = self._site.save() if self.randomization is None else None
+            self._world = compile_world(grid, self.setup, self.goals)
             self._start = grid.copy()
-        if self._rested is not None:
-            self._site.restore(self._rested)
-        elif self.randomization is not None:
-            self._varied.draw(self.randomization, rng)
-        sensors = Sensors(self._site, self.noise, rng)
-        executor = Executor(self._site, self._gains, self._observe, sensors)
-        self.world = JointSite(self._site, self.rules, executor)
-        return self.world.grid
+        self.checked = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
+        self.checked.executor.observers += [self._observe, *self.observers]
+        self.recipe = Recipe(blueprint_text(grid), (), self.setup, seed, self.goals)
+        self.ticks = []
+        return self.checked.grid
 
     def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Run all cars' skills to their end, each as early as the others allow, and read the world from poses."""
-        step = self.world.step(self._primitives(worlds.queue[0], actions, order))
+        began_s, number = self.checked.site.time_s, len(self.ticks)
+        joint = self._primitives(worlds.queue[0], actions, order)
+        attempts = self.checked.perform_tick(joint, tick=number)
+        self.ticks.append(attempts)
+        self.recipe = self.recipe.then(Step.joint(number, joint))
         queue = worlds.queue[0].copy()
-        worlds.put(0, step.reading.grid)
+        worlds.put(0, self.checked.grid)
         worlds.queue[0] = queue
         legal = np.zeros(len(actions), np.bool_)
-        told: list[dict[str, Any]] = [{} for _ in actions]
-        for done in step.cars:
-            legal[done.car] = done.legal
-            told[done.car] = _tell(step, done, step.reading.cars[done.car])
-            if not done.applied:
-                worlds.queue[0, done.car] = -1  # what was planned starts from where the car is not
-        # A simulation that has broken down has started over: what is read then is no consequence of what was done.
-        broken = ("the simulation broke down",) if self._site.diverged else ()
-        return Tick(legal, step.duration_s, broken + step.reading.problems, tuple(told))
+        infos: list[dict[str, Any]] = [{} for _ in actions]
+        for attempt in attempts:
+            legal[attempt.car] = attempt.legal
+            infos[attempt.car] = _info(attempt)
+            if attempt.skill != "succeeded" or attempt.read != attempt.predicted:
+                worlds.queue[0, attempt.car] = -1  # what was planned starts from where the car is not
+        duration_s = round(self.checked.site.time_s - began_s, 6)
+        return Tick(legal, duration_s, self.checked.problems, tuple(infos))
 
     def _primitives(
         self, queue: NDArray[np.int8], actions: NDArray[np.int64], order: NDArray[np.int64]
@@ -98,19 +105,19 @@ class PhysicsBackend:
         joint = [(int(car), Action(actions[car])) for car in order]
         if self._planner is None:
             return joint
-        grid, primitives = self.world.grid, []
+        grid, primitives = self.checked.grid, []
         for car, action in joint:
             due = self._planner.due(grid, queue, car, action)
             primitives.append((car, due))
-            grid = self.rules.apply(grid, car, due)
+            grid = self.checked.rules.apply(grid, car, due)
         return primitives
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return what the overview camera sees."""
         if self._renderer is None:
             width, height = PICTURE_SIZE
-            self._renderer = mujoco.Renderer(self._site.model, height, width)
-        self._renderer.update_scene(self._site.data, "overview")
+            self._renderer = mujoco.Renderer(self.checked.site.model, height, width)
+        self._renderer.update_scene(self.checked.site.data, "overview")
         return self._renderer.render()
 
     def show(self, grid: Grid, goal: Cell | None) -> None:
@@ -122,7 +129,7 @@ class PhysicsBackend:
                 )
             import mujoco.viewer
 
-            self._viewer = mujoco.viewer.launch_passive(self._site.model, self._site.data)
+            self._viewer = mujoco.viewer.launch_passive(self.checked.site.model, self.checked.site.data)
         self._viewer.sync()
 
     def close(self) -> None:
@@ -138,16 +145,16 @@ class PhysicsBackend:
             self._viewer.sync()
 
 
-def _tell(step: JointStep, done: CarStep, placed: Placed) -> dict[str, Any]:
-    """Return what physics has to tell of one car's action; docs/envs.md lists the keys."""
-    outcome = done.outcome
+def _info(attempt: Attempt) -> dict[str, Any]:
+    """Return what the judge found of one car's action; docs/envs.md lists the keys."""
     return {
-        "outcome": "not started" if outcome is None else str(outcome),
-        "reason": None if outcome is None or outcome.reason is None else str(outcome.reason),
-        "action_duration_s": 0.0 if outcome is None else outcome.duration_s,
-        "in_place": done.in_place,
-        "car_error_m": placed.offset_m,
-        "heading_error_rad": placed.heading_rad,
-        "finding": str(step.verdict.finding),
-        "disagreement": step.verdict.differences,
+        "result": attempt.result,
+        "reason": attempt.reason,
+        "outcome": attempt.skill,
+        "finding": attempt.finding,
+        "disagreement": attempt.differences,
+        "action_duration_s": attempt.duration_s,
+        "car_error_m": attempt.car_error_m,
+        "heading_error_rad": attempt.heading_error_rad,
+        "bystander_displacement_m": attempt.bystander_displacement_m,
     }

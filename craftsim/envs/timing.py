@@ -111,7 +111,7 @@ def time_physics(task: Task, seed: int = 0, repeats: int = 5) -> PhysicsTiming:
 def _site(env: ParallelConstruction) -> Site:
     backend = env.core.backend
     assert isinstance(backend, PhysicsBackend)
-    return backend.world.site
+    return backend.checked.site
 
 
 def _play(env: ParallelConstruction, seed: int, record: list[_Period] | None = None) -> tuple[float, int]:
@@ -121,7 +121,7 @@ def _play(env: ParallelConstruction, seed: int, record: list[_Period] | None = N
     if record is not None:
         backend = env.core.backend
         assert isinstance(backend, PhysicsBackend)
-        backend.world.executor.observers.append(
+        backend.checked.executor.observers.append(
             lambda site: record.append(_Period(site.data.ctrl.copy(), site.model.tree_sleep_policy.copy()))
         )
     seconds, n_steps = 0.0, 0

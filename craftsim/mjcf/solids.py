@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 Ring = NDArray[np.float64]
 """Points of a closed outline in space, shape (n, 3), in order."""
 
+Parts = list[trimesh.Trimesh]
+"""Closed solids that make up a mesh; they may touch or overlap."""
+
 Interval = tuple[float, float]
 """Smallest and largest coordinate along an axis, in metres."""
 

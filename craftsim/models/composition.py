@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parts import load_car, load_part, load_slope
+from craftsim.models.parameters import NOMINAL, Machines
+from craftsim.models.parts import load_part
 from craftsim.models.placement import Placement
 
 _MARGIN_CELLS = 2
@@ -21,22 +22,21 @@ _FIELD_OF_VIEW_DEG = 38.0
 
 
 def compose(
-    grid: Grid, placed: list[Placement], config: SimulationConfig, goals: Sequence[Cell]
+    grid: Grid,
+    placed: list[Placement],
+    config: SimulationConfig,
+    goals: Sequence[Cell],
+    machines: Machines = NOMINAL,
 ) -> tuple[mujoco.MjSpec, dict[str, list[str]]]:
     """Attach every part to the ground; return the spec and the name prefixes by kind of part."""
-    spec = load_part("ground")
+    spec = load_part("ground", machines)
     names: dict[str, list[str]] = {"smartcar": [], "block": [], "flag": [], "slope": [], "wall": []}
     for item in placed:
         index = len(names[item.kind])
         prefix = f"{'car' if item.kind == 'smartcar' else item.kind}{index}/"
         names[item.kind].append(prefix)
-        match item.kind:
-            case "smartcar":
-                part = load_car(index)
-            case "slope":
-                part = load_slope()
-            case _:
-                part = load_part(item.kind)
+        part = load_part(item.kind, machines, index)
+        spec.assets.update(part.assets)
         frame = spec.worldbody.add_frame(pos=item.position, quat=item.quaternion)
         frame.attach_body(part.body(item.kind), prefix, "")
     for i, (x, y, z) in enumerate(goals):

@@ -1,54 +1,33 @@
-"""Dimensions, masses and limits of the machines, each with its origin.
+"""Dimensions, masses and limits of the machines, each with its origin: the one place of every figure.
 
 Every figure is *published* (the robot description files that accompany the CraftEnv paper), *derived* (from
-published figures, with the arithmetic) or *assumed* (ours, with the reason). The MJCF files hold the same nominal
-figures so that a person can read and open them alone; ``tests/models/test_parameters.py`` holds the two against
-each other. Where the published files contradict themselves the note says what was chosen and why.
+published figures, with the arithmetic) or *assumed* (ours, with the reason). Where the published files contradict
+themselves the note says what was chosen and why. MJCF, meshes, skills and reports read the figures from here: the
+files in ``craftsim/mjcf`` are rendered from these dataclasses (``make machines``).
 
-Units: metres, kilograms, seconds, radians, newtons, newton metres.
+Units: metres, kilograms, seconds, radians, newtons, newton metres. Records with other figures are built in Python
+or read from YAML (:mod:`craftsim.models.parameter_files`); each raises InputError, naming the figure, for one that
+cannot work.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Final
 
+from craftsim.discrete.errors import InputError
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
+from craftsim.models.figures import Allowed, assumed, check, derived, fixed, published
+from craftsim.models.fit import check_car, check_machines
 
-Origin = Literal["published", "derived", "assumed"]
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """Where a figure comes from: its origin and, where there is something to say, a note."""
-
-    origin: Origin
-    note: str
-
-
-def _figure(value: float, origin: Origin, note: str = "") -> Any:
-    return field(default=value, metadata={"provenance": Provenance(origin, note)})
-
-
-def published(value: float, note: str = "") -> Any:
-    """Declare a dataclass field whose default is a published figure."""
-    return _figure(value, "published", note)
-
-
-def derived(value: float, note: str) -> Any:
-    """Declare a dataclass field whose default follows from published figures as the note says."""
-    return _figure(value, "derived", note)
-
-
-def assumed(value: float, note: str) -> Any:
-    """Declare a dataclass field whose default is our assumption, for the reason in the note."""
-    return _figure(value, "assumed", note)
-
-
-def provenance(parameters: object) -> dict[str, Provenance]:
-    """Return the provenance of every figure of a parameter dataclass or instance, by field name."""
-    return {f.name: f.metadata["provenance"] for f in fields(parameters)}  # type: ignore[arg-type]
+_SEAT: Final = fixed("the pockets of blocks and the pads of slopes fit this board and its boss")
+_GRID: Final = fixed("the grid's cells and levels have this size")
+_SHAPE: Final = fixed("the boards and bosses of all cars fit this shape")
+_FRICTION: Final = Allowed(most=3.0)
 
 
 @dataclass(frozen=True)
@@ -62,10 +41,11 @@ class SmartcarParameters:
     wheel_x_m: float = published(0.060, "half the wheelbase")
     wheel_y_m: float = published(0.083, "half the track")
     wheel_mass_kg: float = published(2.3, "each, rollers included")
-    wheel_spin_inertia_kgm2: float = derived(
-        0.5 * 2.3 * 0.0496**2, "solid cylinder m r^2 / 2; the published 6.64e-3 belongs to another wheel"
+    rollers_per_wheel: int = assumed(
+        10,
+        "the fewest with which the envelope's ripple stays far below 0.5 mm",
+        fixed("the ellipsoids of the rollers are made for ten a wheel"),
     )
-    rollers_per_wheel: int = assumed(10, "the fewest with which the envelope's ripple stays far below 0.5 mm")
     roller_radius_m: float = assumed(0.009, "what fits ten rollers on the published wheel")
     roller_half_length_m: float = derived(
         0.0302, "the ellipsoid that flattens the wheel's envelope: 0.063 mm of ripple, found numerically"
@@ -74,28 +54,48 @@ class SmartcarParameters:
     roller_bearing_friction_nm: float = assumed(
         0.004, "plain bearing: friction 0.1 under a quarter of the weight (25 N) on a pin of 3 mm"
     )
+    roller_damping_nms_rad: float = assumed(
+        0.00002, "grease: a thousandth of the bearing's dry friction at 0.2 rad/s"
+    )
+    roller_friction: float = assumed(
+        0.8, "rubber on plastic, plywood or concrete: handbooks give 0.6 to 1.0", _FRICTION
+    )
     chassis_length_m: float = published(0.220)
     chassis_width_m: float = published(0.167)
-    chassis_bottom_m: float = published(-0.040)
+    chassis_bottom_m: float = published(-0.040, allowed=Allowed(-math.inf, 0.0))
     chassis_top_m: float = published(0.050)
     chassis_chamfer_m: float = assumed(
         0.025, "published without a figure; keeps the nose off the foot of the slope"
     )
     chassis_mass_kg: float = published(1.0)
-    chassis_com_m: float = published(-0.025, "height of the chassis' centre of mass")
+    chassis_com_m: float = published(-0.025, "height of the chassis' centre of mass", Allowed(-math.inf))
+    chassis_friction: float = assumed(0.3, "painted metal against plastic", _FRICTION)
     board_top_m: float = published(
         0.053, "read as the upper face, so that the plate lies on the chassis' top"
     )
-    board_length_m: float = published(0.194)
-    board_width_m: float = published(0.200)
+    board_length_m: float = published(0.194, allowed=_SEAT)
+    board_width_m: float = published(0.200, allowed=_SEAT)
     board_thickness_m: float = published(0.003)
     board_mass_kg: float = published(0.1)
     board_travel_m: float = published(0.045)
     board_speed_m_s: float = published(0.05)
     board_force_n: float = assumed(80.0, "seven times the heaviest load; no published figure")
-    boss_side_m: float = published(0.11, "at its foot")
-    boss_top_side_m: float = assumed(0.100, "bevelled edges are published without a figure: 45 degrees")
-    boss_height_m: float = published(0.005)
+    board_stiffness_n_m: float = assumed(
+        20_000.0, "position loop of the lead screw's drive: a slope's 11 N sag by 0.5 mm"
+    )
+    board_gain_ns_m: float = assumed(
+        400.0, "its velocity loop: damps board and load, 400 = 2 sqrt(20000 N/m x 2 kg)"
+    )
+    board_armature_kg: float = assumed(2.0, "the motor's rotor behind the lead screw, seen from the board")
+    board_damping_ns_m: float = assumed(20.0, "grease on the screw: 1 N at the published speed")
+    screw_friction_n: float = assumed(1.0, "dry friction of screw and guide: the board's own weight")
+    board_friction: float = assumed(0.8, "rubber facing under plastic, as the rollers", _FRICTION)
+    boss_side_m: float = published(0.11, "at its foot", _SEAT)
+    boss_top_side_m: float = assumed(
+        0.100, "bevelled edges are published without a figure: 45 degrees", _SEAT
+    )
+    boss_height_m: float = published(0.005, allowed=_SEAT)
+    boss_friction: float = assumed(0.3, "bare metal, as the chassis: it guides and does not hold", _FRICTION)
     wheel_torque_nm: float = assumed(
         2.5, "a wheel motor; three times what a loaded climb at 16 degrees needs"
     )
@@ -107,17 +107,24 @@ class SmartcarParameters:
     wheel_armature_kgm2: float = assumed(
         0.01, "a motor's rotor seen from the wheel: 4e-6 kg m^2 behind a self-locking gear of 50, squared"
     )
+    wheel_damping_nms_rad: float = assumed(0.002, "oil in the gear: 0.04 Nm at full speed")
     gear_friction_nm: float = assumed(
         0.45, "self-locking gear: a car carrying a slope needs 0.39 Nm a wheel to stand on the incline"
     )
-    roller_friction: float = assumed(0.8, "rubber on plastic, plywood or concrete: handbooks give 0.6 to 1.0")
-    board_friction: float = assumed(0.8, "rubber facing under plastic, as above")
-    chassis_friction: float = assumed(0.3, "painted metal against plastic")
+
+    def __post_init__(self) -> None:
+        check(self)
+        check_car(self)
 
     @property
     def mass_kg(self) -> float:
         """Mass of the whole car."""
         return self.chassis_mass_kg + 4 * self.wheel_mass_kg + self.board_mass_kg
+
+    @property
+    def wheel_spin_inertia_kgm2(self) -> float:
+        """Inertia of a wheel about its axle: a solid cylinder, m r^2 / 2; the published 6.64e-3 is another wheel's."""
+        return 0.5 * self.wheel_mass_kg * self.wheel_radius_m**2
 
     @property
     def turn_radius_m(self) -> float:
@@ -134,33 +141,45 @@ class SmartcarParameters:
 class BlockParameters:
     """The block: a table with a deck and four legs. Flag and wall have the same shape."""
 
-    side_m: float = published(0.32)
+    side_m: float = published(0.32, allowed=_GRID)
     height_m: float = derived(
         LEVEL_HEIGHT_M,
         "one level; the mesh has 0.187 and the collision box 0.1905, which do not stack at the pitch",
+        _GRID,
     )
-    leg_side_m: float = published(0.025)
-    leg_offset_m: float = published(0.1475)
+    leg_side_m: float = published(0.025, allowed=_SHAPE)
+    leg_offset_m: float = published(0.1475, allowed=_SHAPE)
     underside_m: float = published(
-        0.1155, "top of the legs; the deck's box starts 3 mm higher, a gap no table has"
+        0.1155, "top of the legs; the deck's box starts 3 mm higher, a gap no table has", _SHAPE
     )
     deck_mass_kg: float = published(0.5)
     leg_mass_kg: float = published(0.001)
     pocket_side_m: float = assumed(
         0.1102,
         "the boss' foot and 0.1 mm of play on each side: a load wanders by it; the bevel centres what is off by more",
+        _SHAPE,
     )
-    pocket_depth_m: float = assumed(0.006, "the boss' height and 1 mm")
+    pocket_depth_m: float = assumed(0.006, "the boss' height and 1 mm", _SHAPE)
+    frame_relief_m: float = assumed(
+        0.0002,
+        "a block stands on a board by its front and back bars; the side bars, so much higher, only stop the boss",
+        _SHAPE,
+    )
     foot_radius_m: float = assumed(
-        0.005,
-        "round feet 0.5 mm proud at the legs' outer corners: one point of contact each, and as wide a stand",
+        0.005, "round feet at the legs' outer corners: one point of contact each, and as wide a stand", _SHAPE
     )
+    foot_proud_m: float = assumed(0.0005, "by so much the feet stand below the legs", _SHAPE)
     foot_friction: float = assumed(
-        0.8, "rubber feet; on bare plastic (0.4) a car that drives on top shoves its block by millimetres"
+        0.8,
+        "rubber feet; on bare plastic (0.4) a car that drives on top shoves its block by millimetres",
+        _FRICTION,
     )
     friction: float = assumed(
-        0.4, "moulded plastic on plastic, plywood or concrete: handbooks give 0.3 to 0.5"
+        0.4, "moulded plastic on plastic, plywood or concrete: handbooks give 0.3 to 0.5", _FRICTION
     )
+
+    def __post_init__(self) -> None:
+        check(self)
 
     @property
     def mass_kg(self) -> float:
@@ -172,39 +191,150 @@ class BlockParameters:
 class SlopeParameters:
     """The foldable slope: a hollow base wedge, and a flap on a motorised hinge."""
 
-    side_m: float = published(0.32, "the visual mesh; the collision meshes' 0.34 overlap at the grid's pitch")
-    height_m: float = derived(LEVEL_HEIGHT_M, "one level, so that the incline ends flush with a block's deck")
+    side_m: float = published(
+        0.32, "the visual mesh; the collision meshes' 0.34 overlap at the grid's pitch", _GRID
+    )
     hinge_x_m: float = derived(
-        CELL_PITCH_M / 2, "on the cell's border, so that the folded flap covers the base"
+        CELL_PITCH_M / 2, "on the cell's border, so that the folded flap covers the base", _GRID
     )
     hinge_z_m: float = derived(
         LEVEL_HEIGHT_M / 2,
         "half a level, so that the folded top is level; published 0.095 would stand 5 mm proud",
+        _GRID,
     )
-    incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees")
-    skin_m: float = assumed(0.004, "leaves a car below 2.8 mm of head-room at its lower corner")
+    incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees", _GRID)
+    wall_thickness_m: float = assumed(0.010, "side walls of the base, beside the widest car", _SHAPE)
+    skin_m: float = assumed(0.004, "leaves a car below 2.8 mm of head-room at its lower corner", _SHAPE)
+    heel_m: float = assumed(0.020, "cut off the flap: it would drag over the floor as it turns", _SHAPE)
     underside_m: float = assumed(
         0.1055,
         "of the pads: 2.9 mm above a lowered board, and low enough that a raised one clears the incline",
+        _SHAPE,
+    )
+    pad_front_m: float = assumed(0.090, "as far forward as a rail reaches under the incline's face", _SHAPE)
+    pad_thickness_m: float = assumed(0.005, "rails and back bar", _SHAPE)
+    stop_thickness_m: float = assumed(0.0038, "of the front bar, where the incline is lower", _SHAPE)
+    stop_front_rise_m: float = assumed(0.0002, "the front bar stops the boss and does not carry", _SHAPE)
+    stop_back_rise_m: float = assumed(
+        0.0032, "the boss of a lowered board slides in below the back bar, and seats when raised", _SHAPE
     )
     boss_play_m: float = assumed(
         0.0002,
         "beside the boss on each side; at half of it the bevelled stop wedges, with contact peaks of 650 N",
+        _SHAPE,
     )
     base_mass_kg: float = published(1.0)
     flap_mass_kg: float = published(0.1)
-    gear_radius_m: float = published(0.02)
+    friction: float = assumed(0.8, "rubber feet and a rubber-edged flap, as the rollers", _FRICTION)
+    gear_radius_m: float = published(0.02, allowed=_SHAPE)
+    gear_width_m: float = assumed(0.012, "published without a figure", _SHAPE)
     hinge_torque_nm: float = published(10.0)
-    hinge_speed_rad_s: float = published(0.3)
-    hinge_range_rad: float = published(math.pi)
+    hinge_speed_rad_s: float = published(0.3, allowed=Allowed(most=3.0))
+    hinge_range_rad: float = published(math.pi, allowed=_GRID)
+    hinge_margin_rad: float = assumed(0.01, "of the lower stop: the floor stops the flap", _SHAPE)
+    hinge_stiffness_nm_rad: float = assumed(
+        40.0, "position loop of the hinge's drive: the flap's 0.1 Nm sag by 3 mrad"
+    )
+    hinge_gain_nms_rad: float = assumed(2.0, "its velocity loop: damps the flap on the position loop")
+    hinge_armature_kgm2: float = assumed(0.01, "a small motor's rotor behind its gear, as the wheels'")
+    hinge_damping_nms_rad: float = assumed(0.02, "grease in the gear: 0.006 Nm at the published speed")
     hinge_friction_nm: float = assumed(0.02, "a small gear motor")
+    docking_range_m: float = assumed(
+        0.04, "reach of the plug by which a car below moves the hinge; a car off by more stands elsewhere"
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
 
     @property
     def mass_kg(self) -> float:
         """Mass of the whole slope."""
         return self.base_mass_kg + self.flap_mass_kg
 
+    @property
+    def height_m(self) -> float:
+        """One level: the incline ends flush with a block's deck."""
+        return 2 * self.hinge_z_m
 
-SMARTCAR = SmartcarParameters()
-BLOCK = BlockParameters()
-SLOPE = SlopeParameters()
+
+@dataclass(frozen=True)
+class ContactParameters:
+    """How surfaces give way to each other, the same for all machines and the floor; in MuJoCo's terms.
+
+    A contact is a spring and damper with a time constant and a damping ratio (solref) and an impedance between a
+    smallest and a largest value that is reached at a depth (solimp); the dry friction of joints likewise.
+    """
+
+    time_constant_s: float = assumed(
+        0.008, "two physics steps, the stiffest that is stable", Allowed(most=0.1)
+    )
+    damping_ratio: float = assumed(1.0, "critical: nothing bounces")
+    impedance_min: float = assumed(
+        0.95, "hard plastic, as stiff as is stable at the time constant", Allowed(most=0.9999)
+    )
+    impedance_max: float = assumed(0.99, "as above, from a depth of 0.5 mm", Allowed(most=0.9999))
+    impedance_depth_m: float = assumed(0.0005, "depth at which the largest impedance is reached")
+    foot_stiffness_ratio: float = assumed(
+        4.0, "a round foot touches in one point where a leg's flat end would in four: as firm as those"
+    )
+    joint_impedance: float = assumed(
+        0.9999, "dry friction of joints: holds rather than creeps", Allowed(most=0.9999)
+    )
+    joint_impedance_width: float = assumed(0.001, "without effect while smallest and largest are equal")
+    torsional_friction_m: float = assumed(0.005, "MuJoCo's default: a patch of 5 mm")
+    rolling_friction_m: float = assumed(0.0001, "MuJoCo's default")
+    ground_friction: float = assumed(
+        0.4, "sealed concrete or plywood under hard plastic; rubber brings its own", _FRICTION
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Machines:
+    """The figures of everything in a world: hashable, and written into every report.
+
+    Raises InputError for cars that do not fit under the blocks and slopes, or cannot lift them.
+    """
+
+    cars: tuple[SmartcarParameters, ...] = (SmartcarParameters(),)
+    """One for each car, by id, or a single one for all."""
+    block: BlockParameters = BlockParameters()
+    slope: SlopeParameters = SlopeParameters()
+    contact: ContactParameters = ContactParameters()
+
+    def __post_init__(self) -> None:
+        if not self.cars:
+            raise InputError("Machines.cars must hold at least one car's figures")
+        check_machines(self)
+
+    def car(self, index: int) -> SmartcarParameters:
+        """Return the figures of car number ``index``."""
+        return self.cars[index] if len(self.cars) > 1 else self.cars[0]
+
+    def check_number(self, n_cars: int) -> None:
+        """Raise InputError unless these are figures for a world of ``n_cars`` cars."""
+        if len(self.cars) not in (1, n_cars) and n_cars:
+            raise InputError(
+                f"figures of {len(self.cars)} cars are given for a world with {n_cars}; give one, or one for each"
+            )
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all figures, in hexadecimal: equal for equal figures."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+    @cached_property
+    def docking_reach_m(self) -> float:
+        """What is further from a car than this is no slope above it."""
+        return 2 * math.hypot(self.slope.docking_range_m, self.block.underside_m / 2)
+
+    @property
+    def lightest_load_kg(self) -> float:
+        """Mass of the lightest thing that a board lifts."""
+        return min(self.block.mass_kg, self.slope.mass_kg)
+
+
+NOMINAL: Final = Machines()
+"""The published machines."""

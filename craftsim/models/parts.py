@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.resources import as_file, files
+from functools import lru_cache
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+from craftsim.mjcf.meshes import Figures, mesh_bytes, mesh_file
+from craftsim.mjcf.rendering import render
+from craftsim.models.parameters import Machines, SmartcarParameters
 
 WHEELS = ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr")
 """Order of everything that is given per wheel: front left, front right, rear left, rear right."""
@@ -25,32 +29,43 @@ CAR_COLOURS = (
 """Colours (r, g, b) by which a person tells the cars apart; car ids beyond the last start over."""
 
 
-def load_part(name: str) -> mujoco.MjSpec:
+def load_part(name: str, machines: Machines, car: int = 0) -> mujoco.MjSpec:
     """Return the editable spec of a part: smartcar, block, slope, flag, wall or ground.
 
-    All but the ground come without the floor that their files show them on: attaching a part would copy its textures.
+    All but the ground come without the floor that their files show them on. The spec holds its meshes as assets, which
+    whoever attaches it has to hand on to the world. A smartcar has the colour of car number ``car``; it and a slope may
+    sleep when idle, unlike other trees with motors.
     """
-    with as_file(files("craftsim.mjcf")) as folder:
-        spec = mujoco.MjSpec.from_file(str(folder / f"{name}.xml"))
-    if name != "ground":
-        for scenery in (spec.geom("ground"), *spec.materials, *spec.textures):
-            spec.delete(scenery)
+    figures = _figures(name, machines, car)
+    meshes = {} if figures is None else mesh_bytes(figures)
+    spec = mujoco.MjSpec.from_string(_text(name, machines, figures), assets=meshes)
+    if name == "smartcar":
+        spec.geom("chassis_visual").rgba = [*CAR_COLOURS[car % len(CAR_COLOURS)], 1.0]
+    if name in ("smartcar", "slope"):
+        spec.body(name).sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
     return spec
 
 
-def load_car(car: int) -> mujoco.MjSpec:
-    """Return a smartcar's spec in the colour of car ``car``; unlike other actuated trees it may sleep when idle."""
-    spec = load_part("smartcar")
-    spec.geom("chassis_visual").rgba = [*CAR_COLOURS[car % len(CAR_COLOURS)], 1.0]
-    spec.body("smartcar").sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
-    return spec
+def _figures(name: str, machines: Machines, car: int) -> Figures | None:
+    match name:
+        case "ground":
+            return None
+        case "smartcar":
+            return machines.car(car)
+        case "slope":
+            return machines.slope
+    return machines.block
 
 
-def load_slope() -> mujoco.MjSpec:
-    """Return a slope's spec; its tree may sleep although a motor drives the hinge."""
-    spec = load_part("slope")
-    spec.body("slope").sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
-    return spec
+@lru_cache(maxsize=64)
+def _text(name: str, machines: Machines, figures: Figures | None) -> str:
+    car = figures if isinstance(figures, SmartcarParameters) else None
+
+    def file(mesh: str) -> str:
+        assert figures is not None
+        return mesh_file(figures, mesh)
+
+    return render(name, machines, car, alone=False, mesh=file)
 
 
 @dataclass(frozen=True)
@@ -99,19 +114,21 @@ class Drive:
 
 @dataclass(frozen=True)
 class Car:
-    """Handles of one smartcar: its body, four wheel drives (in the order of WHEELS) and the board."""
+    """One smartcar: its figures, and handles of its body, its wheel drives (in the order of WHEELS) and its board."""
 
+    parameters: SmartcarParameters
     base: FreeBody
     board: Drive
     wheel_actuators: NDArray[np.intp]
     wheel_dofs: NDArray[np.intp]
 
     @classmethod
-    def find(cls, model: mujoco.MjModel, prefix: str) -> Car:
-        """Return the handles of the smartcar attached under this prefix."""
+    def find(cls, model: mujoco.MjModel, prefix: str, parameters: SmartcarParameters) -> Car:
+        """Return the smartcar of these figures that is attached under this prefix."""
         wheels = [Drive.find(model, prefix + wheel) for wheel in WHEELS]
         board = Drive.find(model, prefix + "board")
         return cls(
+            parameters,
             FreeBody.find(model, prefix + "smartcar"),
             board,
             np.array([w.actuator for w in wheels], np.intp),

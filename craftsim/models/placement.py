@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M, cell_position, yaw_angle
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.terrain import incline_under
-from craftsim.models.parameters import BLOCK, SLOPE, SMARTCAR
+from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,15 @@ class Placement:
     """Height of a smartcar's board (m) or angle of a slope's hinge (rad)."""
 
 
-def placements(grid: Grid) -> list[Placement]:
+def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
     """Return the start pose of every part: cars by id, then loads by car, then objects in scan order x, y, z."""
-    cars = [_car(grid, row) for row in grid.cars]
+    cars = [_car(grid, row, machines.car(i)) for i, row in enumerate(grid.cars)]
     loads = [
-        _load(grid, row, car)
-        for row, car in zip(grid.cars, cars, strict=True)
+        _load(grid, row, cars[i], machines.car(i), machines)
+        for i, row in enumerate(grid.cars)
         if row[CarField.LOAD] != Kind.AIR
     ]
-    return cars + loads + _objects(grid)
+    return cars + loads + _objects(grid, machines)
 
 
 def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
@@ -46,18 +46,20 @@ def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
     return np.array([ch * cp, sh * sp, -ch * sp, sh * cp])
 
 
-def _car(grid: Grid, row: NDArray[np.int64]) -> Placement:
+def _car(grid: Grid, row: NDArray[np.int64], machine: SmartcarParameters) -> Placement:
     position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
     position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
-    board = SMARTCAR.board_travel_m if row[CarField.LOAD] != Kind.AIR else 0.0
+    board = machine.board_travel_m if row[CarField.LOAD] != Kind.AIR else 0.0
     return Placement(
         "smartcar", position, _quaternion(yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)), board
     )
 
 
-def _load(grid: Grid, row: NDArray[np.int64], car: Placement) -> Placement:
-    underside = SLOPE.underside_m if row[CarField.LOAD] == Kind.FSLOPE else BLOCK.underside_m
-    lift = SMARTCAR.board_rest_m + SMARTCAR.board_travel_m - underside
+def _load(
+    grid: Grid, row: NDArray[np.int64], car: Placement, machine: SmartcarParameters, machines: Machines
+) -> Placement:
+    load = machines.slope if row[CarField.LOAD] == Kind.FSLOPE else machines.block
+    lift = machine.board_rest_m + machine.board_travel_m - load.underside_m
     pitch, heading = incline_under(grid, row), yaw_angle(int(row[CarField.YAW]))
     up = np.array(
         [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]
@@ -66,11 +68,11 @@ def _load(grid: Grid, row: NDArray[np.int64], car: Placement) -> Placement:
     if row[CarField.LOAD] == Kind.FSLOPE:
         # A carried slope faces away from the car's heading, so the same incline lowers its nose.
         quaternion = _quaternion(yaw_angle(int(row[CarField.LOAD_YAW])), -pitch)
-        return Placement("slope", position, quaternion, SLOPE.hinge_range_rad)
+        return Placement("slope", position, quaternion, machines.slope.hinge_range_rad)
     return Placement(Kind(row[CarField.LOAD]).name.lower(), position, car.quaternion)
 
 
-def _objects(grid: Grid) -> list[Placement]:
+def _objects(grid: Grid, machines: Machines) -> list[Placement]:
     found = []
     for x, y, z in np.argwhere(grid.kind[:, :, 1:]):
         kind = Kind(grid.kind[x, y, z + 1])
@@ -79,6 +81,6 @@ def _objects(grid: Grid) -> list[Placement]:
         if kind in (Kind.BLOCK, Kind.FLAG, Kind.WALL):
             found.append(Placement(kind.name.lower(), position, turn))
         elif kind in (Kind.FSLOPE, Kind.BODY):
-            hinge = SLOPE.hinge_range_rad if kind == Kind.FSLOPE else 0.0
+            hinge = machines.slope.hinge_range_rad if kind == Kind.FSLOPE else 0.0
             found.append(Placement("slope", position, turn, hinge))
     return found

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.errors import InputError
-from craftsim.models.site import Site
+from craftsim.models.site import Site, SiteState
 
 
 @dataclass(frozen=True)
@@ -76,16 +76,24 @@ class RandomizedSite:
         """Remember the nominal figures of a Site."""
         self.site = site
         self._nominal = Nominal.of(site.model)
+        self._is_nominal = True
+        self._rested: SiteState | None = None
 
     def restore(self) -> None:
-        """Go back to the nominal physics and reset the Site."""
+        """Go back to the nominal physics and to the start, as a reset leaves it."""
+        if self._rested is not None and self._is_nominal:
+            self.site.restore(self._rested)
+            return
         self._nominal.write(self.site.model)
+        self._is_nominal = True
         self._refresh()
+        self._rested = self.site.save()
 
     def draw(self, randomization: DomainRandomization, rng: np.random.Generator) -> None:
         """Draw new physics around the nominal one and reset the Site; equal generators give equal physics."""
         model = self.site.model
         self._nominal.write(model)
+        self._is_nominal = False
 
         def factors(width: float, count: int) -> NDArray[np.float64]:
             return rng.uniform(1 - width, 1 + width, count)

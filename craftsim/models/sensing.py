@@ -17,16 +17,11 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.readback import Poses, body_axes
 from craftsim.models.noise import EXACT, SensorNoise
-from craftsim.models.parameters import BLOCK
 from craftsim.models.parts import Drive
 from craftsim.models.site import Site
 
 PerWheel = tuple[float, float, float, float]
 """A number for each wheel, in the order of WHEELS."""
-
-_DOCKING_RANGE_M = 0.04
-_DOCKING_REACH_M = 2 * math.hypot(_DOCKING_RANGE_M, BLOCK.underside_m / 2)
-"""What is further away than this is not worth a closer look."""
 
 
 class CarMeasurement(NamedTuple):
@@ -103,7 +98,7 @@ class Sensors:
     def __init__(
         self, site: Site, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None
     ) -> None:
-        """Sense a Site with this noise; ``rng`` draws it and is needed only where there is some."""
+        """Measure on a Site with this noise; ``rng`` draws it and is needed only where there is some."""
         self.site, self.noise, self._rng = site, noise, rng
         self._exact = noise.silent
         n = len(site.cars)
@@ -150,22 +145,27 @@ class Sensors:
             wheel_speeds=self._speeds[car],
         )
 
-    def _lagged(self, told: PerWheel, true: PerWheel) -> PerWheel:
+    def _lagged(self, before: PerWheel, true: PerWheel) -> PerWheel:
         fl, fr, rl, rr = (
-            old + self._encoder_share * (new - old) for old, new in zip(told, true, strict=True)
+            old + self._encoder_share * (new - old) for old, new in zip(before, true, strict=True)
         )
         return fl, fr, rl, rr
 
 
 def _docked_slope(site: Site, position: Sequence[float], axes: Sequence[Sequence[float]]) -> int | None:
     """Return the slope right above a car: its plug reaches a car that is centred below it."""
+    machines = site.machines
+    reach = machines.docking_reach_m
     for index, slope in enumerate(site.slopes):
         there = site.data.qpos[slope.base.qpos : slope.base.qpos + 3].tolist()
-        if math.dist(there, position) > _DOCKING_REACH_M:
+        if math.dist(there, position) > reach:
             continue
         offset = [a - b for a, b in zip(there, position, strict=True)]
         forward, left, up = (sum(map(mul, axis, offset)) for axis in axes)
-        if math.hypot(forward, left) < _DOCKING_RANGE_M and abs(up) < BLOCK.underside_m / 2:
+        if (
+            math.hypot(forward, left) < machines.slope.docking_range_m
+            and abs(up) < machines.block.underside_m / 2
+        ):
             return index
     return None
 

@@ -17,6 +17,7 @@ from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
+from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import Car, FreeBody, Slope
 from craftsim.models.placement import placements
 
@@ -55,6 +56,7 @@ class Site:
         config: SimulationConfig | None = None,
         goals: Sequence[Cell] = (),
         reset: bool = True,
+        machines: Machines = NOMINAL,
     ) -> None:
         """Compose, compile and reset the world of a grid.
 
@@ -63,13 +65,18 @@ class Site:
             config: how the physics is computed.
             goals: cells that get a marker without contact.
             reset: False leaves the first reset to the caller, who is about to change the physics.
+            machines: figures of cars, blocks and slopes.
+
+        Raises InputError for figures of another number of cars than the grid has.
         """
+        machines.check_number(grid.n_cars)
         self.config = config or SimulationConfig()
+        self.machines = machines
         self.size = grid.size
-        self._placements = placements(grid)
+        self._placements = placements(grid, machines)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
-        spec, names = compose(grid, self._placements, self.config, goals)
+        spec, names = compose(grid, self._placements, self.config, goals, machines)
         self.model: mujoco.MjModel = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._policies = self.model.tree_sleep_policy.copy()
@@ -78,7 +85,9 @@ class Site:
         self._tree_of_motor = self.model.dof_treeid[
             self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]]
         ].astype(np.intp)
-        self.cars = tuple(Car.find(self.model, name) for name in names["smartcar"])
+        self.cars = tuple(
+            Car.find(self.model, name, machines.car(i)) for i, name in enumerate(names["smartcar"])
+        )
         self.slopes = tuple(Slope.find(self.model, name) for name in names["slope"])
         self.blocks = tuple(FreeBody.find(self.model, name + "block") for name in names["block"])
         self.flags = tuple(FreeBody.find(self.model, name + "flag") for name in names["flag"])

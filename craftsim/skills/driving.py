@@ -2,37 +2,25 @@
 
 Both follow a smooth path from the measured pose to the target pose. The wheels get the path's speed (feed-forward),
 a correction proportional to the pose error with integral action near the goal, and on top what the velocity servos need
-to overcome the gears' dry friction, gravity on an incline, and inertia.
+to overcome the gears' dry friction, gravity on an incline, and inertia. Speed and acceleration keep to the gains'
+limits, and to what the car's motors can give.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, cell_position, yaw_angle
 from craftsim.discrete.readback import nearest_yaw
-from craftsim.models.parameters import SMARTCAR
 from craftsim.models.sensing import CarMeasurement, PerWheel
-from craftsim.skills.gains import DriveGains
-from craftsim.skills.mecanum import Triple, body_twist, wheel_speeds, wheel_torques
+from craftsim.skills.mecanum import Mecanum, Triple
 from craftsim.skills.outcome import Reason
 from craftsim.skills.profile import Profile
-from craftsim.skills.skill import GRAVITY, Command, Skill, feels_load
-
-_LEVER_M = SMARTCAR.turn_radius_m
-_AT_REST_RAD_S = 0.03
-_AT_REST_M_S = 0.0015
-_REST_PERIODS = 2
-_BRAKE_PERIODS = 30
-"""A car that is close enough for so long brakes: while it corrects the last tenth of a millimetre, two wheels on a
-diagonal may slip on the spot for ever."""
-_BLOCKED_S = 0.25
-_ROLLED_M = 0.01
+from craftsim.skills.skill import GRAVITY, Command, Skill, SkillSetup
 
 
 def wrap(angle: float) -> float:
@@ -43,10 +31,24 @@ def wrap(angle: float) -> float:
 class DrivingSkill(Skill):
     """Follow a smooth path of poses to a target pose and come to rest on it."""
 
-    def __init__(self, period_s: float, gains: DriveGains) -> None:
-        """Prepare for a control period in seconds and these gains."""
-        super().__init__(period_s)
-        self.gains = gains
+    def __init__(self, setup: SkillSetup) -> None:
+        """Prepare for this car, world and tuning."""
+        super().__init__(setup)
+        self.gains = setup.gains.drive
+        self.car = car = setup.machine
+        self.kinematics = Mecanum(car)
+        self._lever_m = car.turn_radius_m
+        self._mass_kg = car.mass_kg
+        # What the spin of the four wheels and their motors adds to the car's inertia, as a mass.
+        self._spin_mass_kg = (
+            4 * (car.wheel_spin_inertia_kgm2 + car.wheel_armature_kgm2) / car.wheel_radius_m**2
+        )
+        # About the vertical axis, the spin of the wheels included.
+        self._turn_inertia_kgm2 = (
+            car.chassis_mass_kg * (car.chassis_length_m**2 + car.chassis_width_m**2) / 12
+            + 4 * car.wheel_mass_kg * (car.wheel_x_m**2 + car.wheel_y_m**2)
+            + self._spin_mass_kg * car.turn_radius_m**2
+        )
         self._integral = (0.0, 0.0, 0.0)
         self._rest_periods = self._there_periods = 0
         self._at_rest = False
@@ -54,7 +56,8 @@ class DrivingSkill(Skill):
 
     def _begin(self, now: CarMeasurement) -> None:
         """Lay the path from the measured pose to the target pose."""
-        self._loaded = feels_load(now)
+        self._loaded = self.feels_load(now)
+        self._load_kg = max(0.0, now.board_force_n) / GRAVITY if self._loaded else 0.0
         self._origin = self._last = (now.x, now.y, now.heading)
         x, y, heading = self._target(now).tolist()
         self._delta = (x - now.x, y - now.y, wrap(heading - now.heading))
@@ -78,7 +81,7 @@ class DrivingSkill(Skill):
         self._check_progress(now, error)
         if self.elapsed_s >= self._profile.duration_s:
             self._check_arrival(now, error)
-        if self.outcome is not None or self._there_periods > _BRAKE_PERIODS:
+        if self.outcome is not None or self._there_periods > self.gains.brake_periods:
             return Command()
         return Command(wheels=self._wheels(now, error))
 
@@ -102,17 +105,19 @@ class DrivingSkill(Skill):
             dh * speed + gains.heading_gain * eh + ih,
         )
         forward, left, turn = _to_body(velocity, now)
-        fl, fr, rl, rr = wheel_speeds((forward, gains.sideways_slip * left, gains.turn_slip * turn))
+        fl, fr, rl, rr = self.kinematics.wheel_speeds(
+            (forward, gains.sideways_slip * left, gains.turn_slip * turn)
+        )
         front, rear = self._stretch(now)
         speeds = fl * front, fr * front, rl * rear, rr * rear
-        mass = SMARTCAR.mass_kg + (max(0.0, now.board_force_n) / GRAVITY if self._loaded else 0.0)
-        weight, inertia = mass * GRAVITY, mass + _SPIN_MASS_KG
+        mass = self._mass_kg + (max(0.0, now.board_force_n) / GRAVITY if self._loaded else 0.0)
+        weight, inertia = mass * GRAVITY, mass + self._spin_mass_kg
         forward, left, turn = _to_body(_scaled(self._direction, self._profile.acceleration(t)), now)
-        torques = wheel_torques(
+        torques = self.kinematics.wheel_torques(
             (
                 inertia * forward + weight * math.sin(now.pitch),
                 inertia * left + weight * math.sin(now.roll),
-                _TURN_INERTIA_KGM2 * turn,
+                self._turn_inertia_kgm2 * turn,
             )
         )
         fl, fr, rl, rr = map(self._command, speeds, torques)
@@ -120,31 +125,44 @@ class DrivingSkill(Skill):
 
     def _command(self, speed: float, torque: float) -> float:
         """Return the speed to command to a wheel's servo for a speed in rad/s and a torque in Nm beyond friction's."""
-        torque += SMARTCAR.gear_friction_nm * math.tanh(speed / self.gains.friction_speed)
+        torque += self.car.gear_friction_nm * math.tanh(speed / self.gains.friction_speed)
         # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
-        return speed + torque / SMARTCAR.wheel_gain_nms_rad
+        return speed + torque / self.car.wheel_gain_nms_rad
 
     def _stretch(self, now: CarMeasurement) -> tuple[float, float]:
         """Return by what factors the front and the rear wheels must outrun the body's forward speed."""
         return 1.0, 1.0
 
+    def _length(self, x: float, y: float, heading: float) -> float:
+        """Return the length of a way (m, m, rad) in metres, a turn by what the wheels roll for it."""
+        return math.sqrt(x * x + y * y + (self._lever_m * heading) ** 2)
+
+    def _motor_limits(self, incline_rad: float = 0.0) -> tuple[float, float]:
+        """Return the speed (m/s) and the force (N) that the wheels can give, less a reserve and what gears take."""
+        car, share = self.car, self.gains.motor_share
+        torque = share * car.wheel_torque_nm - car.gear_friction_nm
+        weight = (self._mass_kg + self._load_kg) * GRAVITY
+        force = 4 * torque / car.wheel_radius_m - weight * math.sin(abs(incline_rad))
+        return share * car.wheel_speed_rad_s * car.wheel_radius_m, max(force, 1.0)
+
     def _check_progress(self, now: CarMeasurement, error: Triple) -> None:
         (x, y, heading), self._last = self._last, (now.x, now.y, now.heading)
-        moved = _length(now.x - x, now.y - y, wrap(now.heading - heading))
+        moved = self._length(now.x - x, now.y - y, wrap(now.heading - heading))
         # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
         # Localisations jitter, so they do not tell.
-        rolled = _length(*body_twist(now.wheel_speeds))
+        gains = self.gains
+        rolled = self._length(*self.kinematics.body_twist(now.wheel_speeds))
         third = sorted(map(abs, now.wheel_speeds))[2]
-        self._at_rest = rolled < _AT_REST_M_S or third < _AT_REST_RAD_S
-        behind = math.hypot(error[0], error[1]) + _LEVER_M * abs(error[2])
-        if behind <= self.gains.blocked_error:
+        self._at_rest = rolled < gains.speed_at_rest or third < gains.wheels_at_rest
+        behind = math.hypot(error[0], error[1]) + self._lever_m * abs(error[2])
+        if behind <= gains.blocked_error:
             self._stuck_s = self._rolled_m = self._moved_m = 0.0
             return
         self._stuck_s += self.period_s
         self._rolled_m += rolled * self.period_s
         self._moved_m += moved
-        if self._stuck_s > _BLOCKED_S:
-            slipped = self._rolled_m > 2 * self._moved_m + _ROLLED_M
+        if self._stuck_s > gains.blocked_time:
+            slipped = self._rolled_m > gains.slip_ratio * self._moved_m + gains.slip_distance
             reason = Reason.SLIPPED if slipped else Reason.BLOCKED
             self._fail(reason, f"{behind * 1e3:.0f} mm behind the path")
 
@@ -155,23 +173,11 @@ class DrivingSkill(Skill):
         sure = now.position_std_m < gains.position_certainty and now.heading_std_rad < gains.heading_certainty
         self._there_periods = self._there_periods + 1 if there and sure else 0
         self._rest_periods = self._rest_periods + 1 if self._there_periods and self._at_rest else 0
-        if self._rest_periods >= _REST_PERIODS:
+        if self._rest_periods >= gains.rest_periods:
             self._succeed()
         elif self.elapsed_s > self._profile.duration_s + gains.settle_allowance:
             reason = Reason.MISALIGNED if self._at_rest else Reason.TIMEOUT
             self._fail(reason, f"{offset * 1e3:.2f} mm and {turn * 1e3:.1f} mrad from the target")
-
-
-_SPIN_MASS_KG = (
-    4 * (SMARTCAR.wheel_spin_inertia_kgm2 + SMARTCAR.wheel_armature_kgm2) / SMARTCAR.wheel_radius_m**2
-)
-"""What the spin of the four wheels and their motors adds to the car's inertia, as a mass."""
-_TURN_INERTIA_KGM2 = (
-    SMARTCAR.chassis_mass_kg * (SMARTCAR.chassis_length_m**2 + SMARTCAR.chassis_width_m**2) / 12
-    + 4 * SMARTCAR.wheel_mass_kg * (SMARTCAR.wheel_x_m**2 + SMARTCAR.wheel_y_m**2)
-    + _SPIN_MASS_KG * SMARTCAR.turn_radius_m**2
-)
-"""Inertia of the car about its vertical axis, the spin of its wheels included."""
 
 
 def _scaled(vector: Triple, factor: float) -> Triple:
@@ -182,11 +188,6 @@ def _divided(vector: Triple, by: float) -> Triple:
     return vector[0] / by, vector[1] / by, vector[2] / by
 
 
-def _length(x: float, y: float, heading: float) -> float:
-    """Return the length of a way (m, m, rad) in metres, a turn by what the wheels roll for it."""
-    return math.sqrt(x * x + y * y + (_LEVER_M * heading) ** 2)
-
-
 def _to_body(vector: Triple, now: CarMeasurement) -> Triple:
     """Turn a horizontal world vector (x, y, rotation) into the body frame; on an incline forward is longer."""
     c, s = math.cos(now.heading), math.sin(now.heading)
@@ -194,27 +195,14 @@ def _to_body(vector: Triple, now: CarMeasurement) -> Triple:
     return forward / math.cos(now.pitch), left / math.cos(now.roll), vector[2]
 
 
-@dataclass(frozen=True)
-class Terrain:
-    """What the map says of the ground of a move: how far it raises the car's nose in the first and in the last cell."""
-
-    start_rad: float = 0.0
-    end_rad: float = 0.0
-
-    @property
-    def sloping(self) -> bool:
-        """Whether the move starts or ends on a slope."""
-        return bool(self.start_rad or self.end_rad)
-
-
 class Move(DrivingSkill):
     """Drive from the cell that the car is in to its neighbour in a map direction, keeping the heading."""
 
-    def __init__(self, period_s: float, gains: DriveGains, direction: int, terrain: Terrain) -> None:
+    def __init__(self, setup: SkillSetup, direction: int) -> None:
         """Prepare to move in a grid direction 0..3 (+x, +y, -x, -y); a move from or onto a slope is slower."""
-        super().__init__(period_s, gains)
+        super().__init__(setup)
         self.direction = direction
-        self.terrain = terrain
+        self.terrain = setup.terrain
 
     def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
         cell = np.floor(np.array([now.x, now.y]) / CELL_PITCH_M) + DIRECTIONS[self.direction]
@@ -230,7 +218,7 @@ class Move(DrivingSkill):
         step_x, step_y = DIRECTIONS[self.direction].tolist()
         past_border = (now.x - x - way_x / 2) * step_x + (now.y - y - way_y / 2) * step_y
         forward = math.cos(now.heading) * step_x + math.sin(now.heading) * step_y
-        reach = SMARTCAR.wheel_x_m * forward * math.cos(now.pitch)
+        reach = self.car.wheel_x_m * forward * math.cos(now.pitch)
 
         def outrun(axle: float) -> float:
             ground = self.terrain.end_rad if past_border + axle > 0 else self.terrain.start_rad
@@ -244,16 +232,19 @@ class Move(DrivingSkill):
         speed, acceleration = gains.max_speed, gains.max_acceleration
         if self.terrain.sloping:
             speed, acceleration = gains.max_slope_speed, gains.max_slope_acceleration
+        steepest = max(abs(self.terrain.start_rad), abs(self.terrain.end_rad))
+        top_speed, force = self._motor_limits(steepest)
+        most = force / (self._mass_kg + self._load_kg + self._spin_mass_kg)
         distance = float(np.hypot(self._delta[0], self._delta[1]))
-        return Profile.within(distance, speed * factor, acceleration * factor)
+        return Profile.within(distance, min(speed * factor, top_speed), min(acceleration * factor, most))
 
 
 class Rotate(DrivingSkill):
     """Turn on the spot by a quarter, left (counter-clockwise) or right."""
 
-    def __init__(self, period_s: float, gains: DriveGains, quarter: int) -> None:
+    def __init__(self, setup: SkillSetup, quarter: int) -> None:
         """Prepare to turn by +1 (left) or -1 (right) quarter."""
-        super().__init__(period_s, gains)
+        super().__init__(setup)
         self.quarter = quarter
 
     def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
@@ -264,6 +255,9 @@ class Rotate(DrivingSkill):
     def _make_profile(self) -> Profile:
         gains = self.gains
         factor = gains.load_factor if self._loaded else 1.0
+        top_speed, force = self._motor_limits()
         return Profile.within(
-            abs(float(self._delta[2])), gains.max_turn_speed * factor, gains.max_turn_acceleration * factor
+            abs(float(self._delta[2])),
+            min(gains.max_turn_speed * factor, top_speed / self._lever_m),
+            min(gains.max_turn_acceleration * factor, force * self._lever_m / self._turn_inertia_kgm2),
         )

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from craftsim.discrete.actions import Action
 from craftsim.models.sensing import CarMeasurement, Sensors
 from craftsim.models.site import Site
-from craftsim.skills.driving import Terrain
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.holding import Hold, on_incline
 from craftsim.skills.library import make_skill
 from craftsim.skills.localisation import Localiser
+from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.skill import Command, Skill
+from craftsim.skills.skill import Command, Skill, SkillSetup, Terrain
 
 Observer = Callable[[Site], None]
 Guard = Callable[[], bool]
@@ -44,7 +45,15 @@ class Executor:
         """Asked after every control period: a yes stops all cars, and ends their actions."""
         self.sensors = sensors or Sensors(site)
         noise, period = self.sensors.noise, site.config.control_period_s
-        self._localisers = [] if noise.silent else [Localiser(noise, period) for _ in site.cars]
+        self._setups = [SkillSetup(car.parameters, site.machines, self.gains, period) for car in site.cars]
+        self._localisers = (
+            []
+            if noise.silent
+            else [
+                Localiser(noise, period, Mecanum(car.parameters), self.gains.localisation)
+                for car in site.cars
+            ]
+        )
         self._motor_share = 1 - math.exp(-period / noise.motor_lag_s) if noise.motor_lag_s else 1.0
         self._wheels = np.zeros((len(site.cars), 4))
         self._skills: dict[int, Skill] = {}
@@ -77,7 +86,8 @@ class Executor:
     def begin(self, car: int, action: Action, terrain: Terrain | None = None) -> None:
         """Let an idle car start an action; it runs as :meth:`advance` is called."""
         assert car not in self._skills, f"car {car} is busy"
-        skill = make_skill(action, self.gains, self.site.config.control_period_s, terrain)
+        setup = self._setups[car]
+        skill = make_skill(action, replace(setup, terrain=terrain) if terrain is not None else setup)
         skill.start(self._view(car))
         self._skills[car] = skill
         self._holds.pop(car, None)
@@ -116,8 +126,8 @@ class Executor:
         return stopped
 
     def _park(self, car: int, now: CarMeasurement) -> None:
-        if on_incline(now):
-            self._holds[car] = Hold(self.site.config.control_period_s)
+        if on_incline(now, self.gains.hold):
+            self._holds[car] = Hold(self.gains.hold, self.site.config.control_period_s)
 
     def _look(self) -> None:
         self._views = [loc.update(self.sensors.measure(car)) for car, loc in enumerate(self._localisers)]

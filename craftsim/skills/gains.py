@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field, fields
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 import yaml
 
-from craftsim.discrete.errors import InputError, suggestion
+from craftsim.discrete.errors import InputError
+from craftsim.models.parameter_files import MACHINE_SECTIONS, numbers, read_keys
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,24 @@ class DriveGains:
     settle_allowance: float
     """s: time beyond the profile's end after which a move that is not done has failed."""
     blocked_error: float
-    """m: falling this far behind the path means that something is in the way."""
+    """m: falling this far behind the path, for longer than ``blocked_time``, means that something is in the way."""
+    blocked_time: float
+    """s."""
+    slip_ratio: float
+    """A car that fell behind slips, and is not blocked, if its wheels rolled by more than this many times its way..."""
+    slip_distance: float
+    """m: ...and this much."""
+    speed_at_rest: float
+    """m/s: a car is at rest when its wheels together roll slower than this..."""
+    wheels_at_rest: float
+    """rad/s: ...or three of them turn slower than this: the fourth may slip on the spot."""
+    rest_periods: float
+    """Control periods: a move is done when the car has been at rest on its target for so long."""
+    brake_periods: float
+    """Control periods: a car that has been on its target for so long brakes. While it corrects the last tenth of a
+    millimetre, two wheels on a diagonal may slip on the spot for ever."""
+    motor_share: float
+    """Paths use at most this fraction of the wheel motors' torque and speed; the rest is for corrections."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +76,15 @@ class BoardGains:
     """Gains of the lifting board."""
 
     gain: float
-    """1/s: board speed commanded per metre of remaining travel, up to the published limit."""
+    """1/s: board speed commanded per metre of remaining travel, up to the motor's limit."""
     acceleration: float
     """m/s^2: how fast the commanded speed may grow."""
+    reached: float
+    """m: the board has arrived when it is this close to its end..."""
+    still: float
+    """m/s: ...and slower than this."""
+    allowance: float
+    """s: time beyond that of the travel at full speed after which the board has failed."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +92,66 @@ class HingeGains:
     """Gains of a slope's hinge."""
 
     gain: float
-    """1/s: hinge speed commanded per radian of remaining travel, up to the published limit."""
+    """1/s: hinge speed commanded per radian of remaining travel, up to the motor's limit."""
     acceleration: float
     """rad/s^2: how fast the commanded speed may grow."""
+    reached: float
+    """rad: the flap has arrived when it is this close to its end..."""
+    still: float
+    """rad/s: ...and slower than this."""
+    allowance: float
+    """s: time beyond that of the travel at full speed after which the hinge has failed."""
+
+
+@dataclass(frozen=True)
+class StopGains:
+    """Limits of coming to rest."""
+
+    wheels_at_rest: float
+    """rad/s: a car is at rest when no wheel turns faster."""
+    allowance: float
+    """s: time after which wheels that still turn have failed."""
+
+
+@dataclass(frozen=True)
+class HoldGains:
+    """Holding a car that is parked on an incline."""
+
+    level: float
+    """rad: a car that leans less than this stays where it is by itself."""
+    tipped: float
+    """rad: a car that leans more than this is not held: the incline is 0.28."""
+    gain: float
+    """1/s: wheel speed commanded per radian that a wheel has turned."""
+    dead_band: float
+    """rad: a wheel that has turned less than this, 5 micrometres of way, is not moved."""
+
+
+@dataclass(frozen=True)
+class LocalisationGains:
+    """What the pose estimate assumes of odometry; the noise of the localisations is the sensors'."""
+
+    slip: float
+    """Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up,
+    so it is several times what the rollers lose."""
+    position_drift: float
+    """m: standard deviation of what moves a resting car unseen in one period."""
+    heading_drift: float
+    """rad: and of what turns it."""
+
+
+@dataclass(frozen=True)
+class HealthGains:
+    """When every skill gives up."""
+
+    tipped: float
+    """rad: a car that leans further than this, in pitch or roll, has tipped."""
+    board_raised: float
+    """m: above this height the board may carry something."""
+    load_share: float
+    """A raised board carries a load if it feels this fraction of the lightest load's weight beyond its own."""
+    load_lost: float
+    """s: a load that is not felt for longer is lost; shorter dips come from bumps and acceleration."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +161,14 @@ class Gains:
     drive: DriveGains
     board: BoardGains
     hinge: HingeGains
+    stop: StopGains
+    hold: HoldGains
+    localisation: LocalisationGains
+    health: HealthGains
     source: str = field(default="nominal", compare=False)
 
     def __post_init__(self) -> None:
-        for section in ("drive", "board", "hinge"):
+        for section in SECTIONS:
             for name, value in asdict(getattr(self, section)).items():
                 if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
                     raise InputError(
@@ -90,41 +176,51 @@ class Gains:
                     )
 
 
-def load_gains(path: Path | None = None) -> Gains:
+SECTIONS: Final[dict[str, type]] = {
+    "drive": DriveGains,
+    "board": BoardGains,
+    "hinge": HingeGains,
+    "stop": StopGains,
+    "hold": HoldGains,
+    "localisation": LocalisationGains,
+    "health": HealthGains,
+}
+
+
+def load_gains(path: Path | str | None = None) -> Gains:
     """Return the nominal gains, overridden by those of a YAML file if one is given.
+
+    The file holds the sections of :class:`Gains`, or holds them under a key ``gains`` beside the machines' figures
+    (:func:`craftsim.models.parameter_files.load_machines`).
 
     Raises InputError, naming the file and key, for what is not a known gain.
     """
-    nominal = yaml.safe_load(
-        files("craftsim.data").joinpath("gains/nominal.yaml").read_text(encoding="utf-8")
-    )
+    nominal = _nominal()
     if path is None:
-        return _build(nominal, {}, "nominal")
-    try:
-        given = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a YAML file of gains") from error
-    except (yaml.YAMLError, ValueError) as error:
-        # ValueError: bytes that are no UTF-8, or a date that no calendar has.
-        raise InputError(f"{path}: not YAML: {error}") from error
-    return _build(nominal, given if given is not None else {}, str(path))
+        return Gains(**{name: kind(**nominal[name]) for name, kind in SECTIONS.items()})
+    path = Path(path)
+    source, given = read_keys(path, [*SECTIONS, "gains", "source", *MACHINE_SECTIONS])
+    sections = {name: node for name, node in given.items.items() if name in SECTIONS}
+    if "gains" in given.items:
+        if sections:
+            line = given.key_lines[next(iter(sections))]
+            source.fail(line, "gains stand both at the top and under 'gains'; give them in one place")
+        sections = source.mapping(given.items["gains"], "gains", [*SECTIONS, "source"]).items
+        sections = {name: node for name, node in sections.items() if name in SECTIONS}
+    merged = {}
+    for name, kind in SECTIONS.items():
+        own = (
+            numbers(source, sections[name], name, [f.name for f in fields(kind)]) if name in sections else {}
+        )
+        for key, (value, line) in own.items():
+            if not 0 < value < math.inf:
+                source.fail(line, f"{name}.{key} must be a positive number, not {value:g}")
+        merged[name] = kind(**(nominal[name] | {key: value for key, (value, _) in own.items()}))
+    return Gains(**merged, source=str(path) if sections else "nominal")
 
 
-def _build(nominal: dict[str, dict[str, float]], given: Any, source: str) -> Gains:
-    sections: dict[str, type] = {"drive": DriveGains, "board": BoardGains, "hinge": HingeGains}
-    if not isinstance(given, dict):
-        raise InputError(f"{source}: expected the sections {', '.join(sections)}")
-    merged: dict[str, Any] = {}
-    for section in given:
-        if section != "source" and section not in sections:  # a dump of Gains names where it came from
-            raise InputError(f"{source}: unknown section {section!r}{suggestion(str(section), sections)}")
-    for section, kind in sections.items():
-        known = [f.name for f in fields(kind)]
-        own = given.get(section, {})
-        if not isinstance(own, dict):
-            raise InputError(f"{source}: {section} must hold the keys {', '.join(known)}")
-        for key in own:
-            if key not in known:
-                raise InputError(f"{source}: unknown gain {section}.{key}{suggestion(str(key), known)}")
-        merged[section] = kind(**(nominal[section] | own))
-    return Gains(**merged, source=source)
+@cache
+def _nominal() -> dict[str, dict[str, float]]:
+    shipped = files("craftsim.data").joinpath("gains/nominal.yaml").read_text(encoding="utf-8")
+    nominal: dict[str, dict[str, float]] = yaml.safe_load(shipped)
+    return nominal

@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.errors import InputError
-from craftsim.skills.driving import Move, Rotate, Terrain
+from craftsim.skills.driving import Move, Rotate
 from craftsim.skills.folding import Fold, Unfold
-from craftsim.skills.gains import Gains
 from craftsim.skills.lifting import Drop, Lift
-from craftsim.skills.skill import Skill
+from craftsim.skills.skill import Skill, SkillSetup
 from craftsim.skills.stopping import Stop
 
+SKILLS: Final[dict[Action, Callable[[SkillSetup], Skill]]] = {
+    **{action: partial(Move, direction=direction) for action, direction in MOVE_DIRECTION.items()},
+    Action.ROTATE_LEFT: partial(Rotate, quarter=+1),
+    Action.ROTATE_RIGHT: partial(Rotate, quarter=-1),
+    Action.LIFT: Lift,
+    Action.DROP: Drop,
+    Action.FOLD: Fold,
+    Action.UNFOLD: Unfold,
+    Action.STOP: Stop,
+}
+"""What performs each action; the four diagonal moves are never legal, and no skill performs them."""
 
-def make_skill(action: Action, gains: Gains, period_s: float, terrain: Terrain | None = None) -> Skill:
-    """Return a fresh skill for an action, for a control period in seconds; ``terrain`` is the ground of a move.
 
-    Raises InputError for the four diagonal moves: the rules never allow them, and no skill performs them.
-    """
-    if action in MOVE_DIRECTION:
-        return Move(period_s, gains.drive, MOVE_DIRECTION[action], terrain or Terrain())
-    match action:
-        case Action.LIFT:
-            return Lift(period_s, gains.board)
-        case Action.DROP:
-            return Drop(period_s, gains.board)
-        case Action.FOLD:
-            return Fold(period_s, gains.hinge)
-        case Action.UNFOLD:
-            return Unfold(period_s, gains.hinge)
-        case Action.ROTATE_LEFT:
-            return Rotate(period_s, gains.drive, +1)
-        case Action.ROTATE_RIGHT:
-            return Rotate(period_s, gains.drive, -1)
-        case Action.STOP:
-            return Stop(period_s)
-    raise InputError(f"no skill performs {action.name}: diagonal moves are never legal")
+def make_skill(action: Action, setup: SkillSetup) -> Skill:
+    """Return a fresh skill for an action. Raises InputError for one that no skill performs."""
+    if action not in SKILLS:
+        known = ", ".join(a.name for a in SKILLS)
+        raise InputError(f"no skill performs {action.name}; there are skills for {known}")
+    return SKILLS[action](setup)

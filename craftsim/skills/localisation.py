@@ -12,30 +12,26 @@ import math
 from collections import deque
 
 from craftsim.models.noise import SensorNoise
-from craftsim.models.parameters import SMARTCAR
 from craftsim.models.sensing import CarMeasurement
-from craftsim.skills.mecanum import body_twist
-
-_SLIP = 0.06
-"""Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up, so
-it is several times what the rollers lose."""
-_POSITION_DRIFT_M = 2e-5
-"""Standard deviation of what moves a resting car unseen in one period."""
-_HEADING_DRIFT_RAD = 6e-5
-"""And of what turns it."""
+from craftsim.skills.gains import LocalisationGains
+from craftsim.skills.mecanum import Mecanum
 
 
 class Localiser:
     """The pose estimate of one car; call :meth:`update` once each control period."""
 
-    def __init__(self, noise: SensorNoise, period_s: float) -> None:
-        """Prepare for measurements with this noise at this period."""
+    def __init__(
+        self, noise: SensorNoise, period_s: float, kinematics: Mecanum, gains: LocalisationGains
+    ) -> None:
+        """Prepare for measurements with this noise at this period, of a car with these wheels."""
         self._period_s = period_s
+        self._kinematics = kinematics
         late = 0.5 * (noise.min_delay_s + noise.max_delay_s) / period_s
         age_std = (noise.max_delay_s - noise.min_delay_s) / math.sqrt(12) / period_s
-        self._x = _Coordinate(noise.position_m, _POSITION_DRIFT_M, late, age_std)
-        self._y = _Coordinate(noise.position_m, _POSITION_DRIFT_M, late, age_std)
-        self._heading = _Coordinate(noise.heading_rad, _HEADING_DRIFT_RAD, late, age_std)
+        drift, slip = gains.position_drift, gains.slip
+        self._x = _Coordinate(noise.position_m, drift, late, age_std, slip)
+        self._y = _Coordinate(noise.position_m, drift, late, age_std, slip)
+        self._heading = _Coordinate(noise.heading_rad, gains.heading_drift, late, age_std, slip)
         self._started = False
 
     def update(self, now: CarMeasurement) -> CarMeasurement:
@@ -60,24 +56,26 @@ class Localiser:
         )
 
     def _predict(self, now: CarMeasurement) -> None:
-        forward, left, turn = (self._period_s * speed for speed in body_twist(now.wheel_speeds))
+        forward, left, turn = (
+            self._period_s * speed for speed in self._kinematics.body_twist(now.wheel_speeds)
+        )
         forward, left = forward * math.cos(now.pitch), left * math.cos(now.roll)
         middle = self._heading.value + turn / 2
         c, s = math.cos(middle), math.sin(middle)
         length = math.hypot(forward, left)
         self._x.predict(c * forward - s * left, length, length)
         self._y.predict(s * forward + c * left, length, length)
-        self._heading.predict(turn, abs(turn), abs(turn) + length / SMARTCAR.turn_radius_m)
+        self._heading.predict(turn, abs(turn), abs(turn) + length / self._kinematics.lever_m)
 
 
 class _Coordinate:
     """A scalar Kalman filter of x, y or heading."""
 
-    def __init__(self, noise_std: float, drift_std: float, late: float, age_std: float) -> None:
+    def __init__(self, noise_std: float, drift_std: float, late: float, age_std: float, slip: float) -> None:
         """Expect localisations that are ``late`` periods old, give or take ``age_std``."""
         self._noise_variance = noise_std**2
         self._drift_variance = drift_std**2
-        self._late, self._age_std = late, age_std
+        self._late, self._age_std, self._slip = late, age_std, slip
         self._past: deque[float] = deque(maxlen=math.ceil(late) + 1)
         """What was believed at the end of each period; the newest last."""
         self._moved = 0.0
@@ -90,7 +88,7 @@ class _Coordinate:
     def predict(self, way: float, moved: float, rolled: float) -> None:
         """Go on by ``way``, no further than the car ``moved``; the wheels may slip on all that they ``rolled``."""
         self.value += way
-        self.variance += (_SLIP * rolled) ** 2 + self._drift_variance
+        self.variance += (self._slip * rolled) ** 2 + self._drift_variance
         self._moved = moved
 
     def correct(self, innovation: float) -> None:

@@ -6,15 +6,40 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-from craftsim.models.parameters import BLOCK, SMARTCAR
+from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.models.sensing import CarMeasurement, PerWheel
+from craftsim.skills.gains import Gains
 from craftsim.skills.outcome import Outcome, Reason
 
 GRAVITY = 9.81
-_TIPPED_RAD = 0.45
-_FELT_LOAD_N = (SMARTCAR.board_mass_kg + BLOCK.mass_kg / 2) * GRAVITY
-_RAISED_M = 0.015
-_LOST_S = 0.3
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """What the map says of the ground of a move: how far it raises the car's nose in the first and in the last cell."""
+
+    start_rad: float = 0.0
+    end_rad: float = 0.0
+
+    @property
+    def sloping(self) -> bool:
+        """Whether the move starts or ends on a slope."""
+        return bool(self.start_rad or self.end_rad)
+
+
+@dataclass(frozen=True)
+class SkillSetup:
+    """What a skill is given of the car that it controls, of its world and of its tuning."""
+
+    machine: SmartcarParameters
+    """The car's own figures."""
+    machines: Machines
+    """The figures of what it handles."""
+    gains: Gains
+    period_s: float
+    """Control period."""
+    terrain: Terrain = Terrain()
+    """The ground of a move."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +54,6 @@ class Command:
     """rad/s of the docked slope's hinge, folding positive."""
 
 
-def feels_load(now: CarMeasurement) -> bool:
-    """Return whether the raised board feels at least half a block's weight beyond its own."""
-    return now.board_m > _RAISED_M and now.board_force_n > _FELT_LOAD_N
-
-
 class Skill(ABC):
     """A controller of one action of one car.
 
@@ -41,9 +61,14 @@ class Skill(ABC):
     None. Time is counted in steps, so a skill that is not stepped for a while goes on where it was.
     """
 
-    def __init__(self, period_s: float) -> None:
-        """Prepare for a control period in seconds."""
-        self.period_s = period_s
+    def __init__(self, setup: SkillSetup) -> None:
+        """Prepare for this car, world and tuning."""
+        self.setup = setup
+        self.period_s = setup.period_s
+        self._limits = limits = setup.gains.health
+        self._felt_load_n = (
+            setup.machine.board_mass_kg + setup.machines.lightest_load_kg * limits.load_share
+        ) * GRAVITY
         self.elapsed_s = 0.0
         self.outcome: Outcome | None = None
         self._unloaded_s = 0.0
@@ -73,6 +98,10 @@ class Skill(ABC):
     def _control(self, now: CarMeasurement) -> Command:
         """Return the next command, or end the skill by :meth:`_succeed` or :meth:`_fail`."""
 
+    def feels_load(self, now: CarMeasurement) -> bool:
+        """Return whether the raised board feels a good share of the lightest load's weight beyond its own."""
+        return now.board_m > self._limits.board_raised and now.board_force_n > self._felt_load_n
+
     def _succeed(self) -> None:
         self.outcome = Outcome(None, self.elapsed_s)
 
@@ -85,11 +114,11 @@ class Skill(ABC):
         joints = now.board_m + now.board_force_n + (now.hinge_rad or 0.0) + sum(now.wheel_speeds)
         if not math.isfinite(pose + joints):
             self._fail(Reason.DIVERGED, "a measurement is not finite")
-        elif max(abs(now.pitch), abs(now.roll)) > _TIPPED_RAD:
+        elif max(abs(now.pitch), abs(now.roll)) > self._limits.tipped:
             self._fail(Reason.TIPPED, f"pitch {now.pitch:+.2f} rad, roll {now.roll:+.2f} rad")
 
     def _check_load(self, now: CarMeasurement) -> None:
         """Fail when the board has not felt its load for a while: shorter dips come from bumps and acceleration."""
-        self._unloaded_s = 0.0 if feels_load(now) else self._unloaded_s + self.period_s
-        if self._unloaded_s > _LOST_S:
+        self._unloaded_s = 0.0 if self.feels_load(now) else self._unloaded_s + self.period_s
+        if self._unloaded_s > self._limits.load_lost:
             self._fail(Reason.LOAD_LOST, f"the board feels {now.board_force_n:.1f} N")

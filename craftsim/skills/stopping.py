@@ -6,9 +6,6 @@ from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command, Skill
 
-_AT_REST_RAD_S = 0.03
-_ALLOWANCE_S = 1.0
-
 
 class Stop(Skill):
     """Command all motors to zero until the wheels rest."""
@@ -17,8 +14,9 @@ class Stop(Skill):
         """Need nothing."""
 
     def _control(self, now: CarMeasurement) -> Command:
-        if self.elapsed_s > 0 and max(map(abs, now.wheel_speeds)) < _AT_REST_RAD_S:
+        gains = self.setup.gains.stop
+        if self.elapsed_s > 0 and max(map(abs, now.wheel_speeds)) < gains.wheels_at_rest:
             self._succeed()
-        elif self.elapsed_s > _ALLOWANCE_S:
+        elif self.elapsed_s > gains.allowance:
             self._fail(Reason.TIMEOUT, "the wheels still turn")
         return Command()

@@ -8,7 +8,7 @@ import pytest
 from craftsim.checking.attempt import Attempt, Result, attempt_of, result_of, verb_of
 from craftsim.checking.contact_log import Contact
 from craftsim.checking.recipe import set_up
-from craftsim.checking.safety import IMPACT_N, Hazard
+from craftsim.checking.safety import Hazard, impact_limit_n
 from craftsim.checking.settings import Thresholds
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
@@ -53,7 +53,7 @@ def test_what_goes_as_predicted_needs_no_reason(good):
 def test_a_bystander_that_is_shoved_is_a_side_effect_and_named(shoved):
     attempt = attempt_of(shoved, LIMITS)
     assert attempt.result == Result.SIDE_EFFECT
-    assert attempt.others_moved_m > 2 * LIMITS.others_m
+    assert attempt.bystander_displacement_m > 2 * LIMITS.others_m
     assert "block 0 touched slope 0" in attempt.reason
     assert "block 0 was moved by" in attempt.reason
     assert [(c.first, c.second) for c in shoved.touched] == [("block 0", "slope 0")]
@@ -78,9 +78,9 @@ def _spoilt(good, **changes):
         ({"car_heading_error_rad": -0.0031}, Result.FAILED),
         ({"car_height_error_m": -0.0021}, Result.FAILED),
         ({"placed_error_m": 0.0021}, Result.FAILED),
-        ({"others_moved_m": 0.0011}, Result.SIDE_EFFECT),
-        ({"others_moved_m": 0.0009}, Result.AS_PREDICTED),
-        ({"others_moved_m": 0.0011, "car_error_m": 0.0011}, Result.FAILED),
+        ({"bystander_displacement_m": 0.0011}, Result.SIDE_EFFECT),
+        ({"bystander_displacement_m": 0.0009}, Result.AS_PREDICTED),
+        ({"bystander_displacement_m": 0.0011, "car_error_m": 0.0011}, Result.FAILED),
         ({"car_error_m": float("nan")}, Result.FAILED),
         ({"verdict": Verdict(Finding.SIDE_EFFECT, ("car 1: predicted a, read b",))}, Result.SIDE_EFFECT),
         ({"verdict": Verdict(Finding.UNREADABLE, ("block 3 leans by 0.30 rad",))}, Result.SIDE_EFFECT),
@@ -174,7 +174,7 @@ def test_what_still_moves_when_all_motors_rest_is_unsettled():
 
 
 def test_the_impact_limit_is_above_what_a_loaded_car_and_its_motors_do():
-    assert 400 < IMPACT_N < 700
+    assert 400 < impact_limit_n() < 700
 
 
 def test_verbs_forget_the_direction():

@@ -90,13 +90,13 @@ def test_a_thing_that_somebody_else_moves_is_a_side_effect_and_measured():
     checked.executor.observers.append(hand)
     record = checked.perform(0, 0, Action.MOVE_RIGHT)
     assert record.verdict.finding in (Finding.SIDE_EFFECT, Finding.UNREADABLE)
-    assert record.others_moved_m > 0.025
+    assert record.bystander_displacement_m > 0.025
 
 
 def test_what_a_car_carries_is_no_bystander_and_what_it_drops_is_measured():
     checked = _checked(load=Kind.BLOCK)
     moved = checked.perform(0, 0, Action.MOVE_RIGHT)
-    assert moved.others_moved_m < 1e-3
+    assert moved.bystander_displacement_m < 1e-3
     dropped = checked.perform(1, 0, Action.DROP)
     assert dropped.placed_error_m == pytest.approx(checked.reading.objects[0].offset_m)
     assert checked.reading.grid.kind[1, 0, 1] == Kind.BLOCK

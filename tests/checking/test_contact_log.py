@@ -9,10 +9,12 @@ from craftsim.checking.contact_log import ContactLog
 from craftsim.checking.safety import FALL_M_S, TIPPED_RAD, hazards, is_unsafe
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.parameters import BLOCK, SMARTCAR
+from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.skill import GRAVITY
+
+BLOCK, SMARTCAR = NOMINAL.block, NOMINAL.cars[0]
 
 SIZE = (4, 3, 3)
 

@@ -10,8 +10,9 @@ import pytest
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.config import SimulationConfig
+from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
-from craftsim.skills.mecanum import wheel_speeds
+from craftsim.skills.mecanum import Mecanum
 
 GRAVITY = 9.81
 ENERGY = int(mujoco.mjtEnableBit.mjENBL_ENERGY)
@@ -84,7 +85,7 @@ def test_a_coasting_car_only_slows_down(lone_car, twist, gear_nm):
     lone_car.rest()
     model.opt.disableflags |= NO_MOTORS
     data.qvel[:2], data.qvel[5] = twist[:2], twist[2]
-    data.qvel[lone_car.wheels] = wheel_speeds(twist)
+    data.qvel[lone_car.wheels] = Mecanum(NOMINAL.cars[0]).wheel_speeds(twist)
     energy = energies(model, data, 2.0)
     assert energy[0] - energy[-1] > 1.0
     assert rise(energy) < 5e-5

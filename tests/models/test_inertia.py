@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from craftsim.models.parameters import BLOCK, SLOPE, SMARTCAR
+from craftsim.models.parameters import NOMINAL
+
+BLOCK, SLOPE, SMARTCAR = NOMINAL.block, NOMINAL.slope, NOMINAL.cars[0]
 
 
 def solid_of(model: mujoco.MjModel, geom: str) -> trimesh.Trimesh:

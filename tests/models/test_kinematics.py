@@ -5,8 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from craftsim.models.parameters import SMARTCAR
-from craftsim.skills.mecanum import body_twist
+from craftsim.models.parameters import NOMINAL
+from craftsim.skills.mecanum import Mecanum
+
+SMARTCAR = NOMINAL.cars[0]
 
 SPEED_RAD_S = 10.0
 """A normal driving speed: 0.5 m/s."""
@@ -43,7 +45,7 @@ def test_the_car_reaches_97_percent_of_the_commanded_speed(lone_car, name):
     """Band: 97 % to 100 %. 1.2 % is the servo's droop at the gear's friction (0.45 Nm / 4 Nms / 10 rad/s)."""
     signs, axis = DIRECTIONS[name]
     twist, _, _ = drive_steadily(lone_car, signs)
-    ideal = body_twist(SPEED_RAD_S * np.array(signs))
+    ideal = Mecanum(SMARTCAR).body_twist(SPEED_RAD_S * np.array(signs))
     assert 0.97 <= twist[axis] / ideal[axis] <= 1.0
 
 
@@ -52,7 +54,7 @@ def test_the_car_follows_its_wheels(lone_car, name):
     """Against the twist that the measured wheel speeds imply: 98 % to 100.5 %, and no drift in the other axes."""
     signs, axis = DIRECTIONS[name]
     twist, wheels, _ = drive_steadily(lone_car, signs)
-    implied = body_twist(wheels)
+    implied = Mecanum(SMARTCAR).body_twist(wheels)
     assert 0.98 <= twist[axis] / implied[axis] <= 1.005
     others = [i for i in range(3) if i != axis]
     assert np.abs(twist[others]).max() < 0.002 * np.abs(twist[axis])

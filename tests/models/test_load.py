@@ -16,10 +16,12 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.readback import rotation_matrix
 from craftsim.discrete.terrain import incline_under
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import BLOCK, SMARTCAR
+from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
-from craftsim.skills.driving import Terrain
 from craftsim.skills.executor import Executor
+from craftsim.skills.skill import Terrain
+
+BLOCK, SMARTCAR = NOMINAL.block, NOMINAL.cars[0]
 
 PLAY_M = (BLOCK.pocket_side_m - SMARTCAR.boss_side_m) / 2
 STILL_M = 1e-4

@@ -1,25 +1,73 @@
-"""The MJCF files hold the figures of the parameter dataclasses, and every figure says where it comes from."""
+"""MJCF and meshes follow the parameters, nominal or not, and every figure is read and says where it comes from."""
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
+from importlib.resources import files
 
 import mujoco
 import numpy as np
 import pytest
 
+from craftsim.discrete.errors import InputError
+from craftsim.mjcf.meshes import make_meshes, shipped
+from craftsim.mjcf.rendering import PARTS, render
+from craftsim.models.figures import provenance
 from craftsim.models.parameters import (
-    BLOCK,
-    SLOPE,
-    SMARTCAR,
+    NOMINAL,
     BlockParameters,
+    ContactParameters,
+    Machines,
     SlopeParameters,
     SmartcarParameters,
-    provenance,
 )
+from craftsim.models.parts import load_part
+
+SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
+OTHER = Machines(
+    cars=(
+        SmartcarParameters(
+            wheel_radius_m=0.0505,
+            wheel_width_m=0.040,
+            wheel_x_m=0.062,
+            wheel_y_m=0.085,
+            wheel_mass_kg=2.6,
+            roller_mass_kg=0.04,
+            roller_friction=0.7,
+            chassis_length_m=0.215,
+            chassis_width_m=0.160,
+            chassis_bottom_m=-0.039,
+            chassis_top_m=0.048,
+            chassis_chamfer_m=0.027,
+            chassis_mass_kg=1.4,
+            chassis_com_m=-0.02,
+            board_top_m=0.052,
+            board_mass_kg=0.15,
+            board_travel_m=0.044,
+            board_speed_m_s=0.06,
+            board_force_n=90.0,
+            wheel_torque_nm=3.0,
+            wheel_speed_rad_s=22.0,
+            wheel_gain_nms_rad=4.5,
+            gear_friction_nm=0.5,
+        ),
+    ),
+    block=BlockParameters(deck_mass_kg=0.8, leg_mass_kg=0.002, friction=0.5, foot_friction=0.9),
+    slope=SlopeParameters(
+        base_mass_kg=1.3,
+        flap_mass_kg=0.2,
+        hinge_speed_rad_s=1.0,
+        hinge_torque_nm=12.0,
+        hinge_friction_nm=0.03,
+    ),
+)
+"""Machines whose figures differ in whatever may be changed."""
 
 Figures = dict[str, Callable[[mujoco.MjModel], float]]
-AXLE = SMARTCAR.wheel_radius_m
+
+
+def axle(model: mujoco.MjModel) -> float:
+    return float(model.body("wheel_fl").pos[2])
 
 
 def corners(model: mujoco.MjModel, geom: str) -> np.ndarray:
@@ -85,14 +133,12 @@ SMARTCAR_FIGURES: Figures = {
     "roller_mass_kg": lambda m: m.body("roller_fl00").mass[0],
     "chassis_length_m": lambda m: extent(m, 0, "hull"),
     "chassis_width_m": lambda m: extent(m, 1, "hull"),
-    "chassis_bottom_m": lambda m: level(m, "hull", np.min) - AXLE,
-    "chassis_top_m": lambda m: level(m, "hull", np.max) - AXLE,
-    "chassis_chamfer_m": lambda m: (
-        (extent(m, 0, "hull") - side_at(m, "hull", AXLE + SMARTCAR.chassis_bottom_m)) / 2
-    ),
+    "chassis_bottom_m": lambda m: level(m, "hull", np.min) - axle(m),
+    "chassis_top_m": lambda m: level(m, "hull", np.max) - axle(m),
+    "chassis_chamfer_m": lambda m: (extent(m, 0, "hull") - side_at(m, "hull", level(m, "hull", np.min))) / 2,
     "chassis_mass_kg": lambda m: m.body("smartcar").mass[0],
-    "chassis_com_m": lambda m: m.body("smartcar").ipos[2] - AXLE,
-    "board_top_m": lambda m: m.body("board").pos[2] + level(m, "plate", np.max) - AXLE,
+    "chassis_com_m": lambda m: m.body("smartcar").ipos[2] - axle(m),
+    "board_top_m": lambda m: m.body("board").pos[2] + level(m, "plate", np.max) - axle(m),
     "board_length_m": lambda m: extent(m, 0, "plate"),
     "board_width_m": lambda m: extent(m, 1, "plate"),
     "board_thickness_m": lambda m: extent(m, 2, "plate"),
@@ -120,8 +166,7 @@ BLOCK_FIGURES: Figures = {
     "leg_side_m": lambda m: extent(m, 0, "leg_fl"),
     "leg_offset_m": lambda m: m.geom("leg_fl").pos[0],
     "underside_m": lambda m: level(m, "frame_front", np.min),
-    "deck_mass_kg": lambda m: m.body(m.geom("deck").bodyid[0]).mass[0] - 4 * BLOCK.leg_mass_kg,
-    "leg_mass_kg": lambda m: BLOCK.leg_mass_kg,  # a geom's mass is not kept: the test of inertia checks it
+    "mass_kg": lambda m: m.body(m.geom("deck").bodyid[0]).mass[0],
     "pocket_side_m": lambda m: 2 * level(m, "frame_front", np.min, axis=0),
     "pocket_depth_m": lambda m: level(m, "deck", np.min) - level(m, "frame_front", np.min),
     "friction": lambda m: m.geom("deck").friction[0],
@@ -163,22 +208,107 @@ SLOPE_FIGURES: Figures = {
 }
 
 TABLES = {
-    "smartcar": (SMARTCAR, SMARTCAR_FIGURES),
-    "block": (BLOCK, BLOCK_FIGURES),
-    "flag": (BLOCK, BLOCK_FIGURES),
-    "slope": (SLOPE, SLOPE_FIGURES),
+    "smartcar": SMARTCAR_FIGURES,
+    "block": BLOCK_FIGURES,
+    "flag": BLOCK_FIGURES,
+    "slope": SLOPE_FIGURES,
 }
 
 
+def figures_of(part: str, machines: Machines):
+    return {"smartcar": machines.cars[0], "slope": machines.slope}.get(part, machines.block)
+
+
+@pytest.mark.parametrize("machines", [NOMINAL, OTHER], ids=["nominal", "other"])
 @pytest.mark.parametrize("part", TABLES)
-def test_the_mjcf_holds_every_figure(open_part, part):
-    """Band: 1e-5 of the figure (files are written with six digits), 0.1 % for the wheel's inertia."""
-    parameters, figures = TABLES[part]
-    assert set(figures) == {f.name for f in fields(parameters)}
-    model = open_part(part)
-    for name, measure in figures.items():
+def test_the_compiled_part_has_the_figures_that_it_is_made_from(part, machines):
+    """Band: 1e-5 of the figure (what follows is written with six digits), 0.1 % for the wheel's inertia."""
+    model, parameters = load_part(part, machines).compile(), figures_of(part, machines)
+    for name, measure in TABLES[part].items():
         band = 1e-3 if "inertia" in name else 1e-5
         assert measure(model) == pytest.approx(getattr(parameters, name), rel=band, abs=2e-6), name
+
+
+def bumped(parameters, name: str):
+    """Return the parameters with one figure off, whether or not it may be changed."""
+    changed = replace(parameters)
+    value = getattr(parameters, name)
+    object.__setattr__(changed, name, value + 1 if isinstance(value, int) else value * 1.01)
+    return changed
+
+
+def with_parameters(parameters) -> Machines:
+    machines = replace(NOMINAL)
+    kinds = {SmartcarParameters: "cars", BlockParameters: "block", SlopeParameters: "slope"}
+    name = kinds.get(type(parameters), "contact")
+    object.__setattr__(machines, name, (parameters,) if name == "cars" else parameters)
+    return machines
+
+
+READ_BY_SENSORS = {"docking_range_m"}
+KINDS = (SmartcarParameters, BlockParameters, SlopeParameters, ContactParameters)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [(kind, f.name) for kind in KINDS for f in fields(kind) if f.name not in READ_BY_SENSORS],
+)
+def test_a_figure_that_is_edited_changes_the_model(kind, name):
+    machines = with_parameters(bumped(kind(), name))
+    assert any(render(part, machines) != render(part, NOMINAL) for part in PARTS)
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_files_are_what_the_parameters_render(part):
+    text = (files("craftsim.mjcf") / f"{part}.xml").read_text(encoding="utf-8")
+    assert text == render(part, NOMINAL), "run 'make machines'"
+
+
+def test_an_edited_length_is_seen_by_the_meshes_before_they_are_made_again():
+    car = bumped(SMARTCAR, "chassis_length_m")
+    assert shipped(SMARTCAR)
+    assert not shipped(car)
+    assert shipped(bumped(SMARTCAR, "wheel_torque_nm"))
+    assert make_meshes(car)["chassis"] != make_meshes(SMARTCAR)["chassis"]
+    spec = load_part("smartcar", with_parameters(car))
+    assert "meshes/chassis.stl" not in spec.assets
+    assert spec.compile().mesh("chassis").vertnum[0] > 0
+
+
+def test_the_digest_tells_figures_apart():
+    assert Machines().digest == NOMINAL.digest
+    assert OTHER.digest != NOMINAL.digest
+    assert replace(NOMINAL, slope=SlopeParameters(hinge_speed_rad_s=1.0)).digest != NOMINAL.digest
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: SmartcarParameters(wheel_mass_kg=-1.0), "wheel_mass_kg must be above 0, not -1.0"),
+        (lambda: SmartcarParameters(wheel_torque_nm=0.0), "wheel_torque_nm must be above 0"),
+        (lambda: SmartcarParameters(wheel_torque_nm=math.nan), "wheel_torque_nm must be a number, not nan"),
+        (lambda: SmartcarParameters(wheel_torque_nm="strong"), "wheel_torque_nm must be a number"),
+        (lambda: SmartcarParameters(boss_side_m=0.1), "boss_side_m cannot be changed from 0.11: the pockets"),
+        (lambda: SmartcarParameters(wheel_radius_m=0.043), "ground on the crest of a slope"),
+        (lambda: SmartcarParameters(wheel_x_m=0.07), "ground on the crest of a slope"),
+        (lambda: SmartcarParameters(chassis_chamfer_m=0.002, chassis_length_m=0.25), "nose would run into"),
+        (lambda: SmartcarParameters(board_top_m=0.05), "board_top_m must leave the plate above"),
+        (lambda: SmartcarParameters(roller_mass_kg=0.2), "wheel_mass_kg must be above 4"),
+        (lambda: BlockParameters(side_m=0.3), "side_m cannot be changed from 0.32: the grid's cells"),
+        (lambda: SlopeParameters(hinge_z_m=0.1), "hinge_z_m cannot be changed from 0.0925"),
+        (lambda: SlopeParameters(hinge_x_m=0.1), "hinge_x_m cannot be changed"),
+        (lambda: SlopeParameters(hinge_speed_rad_s=50.0), "above 0 and at most 3, not 50"),
+        (lambda: Machines(cars=()), "at least one car"),
+        (lambda: Machines(cars=(SmartcarParameters(board_travel_m=0.02),)), "from 0.0309 to 0.0509 lifts"),
+        (lambda: Machines(cars=(SmartcarParameters(board_travel_m=0.06),)), "board_travel_m is 0.06"),
+        (lambda: Machines(cars=(SmartcarParameters(board_top_m=0.056),)), "drives under a slope"),
+        (lambda: Machines(cars=(SmartcarParameters(wheel_y_m=0.11),)), "passes between a block's legs"),
+        (lambda: Machines(cars=(SmartcarParameters(chassis_width_m=0.26),)), "passes between a block's legs"),
+    ],
+)
+def test_a_figure_that_cannot_work_is_refused_by_name(make, message):
+    with pytest.raises(InputError, match=message.replace("(", r"\(")):
+        make()
 
 
 def test_the_wall_has_the_blocks_shape(open_part):
@@ -187,7 +317,7 @@ def test_the_wall_has_the_blocks_shape(open_part):
         assert np.array_equal(corners(model, geom), corners(block, geom))
 
 
-@pytest.mark.parametrize("kind", [SmartcarParameters, BlockParameters, SlopeParameters])
+@pytest.mark.parametrize("kind", KINDS)
 def test_every_figure_has_provenance(kind):
     for name, origin in provenance(kind).items():
         assert origin.origin in ("published", "derived", "assumed"), name
@@ -201,14 +331,17 @@ def test_every_figure_has_provenance(kind):
 def test_masses_are_the_published_ones(open_part, part, mass):
     """Chassis 1.0 + four wheels of 2.3 + board 0.1; deck 0.5 + four legs of 0.001; base 1.0 + flap 0.1."""
     assert open_part(part).body(part).subtreemass[0] == pytest.approx(mass, abs=1e-5)
-    parameters, _ = TABLES[part]
-    assert parameters.mass_kg == pytest.approx(mass)
+    assert figures_of(part, NOMINAL).mass_kg == pytest.approx(mass)
 
 
 def test_all_four_wheels_are_alike(open_part):
     model = open_part("smartcar")
     for wheel in ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr"):
-        place = np.abs(model.body(wheel).pos) - [SMARTCAR.wheel_x_m, SMARTCAR.wheel_y_m, AXLE]
+        place = np.abs(model.body(wheel).pos) - [
+            SMARTCAR.wheel_x_m,
+            SMARTCAR.wheel_y_m,
+            SMARTCAR.wheel_radius_m,
+        ]
         assert np.abs(place).max() < 1e-9
         assert model.body(wheel).subtreemass[0] == pytest.approx(SMARTCAR.wheel_mass_kg)
         assert len(descendants(model, wheel)) == 1 + SMARTCAR.rollers_per_wheel

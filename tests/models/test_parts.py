@@ -8,8 +8,10 @@ import pytest
 
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid
-from craftsim.models.parameters import SMARTCAR
+from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
+
+SMARTCAR = NOMINAL.cars[0]
 
 PARTS = ("ground", "block", "flag", "wall", "slope", "smartcar")
 

@@ -6,8 +6,10 @@ import pytest
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import BLOCK
+from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
+
+BLOCK = NOMINAL.block
 
 GRAVITY = 9.81
 AWAKE = SimulationConfig(sleep=False)

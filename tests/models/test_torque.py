@@ -6,8 +6,10 @@ import mujoco
 import pytest
 
 from craftsim.discrete.geometry import INCLINE_RAD
-from craftsim.models.parameters import SLOPE, SMARTCAR
+from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
+
+SLOPE, SMARTCAR = NOMINAL.slope, NOMINAL.cars[0]
 
 GRAVITY = 9.81
 CLIMB_NM = (

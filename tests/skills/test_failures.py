@@ -11,13 +11,13 @@ from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Kind
+from craftsim.models.parameters import NOMINAL
 from craftsim.models.sensing import CarMeasurement, measure
-from craftsim.skills.driving import Terrain
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.library import make_skill
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.skill import Command
+from craftsim.skills.skill import Command, SkillSetup, Terrain
 
 PERIOD_S = 0.02
 RIGHT = Action.MOVE_RIGHT
@@ -32,7 +32,7 @@ def _run(site, action, terrain=None, observer=None, gains=None) -> Outcome:
 
 
 def _skill(action):
-    return make_skill(action, load_gains(), PERIOD_S)
+    return make_skill(action, SkillSetup(NOMINAL.cars[0], NOMINAL, load_gains(), PERIOD_S))
 
 
 def _limit_force(site, actuator, newtons):

@@ -10,20 +10,27 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.models.noise import NOISY, SensorNoise
+from craftsim.models.parameters import NOMINAL
 from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.sensing import CarMeasurement, Sensors, measure
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
+from craftsim.skills.gains import load_gains
 from craftsim.skills.localisation import Localiser
-from craftsim.skills.mecanum import wheel_speeds
+from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.profile import Profile
 
 PERIOD_S = 0.02
+KINEMATICS = Mecanum(NOMINAL.cars[0])
 LATE = SensorNoise(position_m=0.001, heading_rad=0.003, min_delay_s=0.03, max_delay_s=0.03)
 STILL = CarMeasurement(0.0, 0, 0, 0.0, 0, 0.0, 0.0, np.zeros(4), 0.0, 0.0, None, None)
 DRIVE = np.array([1.0, 0.0, 0.0]), Profile.within(0.3225, 0.8, 3.0)
 SIDEWAYS = np.array([0.0, 1.0, 0.0]), Profile.within(0.3225, 0.8, 3.0)
 TURN = np.array([0.0, 0.0, 1.0]), Profile.within(math.pi / 2, 5.0, 22.0)
+
+
+def _localiser(noise: SensorNoise) -> Localiser:
+    return Localiser(noise, PERIOD_S, KINEMATICS, load_gains().localisation)
 
 
 def _truth(direction, profile, rest_s, heading=0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -38,7 +45,7 @@ def _truth(direction, profile, rest_s, heading=0.0) -> tuple[np.ndarray, np.ndar
 
 def _feed(noise, poses, twists, rng, slip=0.02) -> tuple[np.ndarray, np.ndarray]:
     """Feed a synthetic motion to a Localiser; return its errors (n, 3) and standard deviations (n, 2)."""
-    localiser = Localiser(noise, PERIOD_S)
+    localiser = _localiser(noise)
     delay = rng.uniform(noise.min_delay_s, noise.max_delay_s) / PERIOD_S
     sigma = np.array([noise.position_m, noise.position_m, noise.heading_rad])
     errors, stds = [], []
@@ -50,7 +57,7 @@ def _feed(noise, poses, twists, rng, slip=0.02) -> tuple[np.ndarray, np.ndarray]
             x=located[0],
             y=located[1],
             heading=math.remainder(located[2], math.tau),
-            wheel_speeds=wheel_speeds((1 + slip) * twist),
+            wheel_speeds=KINEMATICS.wheel_speeds((1 + slip) * twist),
         )
         view = localiser.update(now)
         error = np.array([view.x, view.y, view.heading]) - pose
@@ -99,7 +106,7 @@ def test_at_rest_the_error_falls_as_one_over_the_root_of_the_number_of_localisat
 
 
 def test_at_rest_every_localisation_counts_once_however_late_it_comes():
-    localiser = Localiser(SensorNoise(0.001, 0.003, 0.04, 0.04), PERIOD_S)
+    localiser = _localiser(SensorNoise(0.001, 0.003, 0.04, 0.04))
     first = 0.001
     for n in range(1, 17):
         view = localiser.update(STILL._replace(x=first if n == 1 else 0.0))
@@ -145,7 +152,7 @@ def _yard() -> Grid:
     return grid
 
 
-def test_with_exact_senses_the_executor_takes_measurements_as_they_are():
+def test_with_exact_sensors_the_executor_takes_measurements_as_they_are():
     site = Site(_yard())
     executor = Executor(site)
     executor.begin(0, Action.MOVE_RIGHT)
@@ -156,7 +163,7 @@ def test_with_exact_senses_the_executor_takes_measurements_as_they_are():
         assert view.position_std_m == view.heading_std_rad == 0.0
 
 
-def test_with_noisy_senses_skills_see_the_estimate_and_not_the_truth():
+def test_with_noisy_sensors_skills_see_the_estimate_and_not_the_truth():
     site = Site(_yard())
     executor = Executor(site, sensors=Sensors(site, NOISY, np.random.default_rng(0)))
     view, true = executor._view(0), measure(site, 0)

@@ -3,23 +3,26 @@
 import numpy as np
 import pytest
 
-from craftsim.models.parameters import SMARTCAR
-from craftsim.skills.mecanum import body_twist, wheel_speeds, wheel_torques
+from craftsim.models.parameters import NOMINAL, SmartcarParameters
+from craftsim.skills.mecanum import Mecanum
 
+SMARTCAR = NOMINAL.cars[0]
+
+CAR = Mecanum(SMARTCAR)
 R = 0.0496
 LEVER = 0.060 + 0.083
 
 
 def test_every_twist_survives_the_way_through_the_wheels():
     twist = np.array([0.3, -0.2, 1.7])
-    np.testing.assert_allclose(body_twist(wheel_speeds(twist)), twist, atol=1e-12)
+    np.testing.assert_allclose(CAR.body_twist(CAR.wheel_speeds(twist)), twist, atol=1e-12)
 
 
 def test_torques_do_the_work_of_the_wrench_and_are_the_smallest_that_do():
     wrench, twist = np.array([2.0, -3.0, 0.5]), np.array([0.3, -0.2, 1.7])
-    assert np.dot(wheel_torques(wrench), wheel_speeds(twist)) == pytest.approx(wrench @ twist)
-    matrix = np.array([wheel_speeds(axis) for axis in np.eye(3)])
-    np.testing.assert_allclose(wheel_torques(wrench), np.linalg.lstsq(matrix, wrench)[0], rtol=1e-12)
+    assert np.dot(CAR.wheel_torques(wrench), CAR.wheel_speeds(twist)) == pytest.approx(wrench @ twist)
+    matrix = np.array([CAR.wheel_speeds(axis) for axis in np.eye(3)])
+    np.testing.assert_allclose(CAR.wheel_torques(wrench), np.linalg.lstsq(matrix, wrench)[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -33,11 +36,17 @@ def test_torques_do_the_work_of_the_wrench_and_are_the_smallest_that_do():
     ids=["forward", "left", "counter-clockwise", "all three"],
 )
 def test_the_wheels_turn_as_the_formula_says(twist, rim_speeds):
-    np.testing.assert_allclose(wheel_speeds(twist), np.array(rim_speeds) / R, rtol=1e-12)
+    np.testing.assert_allclose(CAR.wheel_speeds(twist), np.array(rim_speeds) / R, rtol=1e-12)
 
 
 def test_wheels_that_fight_each_other_give_no_twist():
-    np.testing.assert_allclose(body_twist([1, 1, -1, -1]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(CAR.body_twist([1, 1, -1, -1]), 0.0, atol=1e-12)
+
+
+def test_larger_wheels_turn_slower_and_a_wider_car_turns_its_wheels_further():
+    other = Mecanum(SmartcarParameters(wheel_radius_m=0.0504, wheel_y_m=0.09))
+    np.testing.assert_allclose(other.wheel_speeds((1, 0, 0)), np.ones(4) / 0.0504)
+    np.testing.assert_allclose(other.wheel_speeds((0, 0, 1)), 0.15 / 0.0504 * np.array([-1, 1, -1, 1]))
 
 
 def test_the_lever_and_the_radius_are_those_of_the_car():

@@ -33,7 +33,7 @@ def attempt(result=Result.AS_PREDICTED, *, legal=True, verb="MOVE", **changes):
         "heading_error_rad": 0.001,
         "height_error_m": 0.0001,
         "placed_error_m": None,
-        "others_moved_m": 0.0,
+        "bystander_displacement_m": 0.0,
         "duration_s": 1.0,
         "peak_force_n": 20.0,
         **changes,
@@ -74,7 +74,7 @@ def drawn_attempt(rng, verb, works, *, legal=True):
         heading_error_rad=float(rng.gamma(2.0, 3e-4)),
         height_error_m=float(rng.gamma(2.0, 5e-5)),
         placed_error_m=float(rng.gamma(2.0, 2e-4)) if verb in ("DROP", "FOLD", "UNFOLD") else None,
-        others_moved_m=float(rng.gamma(1.0, 3e-5)),
+        bystander_displacement_m=float(rng.gamma(1.0, 3e-5)),
         duration_s=float(SECONDS[verb] * rng.normal(1.0, 0.04)),
         peak_force_n=float(rng.gamma(4.0, 12.0)),
     )

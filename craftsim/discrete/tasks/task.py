@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -16,7 +17,7 @@ from craftsim.discrete.errors import BlueprintError, InputError, suggestion
 from craftsim.discrete.files.blueprint import NO_CELL, Blueprint, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.placement import Placement
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.measures import (
     CodeBuilding,
     CodePlatform,
@@ -87,6 +88,23 @@ class Task:
         return Layout.of(self.starts[0], self.shows_flag)
 
     @property
+    def digest(self) -> str:
+        """SHA-256 of its starts and its design, whatever their files are called."""
+        parts = [replace(start, path=Path()) for start in self.starts], self.design and self.design.targets
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+    @property
+    def has_goal(self) -> bool:
+        """Whether there is something to reach; without it success is never reported."""
+        return self.success is not _no_goal
+
+    @property
+    def goal_cells(self) -> list[Cell]:
+        """Cells of the floor to mark for people: the building's plan, or where the flag goes."""
+        goals = [t.cell for t in self.design.targets] if self.design else [self.starts[0].goal]
+        return [cell for cell in goals if cell is not None and cell[2] == 1]
+
+    @property
     def success_measure(self) -> Measure:
         """The success predicate as a measure."""
         return self.success if isinstance(self.success, Measure) else Custom(self.success)
@@ -118,10 +136,23 @@ class Task:
         return bool(self.success_measure.of(grid))
 
 
+def _no_goal(grid: Grid) -> bool:
+    return False
+
+
+def free_play(name: str, start: Blueprint, max_steps: int = DEFAULT_MAX_STEPS) -> Task:
+    """Return a task without a goal around a blueprint: the reward is how elaborate a building is."""
+    reward = Reward(Complexity())
+    return Task(name, (start,), reward, _no_goal, max_steps=max_steps, ends_on_success=False)
+
+
 def as_task(task: Task | str) -> Task:
     """Return a task as it is, or the one of the paper's six that a name stands for; InputError for anything else."""
     if isinstance(task, Task):
         return task
+    if isinstance(task, str) and task not in TASK_NAMES and Path(task).exists():
+        blueprint = read_blueprint(Path(task))
+        return free_play(blueprint.path.stem, blueprint)
     if isinstance(task, str):
         return make_task(task)
     raise InputError(f"a task is a Task or the name of one, not {task!r}")

@@ -105,6 +105,6 @@ def _bundle(out: Path, pair: tuple[Item, Mapping[str, Any]]) -> str:
     item, record = pair
     folder = f"bundles/{record['index']:05d}"
     if not (out / folder / TEXT).exists():
-        attempts = tuple(Attempt(**{**a, "differences": tuple(a["differences"])}) for a in record["attempts"])
+        attempts = tuple(map(Attempt.of, record["attempts"]))
         write_bundle(out / folder, item.key, recipe_of(item.job), attempts)
     return folder

@@ -5,23 +5,18 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from craftsim.checking.attempt import Result
-from craftsim.checking.recipe import Recipe, Seed, Step, perform
-from craftsim.checking.settings import TrialSettings
+from craftsim.checking.recipe import Recipe, Step, do, run_up
+from craftsim.checking.settings import Setup
+from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import RuleSet
-from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import RandomizedSite
-from craftsim.models.sensing import read_poses
-from craftsim.models.site import Site
-from craftsim.skills.gains import load_gains
 from craftsim.validation.audit.intended import intended
 from craftsim.validation.audit.rows import Row, Situation, action_in, distribute_trials, world_of
 from craftsim.validation.audit.scenes import Scene
@@ -33,7 +28,7 @@ TIMEOUT_S: Final = 120.0
 
 
 @dataclass(frozen=True)
-class Job:
+class Trial:
     """One trial, as it goes to a worker."""
 
     situation: Situation
@@ -41,13 +36,10 @@ class Job:
     number: int
     """Which trial of the situation it is; with the seed it decides the physics and the noise."""
     seed: int
-    rules: RuleSet
-    settings: TrialSettings
+    setup: Setup
 
 
-def items_of(
-    rows: Sequence[Row], trials: int, seed: int, rules: RuleSet, settings: TrialSettings
-) -> list[Item]:
+def items_of(rows: Sequence[Row], trials: int, seed: int, setup: Setup) -> list[Item]:
     """Return the items of an audit: at least ``trials`` for each row; one, that tries nothing, without a prediction."""
     items = []
     for row in rows:
@@ -55,39 +47,28 @@ def items_of(
             items.append(Item(row.name, row.name, seed, None))
             continue
         for situation, number in distribute_trials(row, trials):
-            job = Job(situation, row.legal, number, seed, rules, settings)
-            items.append(Item(f"{situation.id}#{number}", row.name, seed, job, context=situation.id))
+            trial = Trial(situation, row.legal, number, seed, setup)
+            items.append(Item(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id))
     return items
 
 
-def recipe_of(job: Job) -> Recipe:
+def recipe_of(trial: Trial) -> Recipe:
     """Return what a trial does: performing it gives what :func:`try_it` judges."""
-    world, step = _start(job.situation, job.legal, job.seed, job.rules)
-    physics, sensors = np.random.SeedSequence([job.seed, _digest(job.situation), job.number]).spawn(2)
-    return Recipe(
-        world,
-        (step,),
-        job.settings,
-        job.rules,
-        Seed.of(physics),
-        Seed.of(sensors),
-        _gains(),
-    )
+    world, step = _start(trial.situation, trial.legal, trial.seed, trial.setup.rules)
+    seed = Seed((trial.seed, _digest(trial.situation), trial.number))
+    return Recipe(world, (step,), trial.setup, seed)
 
 
-_gains = cache(load_gains)
-
-
-def try_it(job: Job | None) -> Done:
-    """Try one action, or one tick, and judge it; nothing for no job, and nothing in a world that does not stand."""
-    if job is None:
+def try_it(trial: Trial | None) -> Done:
+    """Try one action, or one tick, and judge it; nothing for no trial, and nothing in a world that does not stand."""
+    if trial is None:
         return Done(agrees=True)
-    varied, problems = _site(job.situation, job.legal, job.seed, job.rules, job.settings.simulation)
+    world, problems = _site(trial.situation, trial.legal, trial.seed, trial.setup)
     if problems:
         return Done(agrees=True, extra={"does_not_stand": list(problems)})
-    attempts = perform(recipe_of(job), varied).attempts
-    as_predicted = all(attempt.result == Result.AS_PREDICTED for attempt in attempts)
-    return Done(agrees=as_predicted == job.legal, attempts=attempts)
+    recipe = recipe_of(trial)
+    attempts = do(run_up(recipe, world), recipe.steps[-1])
+    return Done(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
 
 
 @lru_cache(maxsize=2)
@@ -110,15 +91,15 @@ def _start(situation: Situation, legal: bool, seed: int, rules: RuleSet) -> tupl
 
 @lru_cache(maxsize=1)
 def _site(
-    situation: Situation, legal: bool, seed: int, rules: RuleSet, simulation: SimulationConfig
+    situation: Situation, legal: bool, seed: int, setup: Setup
 ) -> tuple[RandomizedSite, tuple[str, ...]]:
     """Return a Site of a situation to use again and again, and how it differs from what was drawn."""
-    grid, _ = _world(situation, legal, seed, rules)
-    site = Site(grid, simulation)
-    reading = read_grid(read_poses(site), site.size, site.walls)
+    grid, _ = _world(situation, legal, seed, setup.rules)
+    world = compile_world(grid, setup)
+    reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
     if reading.problems or reading.grid.same_visible(grid):
-        return RandomizedSite(site), reading.problems
-    return RandomizedSite(site), ("the world reads otherwise than it was drawn",)
+        return world, reading.problems
+    return world, ("the world reads otherwise than it was drawn",)
 
 
 def _digest(situation: Situation) -> int:

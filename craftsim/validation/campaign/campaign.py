@@ -12,7 +12,15 @@ from typing import Literal
 
 from craftsim.discrete.errors import InputError
 from craftsim.validation.campaign.distribute import Worker, distribute
-from craftsim.validation.campaign.items import Answer, Failure, Item, TrialRecord, Work, make_record
+from craftsim.validation.campaign.items import (
+    Answer,
+    Failure,
+    Item,
+    TrialRecord,
+    Work,
+    answer_of,
+    make_record,
+)
 from craftsim.validation.campaign.store import Header, Store
 
 Engine = Literal["local", "ray"]
@@ -29,7 +37,7 @@ def run_campaign(
     timeout_s: float = 600.0,
     batch: int = 1,
     resume: bool = False,
-    tell: Callable[[TrialRecord], None] = lambda record: None,
+    on_record: Callable[[TrialRecord], None] = lambda record: None,
 ) -> list[TrialRecord]:
     """Try every item and return the records in the order of the items.
 
@@ -48,7 +56,7 @@ def run_campaign(
         batch: items that a worker takes at once, one after the other: more than one where items are short, or where
             neighbours share what a worker keeps.
         resume: go on with the campaign in the folder, if there is one; what has an error there is tried again.
-        tell: called with each record, those of an earlier run first.
+        on_record: called with each record, those of an earlier run first.
 
     Raises:
         InputError: the folder, the cluster, or what is to be resumed is not as it should be, or the disk is full.
@@ -58,7 +66,7 @@ def run_campaign(
     try:
         index = {item.key: i for i, item in enumerate(items)}
         for record in store.records.values():
-            tell(record)
+            on_record(record)
         rest = [item for item in items if item.key not in store.records]
         answers = _answers(rest, work, workers, engine, timeout_s, batch)
         with _interruptible(store, len(items)):
@@ -68,10 +76,22 @@ def run_campaign(
                         f"{answer.text}; what was finished is kept in {out}: make room, then --resume"
                     )
                 store.append([make_record(item, index[item.key], answer)])
-                tell(store.records[item.key])
+                on_record(store.records[item.key])
         return store.finish()
     finally:
         store.close()
+
+
+def run_here(
+    items: Sequence[Item], work: Work, on_record: Callable[[TrialRecord], None] = lambda record: None
+) -> list[TrialRecord]:
+    """Try every item in this process, one after the other, and return the records that :func:`run_campaign` would."""
+    records = []
+    for index, item in enumerate(items):
+        answer = answer_of(work, item.job, interruptible=True)
+        records.append(make_record(item, index, answer))
+        on_record(records[-1])
+    return records
 
 
 def _answers(

@@ -95,14 +95,17 @@ def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
 
 def perform(work: Work, jobs: Sequence[Any]) -> list[Answer]:
     """Do the work of several items, in a worker; what one of them raises is its answer."""
-    return [_answer(work, job) for job in jobs]
+    return [answer_of(work, job) for job in jobs]
 
 
-def _answer(work: Work, job: Any) -> Answer:
+def answer_of(work: Work, job: Any, interruptible: bool = False) -> Answer:
+    """Do the work of one item; what it raises is its answer, but an interrupt where that is meant for the caller."""
     try:
         done = work(job)
         return replace(done, attempts=plain(done.attempts), extra=plain(done.extra))
     except BaseException as error:  # a policy may as well leave by sys.exit
+        if interruptible and isinstance(error, KeyboardInterrupt):
+            raise
         cause = error.__cause__ or error
         if isinstance(cause, OSError) and cause.errno in DISK_ERRORS:
             return Failure(f"{cause.filename or 'the results'}: {cause.strerror}", stops=True)

@@ -24,7 +24,7 @@ from craftsim.validation.campaign.items import Item, TrialRecord
 SCHEMA_VERSION: Final = 1
 TRIALS: Final = "trials.jsonl"
 CAMPAIGN: Final = "campaign.json"
-_RESULTS: Final = ("report.json", "report.html", "bundles")
+_RESULTS: Final = ("report.json", "report.html", "durations.csv", "bundles", "films")
 """What a campaign leaves besides; it goes when another one begins in its folder."""
 
 

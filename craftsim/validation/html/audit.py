@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from craftsim.validation.audit.audit import Audit
+from craftsim.validation.html.audit_tables import corrections_table, suspects_table
 from craftsim.validation.html.disagreements import (
     agreement_table,
     conservative_section,
     unsound_section,
 )
-from craftsim.validation.html.page import Headline, KeyFigure, Page, Section, Table, Tone
+from craftsim.validation.html.page import Headline, KeyFigure, Page, Section, Tone
 from craftsim.validation.html.paired import paired_section
 from craftsim.validation.html.plots import durations_plot, errors_plot, judgement_plot
 from craftsim.validation.html.run_description import RunDescription, provenance_section
@@ -30,8 +32,7 @@ from craftsim.validation.statistics.audit_rows import (
     verdict_counts,
 )
 from craftsim.validation.statistics.figures import Figures
-from craftsim.validation.statistics.paired import Comparison
-from craftsim.validation.statistics.records import Record, attempts_of, carried_out
+from craftsim.validation.statistics.records import attempts_of, carried_out
 
 _NOTES: Final = {
     Judgement.SOUND: "The rules allow these, and they work.",
@@ -41,34 +42,15 @@ _NOTES: Final = {
 }
 
 
-def audit_page(
-    rows: Sequence[AuditRow],
-    records: Sequence[Record],
-    figures: Figures,
-    provenance: RunDescription,
-    rules: str,
-    suspects: Table | None = None,
-    by_rule: Table | None = None,
-    comparison: Comparison | None = None,
-) -> Page:
-    """Return the page of an audit.
-
-    Args:
-        rows: the audit's rows.
-        records: all records of the audit.
-        figures: what :func:`~craftsim.validation.statistics.figures.campaign_figures` says of the records.
-        provenance: what decides the figures.
-        rules: name of the rule set.
-        suspects: verdicts on rules that were under suspicion beforehand.
-        by_rule: which rules the unsound rows come of.
-        comparison: with an earlier audit, where there is one.
-    """
+def audit_page(audit: Audit, command: str) -> Page:
+    """Return the page of an audit; ``command`` is how it can be run again."""
+    rows, rules = audit.results.rows, audit.config["rules"]
     return Page(
         "Audit of the rules",
         f"rule set: {rules}",
         _headline(rows, rules),
-        tuple(_key_figures(rows, figures)),
-        tuple(_sections(rows, records, figures, provenance, suspects, by_rule, comparison)),
+        tuple(_key_figures(rows, audit.figures)),
+        tuple(_sections(audit, RunDescription.of(command, audit.seed, audit.config))),
     )
 
 
@@ -105,19 +87,10 @@ def _key_figures(rows: Sequence[AuditRow], figures: Figures) -> Iterator[KeyFigu
     yield KeyFigure(f"{figures.trials:,}", "trials", f"at least {min(tried, default=0)} a row")
 
 
-def _sections(
-    rows: Sequence[AuditRow],
-    records: Sequence[Record],
-    figures: Figures,
-    provenance: RunDescription,
-    suspects: Table | None,
-    by_rule: Table | None,
-    comparison: Comparison | None,
-) -> Iterator[Section]:
-    if suspects is not None:
-        yield Section(
-            "suspects", "Suspects", "Rules that were under suspicion before the audit.", (suspects,)
-        )
+def _sections(audit: Audit, description: RunDescription) -> Iterator[Section]:
+    rows, figures, comparison = audit.results.rows, audit.figures, audit.comparison
+    lead = "Rules that were under suspicion before the audit."
+    yield Section("suspects", "Suspects", lead, (suspects_table(audit.results.suspects),))
     yield Section(
         "matrix",
         "Rules against physics",
@@ -133,7 +106,7 @@ def _sections(
         yield paired_section(comparison)
     found = verdict_counts(rows)
     if found[Judgement.UNSOUND]:
-        yield unsound_section(rows, by_rule)
+        yield unsound_section(rows, corrections_table(audit.corrections))
     if found[Judgement.CONSERVATIVE]:
         yield conservative_section(rows)
     yield Section(
@@ -144,7 +117,7 @@ def _sections(
             agreement_table(rows, judgement, note) for judgement, note in _NOTES.items() if found[judgement]
         ),
     )
-    legal = [attempt for attempt in attempts_of(carried_out(records)) if attempt["legal"]]
+    legal = [attempt for attempt in attempts_of(carried_out(audit.judged)) if attempt["legal"]]
     yield Section(
         "errors",
         "Errors and durations",
@@ -157,4 +130,4 @@ def _sections(
             duration_rows(figures.durations),
         ),
     )
-    yield provenance_section(provenance)
+    yield provenance_section(description)

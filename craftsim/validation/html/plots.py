@@ -106,7 +106,7 @@ def errors_plot(attempts: Iterable[AttemptRecord]) -> Plot:
         ("car_error_m", "car", ACCENT),
         ("placed_error_m", "what is placed", GOOD),
         ("height_error_m", "height", CAUTION),
-        ("others_moved_m", "others moved", SOFT),
+        ("bystander_displacement_m", "others moved", SOFT),
     )
     with canvas(_WIDTH_IN, 2.9, "distribution of errors") as drawing:
         axes = drawing.axes

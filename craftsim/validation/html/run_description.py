@@ -22,6 +22,18 @@ class RunDescription:
     """Limits that were set before the run, by name, with units in the names."""
     versions: Mapping[str, str] = field(default_factory=versions)
 
+    @classmethod
+    def of(cls, command: str, seed: int, config: Mapping[str, Any]) -> RunDescription:
+        """Return the description of a run by its configuration, the ``setup`` of the physics included."""
+        setup = config["setup"]
+        brief = {key: value for key, value in config.items() if key != "setup"}
+        return cls(
+            command,
+            seed,
+            plain(brief | {"gains": setup.gains, "machines": setup.machines}),
+            plain(setup.thresholds),
+        )
+
 
 def provenance_section(provenance: RunDescription) -> Section:
     """Return the section that tells thresholds, seed, versions and configuration."""

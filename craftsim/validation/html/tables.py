@@ -33,7 +33,7 @@ _PRECISION: Final = {
     "heading_error_mrad": "car's heading, mrad",
     "height_error_mm": "car's height, mm",
     "placed_error_mm": "place of what is set down, mm",
-    "others_moved_mm": "movement of anything else, mm",
+    "bystander_displacement_mm": "movement of anything else, mm",
     "duration_error_s": "duration against the median of its kind, s",
     "peak_force_n": "peak contact force, N (all attempts)",
 }

@@ -44,34 +44,23 @@ from craftsim.validation.statistics.figures import Figures
 from craftsim.validation.statistics.paired import Comparison
 from craftsim.validation.statistics.ranking import Estimate, RankAgreement
 from craftsim.validation.statistics.records import Record, as_predicted, attempts_of, carried_out
+from craftsim.validation.validation import Validation
 
 
-def validate_page(
-    records: Sequence[Record],
-    figures: Figures,
-    provenance: RunDescription,
-    subject: str,
-    comparison: Comparison | None = None,
-) -> Page:
-    """Return the page of a validation.
-
-    Args:
-        records: all records of the campaign.
-        figures: what :func:`~craftsim.validation.statistics.figures.campaign_figures` says of them.
-        provenance: what decides the figures.
-        subject: what was validated, such as the names of blueprints and plans.
-        comparison: with an earlier run, where there is one.
-    """
+def validate_page(result: Validation, command: str) -> Page:
+    """Return the page of a validation; ``command`` is how it can be run again."""
+    figures = result.figures
+    description = RunDescription.of(command, result.seed, result.config)
     return Page(
         "Validation in physics",
-        subject,
-        _headline(figures),
+        f"{', '.join(result.config['worlds'])}: {', '.join(result.config['by'])}",
+        _headline(figures, result.records),
         tuple(_key_figures(figures)),
-        tuple(_sections(records, figures, provenance, comparison)),
+        tuple(_sections(result.records, figures, description, result.comparison)),
     )
 
 
-def _headline(figures: Figures) -> Headline:
+def _headline(figures: Figures, records: Sequence[Record]) -> Headline:
     actions = figures.matrix.legal
     runs = figures.all.runs
     missed = actions.trials - actions.as_predicted
@@ -82,6 +71,10 @@ def _headline(figures: Figures) -> Headline:
     if runs.successes == runs.trials:
         sentence = f"All {count(runs.trials, 'run')} did in physics what the rules predict."
         return Headline("Agrees", Tone.CAUTION if errors else Tone.GOOD, sentence + lost)
+    asked = sum(any(not a["legal"] for a in record["attempts"]) for record in records)
+    lost += f" {count(asked, 'run')} asked for what the rules forbid, which was not tried." if asked else ""
+    if not missed:
+        return Headline("Forbidden by the rules", Tone.CAUTION, "All that was tried did as predicted." + lost)
     sentence = (
         f"In {runs.trials - runs.successes:,} of {count(runs.trials, 'run')} physics disagrees with the rules; "
         f"of {count(actions.trials, 'action')} that the rules allow, {missed:,} did not do what they predict."

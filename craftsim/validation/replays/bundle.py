@@ -6,11 +6,9 @@ contacts, and the scene as MJCF for people. Nothing in it is code: text, and Num
 
 from __future__ import annotations
 
-import shutil
 import zipfile
 import zlib
 from dataclasses import dataclass, fields
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final
 
@@ -19,16 +17,15 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_run import CheckedSite
-from craftsim.checking.recipe import Recipe, do_last, run_up
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.recipe import Recipe, do, run_up
 from craftsim.discrete.errors import InputError
-from craftsim.models.composition import compose
-from craftsim.models.placement import placements
 from craftsim.models.randomization import Nominal
+from craftsim.models.scene import write_scene
 from craftsim.models.site import Site
 from craftsim.report import output_directory, versions
 
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 """Raised whenever something in a bundle changes its meaning or goes away."""
 
 TEXT: Final = "bundle.json"
@@ -53,10 +50,6 @@ class Bundle:
     recipe: Recipe
     attempts: tuple[Attempt, ...]
     """What came of the last step, for each of its actions."""
-    predicted: tuple[str, ...]
-    """The acting cars as the rules predict them, parallel to the attempts."""
-    read: tuple[str, ...]
-    """The acting cars as their poses read."""
     start_s: float
     """Simulated time at which the last step began."""
     end_s: float
@@ -115,17 +108,15 @@ def write_bundle(
     """
     checked = run_up(recipe)
     before, start_s = state_of(checked.site), checked.site.time_s
-    done = do_last(checked, recipe)
-    if attempts is not None and attempts != done.attempts:
-        raise ReplayError(f"{key} came out otherwise when it was done again: {done.attempts} for {attempts}")
+    again = do(checked, recipe.steps[-1])
+    if attempts is not None and attempts != again:
+        raise ReplayError(f"{key} came out otherwise when it was re-run: {again} for {attempts}")
     bundle = Bundle(
         schema_version=SCHEMA_VERSION,
         key=key,
         versions=versions(),
         recipe=recipe,
-        attempts=done.attempts,
-        predicted=tuple(record.predicted for record in done.records),
-        read=tuple(record.read for record in done.records),
+        attempts=again,
         start_s=start_s,
         end_s=checked.site.time_s,
     )
@@ -150,20 +141,12 @@ def _write(folder: Path, bundle: Bundle, checked: CheckedSite, before: Arrays) -
         (AFTER, state_of(checked.site)),
     ):
         np.savez_compressed(folder / name, allow_pickle=False, **arrays)
+    assert checked.log is not None
     checked.log.write(folder / CONTACTS)
-    _write_scene(folder / SCENE, bundle.recipe)
+    recipe = bundle.recipe
+    write_scene(folder / SCENE, recipe.grid, recipe.setup.simulation, recipe.goals, recipe.setup.machines)
     # Written last, so that a folder with this file is a whole bundle.
     (folder / TEXT).write_bytes(_BUNDLE.dump_json(bundle, indent=1) + b"\n")
-
-
-def _write_scene(folder: Path, recipe: Recipe) -> None:
-    """Write the nominal scene as MJCF that opens in the MuJoCo viewer, beside its meshes."""
-    grid = recipe.grid()
-    spec, _ = compose(grid, placements(grid), recipe.settings.simulation, recipe.goals)
-    spec.compile()
-    with as_file(files("craftsim.mjcf") / "meshes") as meshes:
-        shutil.copytree(meshes, folder / "meshes", dirs_exist_ok=True)
-    (folder / "site.xml").write_text(spec.to_xml(), encoding="utf-8")
 
 
 def read_bundle(folder: Path) -> Recorded:

@@ -1,4 +1,4 @@
-"""Doing again what a replay bundle shows, and telling whether it is the same."""
+"""Re-running what a replay bundle shows, and comparing the two."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.recipe import do_last, run_up
+from craftsim.checking.recipe import do, run_up
 from craftsim.discrete.errors import InputError
 from craftsim.models.site import Site
 from craftsim.report import versions
@@ -31,7 +31,7 @@ Watch = Callable[[Site], AbstractContextManager[Observer | None]]
 
 @dataclass(frozen=True)
 class Replay:
-    """A bundle's last step, done again."""
+    """A bundle's last step, re-run."""
 
     changed: dict[str, tuple[str, str]]
     """Versions that decide and differ: (the bundle's, this one)."""
@@ -59,7 +59,7 @@ def unwatched(site: Site) -> AbstractContextManager[None]:
 
 
 def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
-    """Do again what a bundle shows, and compare.
+    """Re-run what a bundle shows, and compare.
 
     Raises InputError for a bundle whose recipe makes no world, or whose arrays are of another one.
     """
@@ -70,14 +70,14 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
     with watch(site) as observer:
         if observer is not None:
             checked.executor.observers.append(observer)
-        done = do_last(checked, bundle.recipe)
+        attempts = do(checked, bundle.recipe.steps[-1])
         after = state_of(site)  # a film goes on
     parts.append((AFTER, recorded.after, after))
     differing: list[str] = []
     for file, was, now in parts:
         _check_shapes(f"{recorded.folder / file}", was, now)
         differing += [f"{file}: {name}" for name in now if was[name].tobytes() != now[name].tobytes()]
-    if bundle.attempts != done.attempts:
+    if bundle.attempts != attempts:
         differing.append("the attempts")
     position_m, angle_rad = _apart(site.model, recorded.after["qpos"], after["qpos"])
     return Replay(
@@ -85,9 +85,9 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
         differing=tuple(differing),
         position_m=position_m,
         angle_rad=angle_rad,
-        attempts=done.attempts,
+        attempts=attempts,
         same_results=[(a.result, a.finding) for a in bundle.attempts]
-        == [(a.result, a.finding) for a in done.attempts],
+        == [(a.result, a.finding) for a in attempts],
     )
 
 

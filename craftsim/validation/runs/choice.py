@@ -1,25 +1,36 @@
-"""What a validation runs: blueprints, and what tells their cars what to do."""
+"""What a validation runs: worlds, and the plans, lists of actions or policies that say what their cars do."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from craftsim.checking.recipe import Step
 from craftsim.discrete.errors import InputError
-from craftsim.discrete.files.plan import read_actions, read_plan, shipped_plan
-from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.files.plan import Plan, read_actions, read_plan, shipped_plan
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.validation.campaign import Item
-from craftsim.validation.runs.policies import policy_digest
-from craftsim.validation.runs.run import Run, Terms, read_task
+from craftsim.validation.runs.policies import RANDOM, Policy, policy_digest
+from craftsim.validation.runs.random_worlds import RandomWorlds
+from craftsim.validation.runs.run import Run, Terms
 
 PLANNER: Final = "planner"
 """The policy that carries out the shipped plans."""
 SHIPPED: Final = "shipped"
 """Stands for the digest of what belongs to a version of craftsim."""
+
+PlanOrder = Literal["sequential", "ticks", "concurrent"]
+"""How a plan is carried out: one action after the other; tick after tick, all cars of one at the same time; or each
+action as early as those that it depends on have ended."""
+
+World = Task | Grid | RandomWorlds | str | Path
+"""A task, a start without a goal, or what names one: a task's name, a file, ``module:factory``, or ``random``."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +38,7 @@ class Subject:
     """A world to run in."""
 
     name: str
-    place: str
-    """Name of a shipped task, or path of a blueprint."""
+    world: Task | str | RandomWorlds
     digest: str
     n_cars: int
 
@@ -42,49 +52,81 @@ class Pilot:
     """Of the files that it is made of, so that a changed one is noticed."""
     plans: Mapping[str, tuple[Step, ...]] = field(default_factory=dict)
     """By subject; a policy has none."""
-    policy: str = ""
+    policy: str | Policy = ""
 
 
-def subjects_of(blueprints: Sequence[str]) -> list[Subject]:
-    """Return the subjects that paths of blueprints or names of tasks stand for.
+def subjects_of(worlds: Iterable[World], random_worlds: RandomWorlds | None = None) -> list[Subject]:
+    """Return the subjects that worlds, or names of them, stand for; ``random`` stands for ``random_worlds``.
 
-    Raises InputError for a file that is no blueprint, and for two of one name.
+    Raises InputError for what names no world, and for two of one name.
     """
     found: dict[str, Subject] = {}
-    for text in blueprints:
-        shipped = text in TASK_NAMES
-        place = text if shipped else str(Path(text).resolve())
-        name = text if shipped else Path(text).stem
-        if name in found:
+    for world in worlds:
+        one = _subject(world, random_worlds or RandomWorlds())
+        if one.name in found:
             raise InputError(
-                f"two blueprints are called '{name}'; rename one, or run them one after the other"
+                f"two worlds are called '{one.name}'; rename one, or run them one after the other"
             )
-        n_cars = read_task(place).layout.n_cars
-        found[name] = Subject(name, place, SHIPPED if shipped else _digest(Path(text)), n_cars)
+        found[one.name] = one
     return list(found.values())
 
 
-def plan_pilot(path: Path, subject: Subject) -> Pilot:
-    """Return what carries out a plan file; raise PlanError for one that does not fit."""
-    return Pilot(path.stem, _digest(path), {subject.name: _steps(path, subject)})
+def _subject(world: World, random_worlds: RandomWorlds) -> Subject:
+    if isinstance(world, str) and world == RANDOM:
+        world = random_worlds
+    if isinstance(world, RandomWorlds):
+        return Subject(RANDOM, world, _digest(repr(world).encode()), world.n_cars)
+    if isinstance(world, Grid):
+        world = free_play("grid", parse_blueprint(blueprint_text(world), "grid"))
+    if isinstance(world, Task):
+        return Subject(world.name, world, world.digest, world.layout.n_cars)
+    name = str(Path(world).resolve()) if Path(world).exists() and world not in TASK_NAMES else str(world)
+    task = as_task(name)
+    digest = SHIPPED if name in TASK_NAMES else task.digest
+    return Subject(task.name, name, digest, task.layout.n_cars)
+
+
+def steps_of(plan: Plan, order: PlanOrder) -> tuple[Step, ...]:
+    """Return the steps in which a plan is carried out."""
+    if order == "concurrent":
+        return (Step.joint(0, *plan.ticks),)
+    numbered = [(tick, joint) for tick, joint in enumerate(plan.ticks) if joint]
+    if order == "ticks":
+        return tuple(Step.joint(tick, joint) for tick, joint in numbered)
+    return tuple(Step.single(tick, *act) for tick, joint in numbered for act in joint)
+
+
+def plan_pilot(plan: Path | Plan, subject: Subject, order: PlanOrder) -> Pilot:
+    """Return what carries out a plan; raise PlanError for one that does not fit."""
+    read = plan if isinstance(plan, Plan) else read_plan(plan, subject.n_cars)
+    return _pilot(read, {subject.name: steps_of(read, order)})
 
 
 def actions_pilot(path: Path, subject: Subject) -> Pilot:
     """Return what tries a file's actions one after the other; raise PlanError for one that does not fit."""
-    ticks = read_actions(path, subject.n_cars).ticks
-    steps = tuple(Step.single(tick, *joint[0]) for tick, joint in enumerate(ticks))
-    return Pilot(path.stem, _digest(path), {subject.name: steps})
+    read = read_actions(path, subject.n_cars)
+    return _pilot(read, {subject.name: steps_of(read, "sequential")})
 
 
-def policy_pilot(policy: str, subjects: Sequence[Subject]) -> Pilot:
+def _pilot(plan: Plan, steps: Mapping[str, tuple[Step, ...]]) -> Pilot:
+    return Pilot(plan.path.stem, _digest(repr(plan.ticks).encode()), steps)
+
+
+def policy_pilot(policy: str | Policy, subjects: Sequence[Subject], order: PlanOrder) -> Pilot:
     """Return what does as a policy says; raise InputError where there is no such policy."""
+    if not isinstance(policy, str):
+        name = getattr(policy, "__name__", type(policy).__name__)
+        return Pilot(name, _digest(name.encode()), policy=policy)
     if policy != PLANNER:
         place = str(Path(policy).resolve()) if Path(policy).exists() else policy
         return Pilot(policy, policy_digest(place), policy=place)
     for subject in subjects:
-        if subject.place not in TASK_NAMES:
-            raise InputError(f"there is no shipped plan for {subject.place}; give one with --plan")
-    return Pilot(PLANNER, SHIPPED, {s.name: _steps(shipped_plan(s.name), s) for s in subjects})
+        if subject.world not in TASK_NAMES:
+            raise InputError(
+                f"there is no shipped plan for {subject.name}; give one with --plan, or a --policy"
+            )
+    plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars), order) for s in subjects}
+    return Pilot(PLANNER, SHIPPED, plans)
 
 
 def items_of(
@@ -95,14 +137,9 @@ def items_of(
         for subject in subjects:
             for pilot in pilots:
                 key = f"{subject.name}/{pilot.name}/{episode:04d}"
-                run = Run(key, subject.place, pilot.plans.get(subject.name), pilot.policy, episode, terms)
+                run = Run(key, subject.world, pilot.plans.get(subject.name), pilot.policy, episode, terms)
                 yield Item(key, pilot.name, terms.seed, run, subject.name, episode)
 
 
-def _steps(path: Path, subject: Subject) -> tuple[Step, ...]:
-    ticks = read_plan(path, subject.n_cars).ticks
-    return tuple(Step.joint(tick, list(joint)) for tick, joint in enumerate(ticks) if joint)
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -12,7 +12,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
+from craftsim.discrete.tasks import Task
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` and ``action_mask`` (docs/envs.md)."""
@@ -23,8 +25,20 @@ Policy = Callable[[Observations], dict[str, int]]
 RANDOM: Final = "random"
 
 
+_WEIGHTS: Final = {
+    Action.STOP: 0.05,
+    Action.ROTATE_LEFT: 0.3,
+    Action.ROTATE_RIGHT: 0.3,
+    Action.FOLD: 0.15,
+    Action.UNFOLD: 0.15,
+    Action.LIFT: 2.0,
+    Action.DROP: 0.6,
+}
+"""How much likelier an action is drawn than a move, so that cars do not turn on the spot all the time."""
+
+
 class RandomPolicy:
-    """Draws each car one of the actions that it is offered, all with equal chances."""
+    """Draws each car one of the actions that it is offered, those that handle things more often than turns."""
 
     def __init__(self, seed: int) -> None:
         """Draw from a seed."""
@@ -32,28 +46,34 @@ class RandomPolicy:
 
     def __call__(self, observations: Observations) -> dict[str, int]:
         """Return one action for each agent."""
-        return {
-            agent: int(self._rng.choice(np.flatnonzero(seen["action_mask"])))
-            for agent, seen in observations.items()
-        }
+        drawn = {}
+        for agent, seen in observations.items():
+            offered = np.flatnonzero(seen["action_mask"]).tolist()
+            weights = np.array([_WEIGHTS.get(Action(action), 1.0) for action in offered])
+            drawn[agent] = int(self._rng.choice(offered, p=weights / weights.sum()))
+        return drawn
 
 
-def make_policy(name: str, seed: int) -> Policy:
+def make_policy(name: str, seed: int, task: Task | None = None) -> Policy:
     """Return a policy.
 
     Args:
         name: ``random``; ``module:function``; or what ``craftsim train`` wrote, a file or its folder.
         seed: of the random policy; the others draw nothing that their observations do not decide.
+        task: what it is to play; a trained policy refuses another task than its own.
 
     Raises:
-        InputError: there is no such policy.
+        InputError: there is no such policy, or it is one for another task.
     """
     if name == RANDOM:
         return RandomPolicy(seed)
     if Path(name).exists():
         from craftsim.training.policy import load_policy
 
-        return load_policy(name)
+        policy = load_policy(name)
+        if task is not None:
+            policy.check_task(task)
+        return policy
     return _function(name)
 
 

@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from craftsim.checking.attempt import Attempt, Result, attempt_of
-from craftsim.checking.recipe import Recipe, Seed, Step
-from craftsim.checking.settings import TrialSettings
+from craftsim.checking.episode import UNWATCHED, Episode, Watch
+from craftsim.checking.recipe import Recipe, Step, do
+from craftsim.checking.settings import Setup
+from craftsim.checking.world import Seed, set_up
 from craftsim.discrete.actions import Action
-from craftsim.discrete.files.blueprint import read_blueprint
+from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
-from craftsim.discrete.tasks.measures import Complexity
-from craftsim.discrete.tasks.rewards import Reward
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import Task, as_task
 from craftsim.envs.core import Options
 from craftsim.envs.parallel import ParallelConstruction
+from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.validation.campaign import Done
 from craftsim.validation.replays.bundle import write_bundle
-from craftsim.validation.runs.backend import CheckedBackend
 from craftsim.validation.runs.policies import Policy, make_policy
+from craftsim.validation.runs.random_worlds import RandomWorlds
 
 BUNDLES: Final = "bundles"
 
@@ -35,10 +35,9 @@ class Terms:
     """What all runs of a validation have in common."""
 
     seed: int
-    settings: TrialSettings
-    rules: RuleSet
-    out: Path
-    """Folder of the campaign."""
+    setup: Setup
+    out: Path | None = None
+    """Folder of the campaign, where bundles go."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +45,11 @@ class Run:
     """What to run; goes to a worker."""
 
     key: str
-    place: str
-    """Name of a shipped task, or path of a blueprint."""
-    plan: tuple[Step, ...] | None
+    world: Task | str | RandomWorlds
+    """A task, what names one, or worlds of which each episode draws its own."""
+    steps: tuple[Step, ...] | None
     """What to do, whatever comes of it; None asks the policy."""
-    policy: str
+    policy: str | Policy
     episode: int
     """Decides, with the seed, all that is drawn; the same for all plans and policies, so that they can be compared."""
     terms: Terms
@@ -61,120 +60,125 @@ class Run:
         return re.sub(r"[^\w.-]+", "-", self.key)
 
 
-@dataclass(frozen=True)
-class _Seeds:
-    """What the parts of a run are drawn from."""
+@dataclass
+class _Drawn:
+    """The start of a run, and the seeds of all else that is drawn."""
 
-    world: int
-    """The start, and the orders in which the cars act."""
+    task: Task
+    grid: Grid
     policy: int
+    world: int
+    """Seed of the environment that starts the same."""
     physics: Seed
-    sensors: Seed
 
     @classmethod
-    def of(cls, run: Run) -> _Seeds:
-        world, policy, physics, sensors = np.random.SeedSequence([run.terms.seed, run.episode]).spawn(4)
-        world_number, policy_number = (int(s.generate_state(1)[0]) for s in (world, policy))
-        return cls(world_number, policy_number, Seed.of(physics), Seed.of(sensors))
-
-
-def read_task(place: str) -> Task:
-    """Return a shipped task by its name, or one without a goal around a blueprint of one's own.
-
-    Raises BlueprintError for a file that is none.
-    """
-    if place in TASK_NAMES:
-        return make_task(place)
-    blueprint = read_blueprint(Path(place))
-    return Task(
-        name=blueprint.path.stem,
-        starts=(blueprint,),
-        reward=Reward(Complexity()),
-        success=lambda grid: False,
-        ends_on_success=False,
-    )
+    def of(cls, run: Run) -> _Drawn:
+        world, policy = np.random.SeedSequence([run.terms.seed, run.episode]).spawn(2)
+        number, policy_number = (int(s.generate_state(1)[0]) for s in (world, policy))
+        # As an environment spawns them from the same seed.
+        start, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(number).spawn(2))
+        task = (
+            run.world.task(np.random.default_rng(number))
+            if isinstance(run.world, RandomWorlds)
+            else as_task(run.world)
+        )
+        return cls(task, task.draw(start), policy_number, number, Seed.drawn(physics))
 
 
 def do_run(run: Run) -> Done:
     """Run in physics, and by the rules alone; write the bundle of the first disagreement, if there is one."""
-    task, seeds, terms = read_task(run.place), _Seeds.of(run), run.terms
-    backend = CheckedBackend(_start(run, task, seeds))
-    if run.plan is not None:
-        reached = _follow(run.plan, task, backend)
-        by_rules = _predict(run.plan, task, seeds, terms.rules)
-    else:
-        options = Options("grid", rule_set=terms.rules)
-        reached = _play(task, options, run.policy, seeds, backend)
-        by_rules = _play(task, options, run.policy, seeds)
-    steps = [[attempt_of(record, terms.settings.thresholds) for record in step] for step in backend.records]
-    # What a policy asks for and the rules forbid at the car's turn does nothing in either world.
-    attempts = [a for step in steps for a in step if a.legal or run.plan is not None]
-    extra: dict[str, Any] = {"ticks": len(steps), "forbidden": sum(not a.legal for s in steps for a in s)}
-    if run.place in TASK_NAMES:
-        extra |= {"grid_success": by_rules, "physics_success": reached}
+    episode = run_episode(run)
+    extra: dict[str, Any] = {
+        "ticks": episode.n_ticks,
+        "forbidden": len(episode.forbidden),
+        "makespan_s": episode.makespan_s,
+    }
+    if episode.reached is not None:
+        extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
     return Done(
-        agrees=all(a.result == Result.AS_PREDICTED for a in attempts),
-        attempts=attempts,
-        bundle=_bundle(run, backend.recipe, steps),
+        agrees=episode.agrees and (run.steps is None or not episode.forbidden),
+        # What a policy asks for and the rules forbid at the car's turn does nothing in either world.
+        attempts=[a for a in episode.attempts if a.legal or run.steps is not None],
+        bundle=_bundle(run, episode),
         extra=extra,
     )
 
 
-def start_recipe(run: Run) -> Recipe:
-    """Return the recipe of a run's start."""
-    return _start(run, read_task(run.place), _Seeds.of(run))
+def run_episode(run: Run, watch: Watch = UNWATCHED) -> Episode:
+    """Run in physics, and by the rules alone."""
+    drawn = _Drawn.of(run)
+    if run.steps is None:
+        return _play(run, drawn, watch)
+    return _follow(run, drawn, run.steps, watch)
 
 
-def _start(run: Run, task: Task, seeds: _Seeds) -> Recipe:
-    recipe = Recipe.of(_draw(task, seeds), (), run.terms.settings)
-    return replace(recipe, rules=run.terms.rules, physics=seeds.physics, sensors=seeds.sensors)
+def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: Watch) -> Episode:
+    """Carry out a plan, each step from what was read before it."""
+    task, setup = drawn.task, run.terms.setup
+    recipe = Recipe(blueprint_text(drawn.grid), (), setup, drawn.physics, tuple(task.goal_cells))
+    checked = set_up(drawn.grid, setup, drawn.physics, recipe.goals)
+    watch.begin(checked)
+    found = []
+    for step in steps:
+        recipe = recipe.then(step)
+        found.append(do(checked, step))
+        watch.on_attempts(found[-1])
+        if checked.problems:
+            break
+    reached = by_rules = None
+    if task.has_goal:
+        reached = not checked.problems and task.succeeded(checked.grid)
+        by_rules = task.succeeded(_predict(steps, drawn.grid, Rules(setup.rules)))
+    return Episode(recipe, tuple(found), reached, by_rules, checked.site.time_s, checked.problems)
 
 
-def _draw(task: Task, seeds: _Seeds) -> Grid:
-    """Return the start that an environment draws from the same seed."""
-    return task.draw(np.random.default_rng(np.random.SeedSequence(seeds.world).spawn(2)[0]))
+def _predict(steps: Sequence[Step], grid: Grid, rules: Rules) -> Grid:
+    """Return the world to which the rules alone lead."""
+    for act in (act for step in steps for act in step.acts):
+        action = Action[act.action]
+        if rules.legal(grid, act.car, action):
+            grid = rules.apply(grid, act.car, action)
+    return grid
 
 
-def _follow(plan: Sequence[Step], task: Task, backend: CheckedBackend) -> bool:
-    """Carry out a plan, each step from what was read before it; return whether the goal is reached."""
-    for step in plan:
-        backend.perform(step)
-        if backend.problems:
-            return False
-    return task.succeeded(backend.grid)
+def _play(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
+    """Let a policy play an episode in physics, and one by the rules alone."""
+    task, setup = drawn.task, run.terms.setup
+    backend = PhysicsBackend(setup, None, task.goal_cells, watch_contacts=True)
+    reached = _rollout(run, drawn, backend, watch)
+    by_rules = _rollout(run, drawn, None, UNWATCHED) if task.has_goal else None
+    checked = backend.checked
+    return Episode(
+        backend.recipe,
+        tuple(backend.ticks),
+        reached if task.has_goal else None,
+        by_rules,
+        checked.site.time_s,
+        checked.problems,
+    )
 
 
-def _predict(plan: Sequence[Step], task: Task, seeds: _Seeds, rules: RuleSet) -> bool:
-    """Return whether a plan reaches the goal by the rules alone."""
-    by_rules, grid = Rules(rules), _draw(task, seeds)
-    for step in plan:
-        for act in step.acts:
-            action = Action[act.action]
-            if by_rules.legal(grid, act.car, action):
-                grid = by_rules.apply(grid, act.car, action)
-    return task.succeeded(grid)
-
-
-def _play(
-    task: Task, options: Options, policy_name: str, seeds: _Seeds, backend: CheckedBackend | None = None
-) -> bool:
-    """Let a policy play an episode; return whether it ends in success."""
-    policy: Policy = make_policy(policy_name, seeds.policy)
-    env = ParallelConstruction(task, options, backend)
-    observations, _ = env.reset(seed=seeds.world)
+def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: Watch) -> bool:
+    """Play an episode; return whether it ends in success."""
+    policy = make_policy(run.policy, drawn.policy, drawn.task) if isinstance(run.policy, str) else run.policy
+    env = ParallelConstruction(drawn.task, Options("grid", rule_set=run.terms.setup.rules), backend)
+    observations, _ = env.reset(seed=drawn.world)
+    if backend is not None:
+        watch.begin(backend.checked)
     success = False
     while env.agents:
         observations, _, _, _, infos = env.step(policy(observations))
         success = all(info["success"] for info in infos.values())
+        if backend is not None:
+            watch.on_attempts(backend.ticks[-1])
     return success
 
 
-def _bundle(run: Run, recipe: Recipe, steps: Sequence[Sequence[Attempt]]) -> str | None:
+def _bundle(run: Run, episode: Episode) -> str | None:
     """Write the bundle of the first step in which something allowed did not go as predicted; return its folder."""
-    for number, attempts in enumerate(steps, start=1):
-        if any(a.legal and a.result != Result.AS_PREDICTED for a in attempts):
-            folder = f"{BUNDLES}/{run.file_name}"
-            until = replace(recipe, steps=recipe.steps[:number])
-            write_bundle(run.terms.out / folder, run.key, until, tuple(attempts))
-            return folder
-    return None
+    number = episode.first_disagreement
+    if number is None or run.terms.out is None:
+        return None
+    folder = f"{BUNDLES}/{run.file_name}"
+    write_bundle(run.terms.out / folder, run.key, episode.until(number), episode.steps[number])
+    return folder

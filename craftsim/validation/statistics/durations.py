@@ -85,7 +85,7 @@ def write_durations(out: Path, table: Sequence[Duration]) -> Path:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_COLUMNS)
-        writer.writerows(astuple(row) for row in table)
+        writer.writerows([round(v, 4) if isinstance(v, float) else v for v in astuple(row)] for row in table)
     return path
 
 

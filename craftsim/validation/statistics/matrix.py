@@ -46,5 +46,5 @@ def legality_matrix(attempts: Iterable[AttemptRecord]) -> LegalityMatrix:
     known = list(attempts)
     return LegalityMatrix(
         MatrixRow.of(attempt for attempt in known if attempt["legal"]),
-        MatrixRow.of(attempt for attempt in known if not attempt["legal"]),
+        MatrixRow.of(attempt for attempt in known if not attempt["legal"] and attempt["performed"]),
     )

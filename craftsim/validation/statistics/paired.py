@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from craftsim.validation.campaign import FinishedCampaign
-from craftsim.validation.campaign.store import differences
+from craftsim.discrete.errors import InputError
+from craftsim.validation.campaign import FinishedCampaign, Item, read_finished
+from craftsim.validation.campaign.store import CAMPAIGN, differences, read_header
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import Record, carried_out
 
@@ -44,13 +46,53 @@ class Comparison:
     trials: Paired
     """The earlier run is the first."""
 
+    def __str__(self) -> str:
+        trials = self.trials
+        return (
+            f"Against {self.against}: of {trials.pairs} paired trials {trials.both} agree with the rules in both, "
+            f"{trials.only_first} only there, {trials.only_second} only here, {trials.neither} in neither; "
+            f"McNemar's exact test: p = {trials.p_value:.3g}."
+        )
 
-def compare_runs(earlier: FinishedCampaign, now: FinishedCampaign) -> Comparison:
-    """Return how a run compares with an earlier one of the same seed."""
-    before, after = ({key: run.header.get(key) for key in ("config", "versions")} for run in (earlier, now))
-    return Comparison(
-        str(earlier.folder), dict(differences(before, after)), compare_paired(earlier.records, now.records)
-    )
+
+@dataclass(frozen=True)
+class Earlier:
+    """A finished campaign, to be compared with one of the same trials under other settings."""
+
+    campaign: FinishedCampaign
+
+    @classmethod
+    def read(cls, folder: Path, command: str, out: Path | None, seed: int, items: Sequence[Item]) -> Earlier:
+        """Read the campaign that a command left in a folder; call this before the other one begins in ``out``.
+
+        Raises InputError where the folder holds none, or none that has pairs with the items to be tried.
+        """
+        if out is not None and folder.resolve() == out.resolve():
+            raise InputError(f"--against {folder} is the folder of this run; choose another --out")
+        found = read_finished(folder, command)
+        if (other := found.header.get("seed")) != seed:
+            raise InputError(
+                f"the campaign in {folder} has the seed {other}, not {seed}, so that nothing is paired; "
+                f"give --seed {other}"
+            )
+        if not {item.key for item in items} & {record["key"] for record in found.records}:
+            raise InputError(
+                f"the campaign in {folder} has no trial in common with this one, so there are no pairs to compare; "
+                "run both with the same contexts, worlds, plans or policies"
+            )
+        return cls(found)
+
+    def compare(
+        self, out: Path, records: list[Record], chosen: Callable[[list[Record]], list[Record]] = list
+    ) -> Comparison:
+        """Return how the records of the campaign that has ended in ``out`` compare; ``chosen`` says which count."""
+        header = read_header(out / CAMPAIGN)
+        before, after = (
+            {key: h.get(key) for key in ("config", "versions")} for h in (self.campaign.header, header)
+        )
+        first, second = chosen(self.campaign.records), chosen(records)
+        changed = dict(differences(before, after))
+        return Comparison(str(self.campaign.folder), changed, compare_paired(first, second))
 
 
 def compare_paired(first: Iterable[Record], second: Iterable[Record]) -> Paired:

@@ -13,11 +13,12 @@ from craftsim.validation.statistics.records import AttemptRecord, as_predicted
 
 @dataclass(frozen=True)
 class Distribution:
-    """How a figure is distributed: number of values, median, 95th percentile and maximum."""
+    """How a figure is distributed: number of values, median, 95th and 99th percentile, and maximum."""
 
     n: int
     median: float
     p95: float
+    p99: float
     max: float
 
     @classmethod
@@ -26,7 +27,7 @@ class Distribution:
         known = np.fromiter(values, float)
         if not known.size:
             return None
-        return cls(known.size, *(float(q) for q in np.quantile(known, (0.5, 0.95, 1.0))))
+        return cls(known.size, *(float(q) for q in np.quantile(known, (0.5, 0.95, 0.99, 1.0))))
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Precision:
     height_error_mm: Distribution | None
     placed_error_mm: Distribution | None
     """Of what was set down, folded or unfolded."""
-    others_moved_mm: Distribution | None
+    bystander_displacement_mm: Distribution | None
     """The furthest that anything moved which the action does not concern."""
     duration_error_s: Distribution | None
     """Distance of an attempt's duration from the median of its kind (verb, load, level and slope): what a planner
@@ -61,7 +62,7 @@ def precision(attempts: Iterable[AttemptRecord]) -> Precision:
         heading_error_mrad=magnitude("heading_error_rad"),
         height_error_mm=magnitude("height_error_m"),
         placed_error_mm=magnitude("placed_error_m"),
-        others_moved_mm=magnitude("others_moved_m"),
+        bystander_displacement_mm=magnitude("bystander_displacement_m"),
         duration_error_s=Distribution.of(deviations(good)),
         peak_force_n=Distribution.of(a["peak_force_n"] for a in known if a["peak_force_n"] is not None),
     )

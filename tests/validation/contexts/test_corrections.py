@@ -106,7 +106,7 @@ def _run(world, car, action, rules) -> tuple[bool, float]:
     record = checked.perform(0, car, action)
     assert record.legal
     own_load = max((p.offset_m for p in checked.reading.objects if p.carrier == car), default=0.0)
-    return record.outcome.succeeded and record.verdict.agrees, max(record.others_moved_m, own_load)
+    return record.outcome.succeeded and record.verdict.agrees, max(record.bystander_displacement_m, own_load)
 
 
 def _actions(action):

@@ -105,5 +105,5 @@ def test_in_physics_every_action_keeps_the_bands(built):
         assert record.car_error_m <= 1e-3, where
         assert abs(record.car_heading_error_rad) <= 3e-3, where
         assert (record.placed_error_m or 0.0) <= 2e-3, where
-        assert record.others_moved_m <= 1e-3, where
+        assert record.bystander_displacement_m <= 1e-3, where
     assert max(placed.offset_m for placed in built.run.final.objects) <= 2e-3

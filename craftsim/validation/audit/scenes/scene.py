@@ -70,7 +70,7 @@ class Scene:
     def step(self, legal: bool) -> Step:
         """Return what is to be done; a forbidden action goes with its intended world."""
         if self.order is not None:
-            return Step.joint(0, list(enumerate(self.actions)), self.order)
+            return Step.joint(0, list(enumerate(self.actions)), order=self.order)
         goal = None if legal else intended(self.world(), 0, self.actions[0])
         return Step.single(0, 0, self.actions[0], goal)
 

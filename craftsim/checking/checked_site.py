@@ -1,0 +1,264 @@
+"""A Site whose every action is predicted by the rules, performed by skills, read from poses, and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from craftsim.checking.attempt import Attempt, Evidence, judge
+from craftsim.checking.contact_log import ContactLog, speed_m_s
+from craftsim.checking.safety import hazards, is_unsafe
+from craftsim.checking.settings import Thresholds
+from craftsim.checking.unexpected import handled, unexpected_contacts
+from craftsim.discrete.actions import Action
+from craftsim.discrete.footprint import Footprint
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.readback import Poses, Reading, read_grid
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import Order, Schedule, ScheduledAction, make_schedule
+from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, own_differences
+from craftsim.models.sensing import read_poses
+from craftsim.skills.executor import Executor
+from craftsim.skills.outcome import Outcome
+from craftsim.skills.skill import Terrain
+
+SETTLED_M_S: Final = 0.01
+"""Below this speed a thing counts as at rest: eight times what was seen at the end of any good action."""
+SETTLE_S: Final = 1.0
+"""How long what still moves when nothing is commanded may take to come to rest before the world is read."""
+
+Joint = Sequence[tuple[int, Action]]
+"""(car, action) in acting order."""
+OnChange = Callable[[dict[int, ScheduledAction]], None]
+"""Called with the running actions by car whenever one begins or ends."""
+
+_NOWHERE: Final = Footprint(frozenset(), frozenset(), frozenset(), frozenset())
+
+
+@dataclass
+class _Running:
+    """An action on its way, with the world as it was at its start."""
+
+    index: int
+    """In the schedule."""
+    step: ScheduledAction
+    start_s: float
+    poses: Poses
+    reading: Reading
+    cars: set[int]
+    """Those that act meanwhile, its own included."""
+    handled: set[int]
+    """Objects that they handle."""
+
+
+class CheckedSite:
+    """The one judge: performs actions on a Site and returns an :class:`Attempt` for each.
+
+    Everything ends as soon as something unsafe happens: all motors stop, and the world is read as it is then. Each
+    prediction starts from what was read last.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        rules: Rules,
+        thresholds: Thresholds | None = None,
+        watch_contacts: bool = True,
+    ) -> None:
+        """Read the start from poses.
+
+        Args:
+            executor: moves the cars; nothing else may command its Site.
+            rules: predict.
+            thresholds: limits of the errors; the default ones unless given.
+            watch_contacts: False saves the contact log, 8 % of the time; then nothing is found to be unsafe.
+        """
+        self.executor, self.site, self.rules = executor, executor.site, rules
+        self.thresholds = thresholds or Thresholds()
+        self.on_change: OnChange = lambda running: None
+        self.log = ContactLog(self.site) if watch_contacts else None
+        """Since an action last began while no other ran."""
+        if self.log is not None:
+            executor.observers.append(self.log.sample)
+            executor.guard = self._unsafe
+        self._look()
+
+    @property
+    def grid(self) -> Grid:
+        """The world as it was read last."""
+        return self.reading.grid
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why the world cannot be read as a grid any more; empty when it can."""
+        broken = ("the simulation broke down",) if self.site.diverged else ()
+        return (*broken, *self.reading.problems)
+
+    def perform(self, car: int, action: Action, intended: Grid | None = None, tick: int = 0) -> Attempt:
+        """Perform one action and return what came of it.
+
+        An action that the rules forbid is performed only where ``intended`` says what it should lead to.
+        """
+        if intended is None:
+            return self.perform_tick([(car, action)], tick=tick)[0]
+        step = ScheduledAction(tick, car, action, self.grid, intended, _NOWHERE, frozenset())
+        legal = self.rules.legal(self.grid, car, action)
+        return self._perform(Schedule((step,), (), intended, ((tick, car),)), legal=legal)[0]
+
+    def perform_tick(self, joint: Joint, order: Order = "concurrent", tick: int = 0) -> tuple[Attempt, ...]:
+        """Perform one tick of many cars, each as early as ``order`` lets it; return the attempts in acting order."""
+        attempts = self.perform_plan([joint], order)
+        return tuple(replace(attempt, tick=tick) for attempt in attempts)
+
+    def perform_plan(self, ticks: Iterable[Joint], order: Order) -> tuple[Attempt, ...]:
+        """Perform the ticks of a plan as one schedule and return an attempt for each action, in their order.
+
+        A car whose action fails stops there, and what depends on it is not performed; the others finish. An action
+        whose own part reads as predicted agrees, unless nobody's part is wrong and something else is: that is then
+        held against all.
+        """
+        return self._perform(make_schedule(self.grid, ticks, self.rules, order))
+
+    def _perform(self, schedule: Schedule, legal: bool = True) -> tuple[Attempt, ...]:
+        before, steps = self.grid, schedule.steps
+        waiting = dict(enumerate(steps))
+        running: dict[int, _Running] = {}
+        evidence: dict[int, Evidence] = {}
+        settled = True
+        if self.log is not None and steps:
+            self.log.begin()
+        while True:
+            done = {index for index, found in evidence.items() if found.outcome and found.outcome.succeeded}
+            for index, step in list(waiting.items()):
+                if step.waits_for <= done and step.car not in running:
+                    running[step.car] = self._begin(index, waiting.pop(index), running)
+            self.on_change({car: one.step for car, one in running.items()})
+            if not running:
+                break
+            while not (ended := self.executor.advance()):
+                pass
+            if len(ended) == len(running):
+                settled = self._settle()
+            self._look()
+            for car, outcome in ended.items():
+                one = running.pop(car)
+                evidence[one.index] = self._measure(one, outcome, legal)
+        world = self._world_verdict(before, schedule.final, settled)
+        never = [(step, True) for step in waiting.values()]
+        never += [
+            (ScheduledAction(tick, car, action, self.grid, self.grid, _NOWHERE, frozenset()), False)
+            for tick, car, action in schedule.forbidden
+        ]
+        found = [evidence[index] for index in sorted(evidence)]
+        found += [self._measure(self._now(step), None, allowed) for step, allowed in never]
+        attempts = [judge(one, self._verdict(one, world, found), self.thresholds) for one in found]
+        place = {act: number for number, act in enumerate(schedule.acts)}
+        return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
+
+    def _begin(self, index: int, step: ScheduledAction, running: dict[int, _Running]) -> _Running:
+        if running:
+            self._look()
+        one = self._now(step, index)
+        for other in running.values():
+            other.cars |= one.cars
+            other.handled |= one.handled
+        one.cars.update(running)
+        one.handled.update(*(other.handled for other in running.values()))
+        self.executor.begin(step.car, step.action, Terrain(*step.inclines))
+        return one
+
+    def _now(self, step: ScheduledAction, index: int = -1) -> _Running:
+        about = set(handled(self.reading, step.after, step.car))
+        return _Running(index, step, self.site.time_s, self.poses, self.reading, {step.car}, about)
+
+    def _look(self) -> None:
+        self.poses: Poses = read_poses(self.site)
+        self.reading: Reading = read_grid(self.poses, self.site.size, self.site.walls)
+
+    def _unsafe(self) -> bool:
+        return self.log is not None and is_unsafe(self.log)
+
+    def _settle(self) -> bool:
+        """Wait for what still moves, unless it is unsafe, and return whether it has come to rest."""
+        for _ in range(round(SETTLE_S / self.site.config.control_period_s)):
+            if speed_m_s(self.site) <= SETTLED_M_S or self._unsafe():
+                return True
+            self.executor.advance()
+        return speed_m_s(self.site) <= SETTLED_M_S
+
+    def _measure(self, one: _Running, outcome: Outcome | None, legal: bool) -> Evidence:
+        step, car, log = one.step, one.step.car, self.log
+        placed, set_down = self.reading.cars[car], self._set_down(one)
+        moved_m, moved = self._furthest_moved(one)
+        differences = tuple(own_differences(step.before, step.after, self.grid, car))
+        contacts = () if log is None else log.contacts
+        return Evidence(
+            step=step,
+            legal=legal,
+            outcome=outcome,
+            differences=differences,
+            own=(f"car {car}", *(one.poses.name(i) for i in handled(one.reading, step.after, car))),
+            read=describe_car(self.grid, car),
+            car_error_m=placed.offset_m,
+            heading_error_rad=abs(placed.heading_rad),
+            height_error_m=abs(placed.height_m),
+            placed_error_m=None if set_down is None else self.reading.objects[set_down].offset_m,
+            bystander_displacement_m=moved_m,
+            bystander=moved,
+            start_s=one.start_s,
+            contacts=unexpected_contacts(contacts, one.poses, one.reading, step.after, one.cars),
+            hazards=() if log is None else hazards(log),
+            peak_force_n=0.0 if log is None else log.peak_n,
+        )
+
+    def _set_down(self, one: _Running) -> int | None:
+        """Return the object that an action sets down, folds or unfolds, if there is one."""
+        before, car, action = one.reading, one.step.car, one.step.action
+        for index, (was, kind) in enumerate(zip(before.objects, self.poses.kinds, strict=True)):
+            dropped = action is Action.DROP and was.carrier == car
+            turned = action in (Action.FOLD, Action.UNFOLD) and kind == Kind.FSLOPE
+            if dropped or (turned and was.carrier is None and was.cell == before.cars[car].cell):
+                return index
+        return None
+
+    def _furthest_moved(self, one: _Running) -> tuple[float, str]:
+        """Return the largest displacement in metres of a bystander of an action, and the bystander's name."""
+        then, now = one.poses, self.poses
+        ways = np.linalg.norm(now.car_positions - then.car_positions, axis=1).tolist()
+        moved = [(way, f"car {car}") for car, way in enumerate(ways) if car not in one.cars]
+        ways = np.linalg.norm(now.positions - then.positions, axis=1).tolist()
+        for index, (was, reads) in enumerate(zip(one.reading.objects, self.reading.objects, strict=True)):
+            if index not in one.handled and not one.cars & {was.carrier, reads.carrier}:
+                moved.append((ways[index], then.name(index)))
+        return max(moved, default=(0.0, ""))
+
+    def _world_verdict(self, before: Grid, predicted: Grid, settled: bool) -> Verdict:
+        """Compare the reading with the prediction; what is worse than a difference comes first."""
+        verdict = compare(before, predicted, self.reading)
+        unsafe = () if self.log is None else tuple(hazard.text for hazard in hazards(self.log))
+        if self.site.diverged:
+            return Verdict(Finding.DIVERGED, ("the simulation broke down and started over",))
+        if unsafe:
+            return Verdict(Finding.UNSAFE, (*unsafe, *verdict.differences))
+        if not settled:
+            moving = f"something still moves with {speed_m_s(self.site) * 1e3:.0f} mm/s"
+            return Verdict(Finding.UNSETTLED, (moving, *verdict.differences))
+        return verdict
+
+    def _verdict(self, one: Evidence, world: Verdict, all_evidence: Sequence[Evidence]) -> Verdict:
+        """Return the verdict on one of many actions."""
+        car, action = one.step.car, one.step.action
+        if one.outcome is None:
+            waits = f"car {car} waits for an action that failed"
+            forbidden = f"the rules forbid {action.name} to car {car} here"
+            return Verdict(Finding.NOT_EXECUTED, (waits if one.legal else forbidden,))
+        tried = [other for other in all_evidence if other.legal or other.outcome is not None]
+        nobodys = len(tried) == 1 or all(other.applied for other in tried)
+        if world.agrees or (one.applied and not nobodys):
+            return Verdict(Finding.AGREES)
+        if nobodys or world.finding in (Finding.UNSAFE, Finding.DIVERGED):
+            return world
+        return Verdict(Finding.WRONG_PLACE, one.differences or (str(one.outcome),))

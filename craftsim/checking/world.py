@@ -1,0 +1,79 @@
+"""Setting up a world in physics from a Grid, a configuration and a seed: the one place where its parts are joined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.settings import Setup
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.rules import Rules
+from craftsim.models.randomization import RandomizedSite
+from craftsim.models.sensing import Sensors
+from craftsim.models.site import Site
+from craftsim.skills.executor import Executor
+
+
+@dataclass(frozen=True)
+class Seed:
+    """Where a random generator starts: entropy and spawn key of NumPy's SeedSequence."""
+
+    entropy: tuple[int, ...]
+    spawn_key: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, sequence: np.random.SeedSequence) -> Seed:
+        """Return the seed of a sequence, spawned or not."""
+        entropy = sequence.entropy
+        words = (entropy,) if isinstance(entropy, int) else tuple(entropy or ())
+        return cls(tuple(int(word) for word in words), tuple(sequence.spawn_key))
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Seed:
+        """Return a seed that a generator decides."""
+        return cls(tuple(rng.integers(0, 2**32, 4).tolist()))
+
+    def sequence(self) -> np.random.SeedSequence:
+        """Return a fresh sequence."""
+        return np.random.SeedSequence(self.entropy, spawn_key=self.spawn_key)
+
+
+SEED_0: Final = Seed((0,))
+
+
+def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> RandomizedSite:
+    """Return the compiled world of a grid, to be set up again and again; it stands nowhere yet."""
+    return RandomizedSite(Site(grid, setup.simulation, goals, reset=False, machines=setup.machines))
+
+
+def set_up(
+    grid: Grid,
+    setup: Setup,
+    seed: Seed = SEED_0,
+    goals: Sequence[Cell] = (),
+    reuse: RandomizedSite | None = None,
+    watch_contacts: bool = True,
+) -> CheckedSite:
+    """Return a world in physics, ready for actions.
+
+    Args:
+        grid: the start.
+        setup: everything that is configured.
+        seed: decides the physics and the noise that are drawn.
+        goals: cells to mark.
+        reuse: a Site of an equal grid, simulation and goals to be used again, which saves compiling; its numbers are
+            the same as those of a fresh one.
+        watch_contacts: as of :class:`CheckedSite`.
+    """
+    physics, sensors = (np.random.default_rng(s) for s in seed.sequence().spawn(2))
+    world = reuse or compile_world(grid, setup, goals)
+    if setup.randomization is None:
+        world.restore()
+    else:
+        world.draw(setup.randomization, physics)
+    executor = Executor(world.site, setup.gains, sensors=Sensors(world.site, setup.noise, sensors))
+    return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

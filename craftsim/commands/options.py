@@ -1,0 +1,63 @@
+"""Options that commands share: the same names, the same meaning, and defaults that differ for a stated reason alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.rules import RuleSet
+
+Dir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
+File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+Randomize = Literal["none", "mild", "strong"]
+Engine = Literal["local", "ray"]
+
+
+@dataclass(frozen=True)
+class PhysicsOptions:
+    """What decides a world in physics besides its start."""
+
+    rules: RuleSet = "physical"
+    """The rule set that predicts: CraftEnv's own, or the one that physics supports."""
+    randomize: Randomize = "mild"
+    """How noisy the sensors and how random the physics are; sets the limits of the errors, too."""
+    gains: File = None
+    """YAML file of gains of the skills; those that it leaves out are the nominal ones."""
+    parameters: File = None
+    """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
+    seed: int = 0
+    """Decides all that is drawn."""
+
+
+@dataclass(frozen=True)
+class CampaignOptions(PhysicsOptions):
+    """How many trials are run, where, and what becomes of them."""
+
+    trials: int = 10
+    """How many of each."""
+    workers: int = 1
+    """Processes to share the work; results do not depend on it."""
+    engine: Engine = "local"
+    """Processes of this machine, or an existing Ray cluster to which the output folder is shared."""
+    against: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Folder of an earlier run under other settings, to compare trial by trial."""
+    resume: bool = False
+    """Go on with what an interrupted run has left in the output folder."""
+
+    def check(self) -> None:
+        """Raise InputError for counts that are too small."""
+        for name in ("trials", "workers"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name} must be at least 1, not {getattr(self, name)}")
+
+    def words(self) -> list[str]:
+        """Return the options that decide the results, as they can be typed again."""
+        words = ["--rules", self.rules, "--randomize", self.randomize, "--trials", str(self.trials)]
+        words += ["--seed", str(self.seed)]
+        for name in ("gains", "parameters", "against"):
+            words += [f"--{name}", str(value)] if (value := getattr(self, name)) else []
+        return words

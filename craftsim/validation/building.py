@@ -1,0 +1,145 @@
+"""A building to put up: a task, the plan that builds it, and what came of it in physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.episode import Episode, Watch
+from craftsim.checking.settings import Setup
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.files.blueprint import read_blueprint
+from craftsim.discrete.files.design import read_design
+from craftsim.discrete.files.plan import Plan, read_plan, shipped_plan
+from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
+from craftsim.discrete.tasks.measures import Finished
+from craftsim.validation.runs.choice import PlanOrder, steps_of
+from craftsim.validation.runs.run import Run, Terms, run_episode
+
+
+@dataclass(frozen=True)
+class Building:
+    """A task with its plan, and the episode in which it was carried out, if it was."""
+
+    task: Task
+    plan: Plan
+    episode: Episode | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the task."""
+        return self.task.name
+
+    @property
+    def n_actions(self) -> int:
+        """Number of actions in the plan."""
+        return sum(len(tick) for tick in self.plan.ticks)
+
+    @property
+    def attempts(self) -> tuple[Attempt, ...]:
+        """What came of each action."""
+        return self.episode.attempts if self.episode is not None else ()
+
+    @property
+    def n_agree(self) -> int:
+        """Number of actions that did what the rules predict, within all limits."""
+        return sum(attempt.agrees for attempt in self.attempts)
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the goal is reached; None where there is none."""
+        return self.episode.reached if self.episode is not None else None
+
+    @property
+    def good(self) -> bool:
+        """Whether every action of the plan agrees and no goal was missed."""
+        return self.n_agree == self.n_actions and self.reached is not False
+
+    def run(
+        self,
+        setup: Setup,
+        seed: int,
+        order: PlanOrder,
+        begin: Callable[[CheckedSite], None],
+        on_action: Callable[[bool], None],
+    ) -> Building:
+        """Carry out the plan and return the building with its episode.
+
+        Args:
+            setup: configuration of the physics.
+            seed: decides what is drawn.
+            order: how the plan is carried out.
+            begin: called with the world at its start.
+            on_action: called for each action that has ended: whether it agrees.
+        """
+
+        def count(attempts: tuple[Attempt, ...]) -> None:
+            for attempt in attempts:
+                on_action(attempt.agrees)
+
+        run = Run(self.name, self.task, steps_of(self.plan, order), "", 0, Terms(seed, setup))
+        return replace(self, episode=run_episode(run, Watch(begin, count)))
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """What a report holds; lengths in mm, angles in mrad."""
+        if self.episode is None:
+            raise ValueError("nothing was run")
+
+        def worst(name: str) -> float:
+            return 1e3 * max((getattr(attempt, name) or 0.0 for attempt in self.attempts), default=0.0)
+
+        return {
+            "actions": self.attempts,
+            "agree": self.n_agree,
+            "total": self.n_actions,
+            "ticks": len(self.plan.ticks),
+            "matches_goal": self.reached,
+            "simulated_s": round(self.episode.end_s, 6),
+            "makespan_s": self.episode.makespan_s,
+            "max_car_error_mm": worst("car_error_m"),
+            "max_car_heading_error_mrad": worst("heading_error_rad"),
+            "max_placed_error_mm": worst("placed_error_m"),
+            "max_bystander_displacement_mm": worst("bystander_displacement_m"),
+        }
+
+    @property
+    def files(self) -> dict[str, str | None]:
+        """Names of its files, and the task's digest."""
+        design = self.task.design
+        return {
+            "task": self.name,
+            "task_digest": self.task.digest,
+            "blueprint": self.task.starts[0].path.name,
+            "plan": self.plan.path.name,
+            "goal": design.path.name if design else None,
+        }
+
+
+def read_building(
+    task: str, blueprint: Path | None = None, plan: Path | None = None, goal: Path | None = None
+) -> Building:
+    """Return a task with its plan, some of its files replaced by one's own.
+
+    A blueprint of one's own has the goal of the file ``goal``, or none.
+
+    Raises:
+        InputError: a file is not as it should be, or there is no plan for this task or blueprint.
+    """
+    found = as_task(task)
+    if plan is None and (blueprint is not None or found.name not in TASK_NAMES):
+        raise InputError(
+            f"there is no shipped plan for {blueprint or task}; give one with --plan "
+            f"(shipped ones: {', '.join(TASK_NAMES)})"
+        )
+    if blueprint is not None:
+        drawing = read_blueprint(blueprint)
+        found = free_play(drawing.path.stem, drawing)
+    if goal is not None:
+        design = read_design(goal)
+        found = replace(found, design=design, success=Finished(design))
+    return Building(found, read_plan(plan or shipped_plan(found.name), found.layout.n_cars))

@@ -1,1 +1,0 @@
-"""Whole plans and long episodes in physics."""

@@ -1,0 +1,212 @@
+"""Validation of plans, lists of actions and policies in physics: the whole job in one call."""
+
+from __future__ import annotations
+
+import html
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.settings import Randomize, setup_of
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.files.plan import Plan
+from craftsim.discrete.rules import RuleSet
+from craftsim.models.parameters import Machines
+from craftsim.report import write_report
+from craftsim.skills.gains import Gains
+from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign, run_here
+from craftsim.validation.runs.choice import (
+    PLANNER,
+    PlanOrder,
+    World,
+    actions_pilot,
+    items_of,
+    plan_pilot,
+    policy_pilot,
+    subjects_of,
+)
+from craftsim.validation.runs.policies import RANDOM, Policy
+from craftsim.validation.runs.random_worlds import RandomWorlds
+from craftsim.validation.runs.run import Terms, do_run
+from craftsim.validation.statistics.durations import write_durations
+from craftsim.validation.statistics.figures import Figures, campaign_figures
+from craftsim.validation.statistics.paired import Comparison, Earlier
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Progress = Callable[[int], AbstractContextManager[Callable[[TrialRecord], None]]]
+"""Given the number of runs, opens what is called with each one's record."""
+
+COMMAND: Final = "validate"
+
+
+@dataclass(frozen=True, repr=False)
+class Validation:
+    """What came of a validation."""
+
+    records: list[TrialRecord]
+    """One for each run, as in ``trials.jsonl``."""
+    figures: Figures
+    config: dict[str, Any]
+    """What decided it, besides the seed."""
+    seed: int
+    items: Sequence[Item]
+    """What was run, parallel to the records."""
+    comparison: Comparison | None = None
+    """With an earlier run, where one was given."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether every run did in physics what the rules predict, within all limits."""
+        return self.n_agree == len(self.records)
+
+    @property
+    def n_agree(self) -> int:
+        """Number of runs that did."""
+        return sum(record["agrees"] for record in self.records)
+
+    @property
+    def attempts(self) -> list[Attempt]:
+        """Every action that was tried, in the order of the runs."""
+        return [Attempt.of(attempt) for record in self.records for attempt in record["attempts"]]
+
+    def to_frame(self) -> DataFrame:
+        """Return a table with a row for each action: its run's world, plan and episode, and the fields of Attempt."""
+        from pandas import DataFrame
+
+        rows = [
+            {"world": r["context"], "by": r["group"], "episode": r["episode"], **attempt}
+            for r in self.records
+            for attempt in r["attempts"]
+        ]
+        columns = ["world", "by", "episode", *Attempt.__dataclass_fields__]
+        return DataFrame(rows, columns=columns)
+
+    def __repr__(self) -> str:
+        legal = self.figures.matrix.legal
+        return (
+            f"Validation({self.n_agree} of {len(self.records)} runs agree, "
+            f"{legal.as_predicted} of {legal.trials} actions as predicted)"
+        )
+
+    def _repr_html_(self) -> str:
+        frame = self.to_frame()
+        counts = frame.groupby(["world", "by", "verb"])["result"].value_counts().unstack(fill_value=0)
+        return f"<p><b>{html.escape(repr(self))}</b></p>{counts.to_html()}"
+
+
+def validate(
+    worlds: World | Iterable[World],
+    *,
+    plan: str | Path | Plan | None = None,
+    actions: str | Path | None = None,
+    policy: str | Policy | Iterable[str] | None = None,
+    rules: RuleSet = "physical",
+    randomize: Randomize = "none",
+    gains: Gains | str | Path | None = None,
+    machines: Machines | str | Path | None = None,
+    order: PlanOrder = "ticks",
+    trials: int = 1,
+    seed: int = 0,
+    workers: int = 1,
+    engine: Engine = "local",
+    timeout_s: float = 600.0,
+    out: str | Path | None = None,
+    resume: bool = False,
+    against: str | Path | None = None,
+    random_worlds: RandomWorlds | None = None,
+    progress: Progress = lambda total: nullcontext(lambda record: None),
+) -> Validation:
+    """Run plans, lists of actions or policies in physics and judge every action on the poses that it ends with.
+
+    Args:
+        worlds: one or several: a task, a blueprint's path, a shipped task's name, ``module:factory``, a Grid; or
+            ``random`` for worlds that each run draws anew.
+        plan: to be carried out in the one world; the shipped plan of shipped tasks unless anything else is given.
+        actions: file of actions to be tried one after the other in the one world.
+        policy: ``random``, ``planner``, ``module:function``, what ``craftsim train`` wrote, or a function from the
+            observations by agent to the actions by agent; several names are compared with each other.
+        rules: the rule set that predicts, and by which policies may act.
+        randomize: how noisy the sensors and how random the physics are; sets the limits of the errors, too.
+        gains: of the skills, or a file of them.
+        machines: parameters of the machines, or a file of them, which may hold gains, too.
+        order: how plans are carried out.
+        trials: how many runs of each; under ``randomize="none"`` in a fixed world all are alike.
+        seed: decides all that is drawn; the same for every plan and policy.
+        workers: processes to share the work; results do not depend on it.
+        engine: processes of this machine, or an existing Ray cluster.
+        timeout_s: after which a run counts as hanging; in force where there is a folder for results.
+        out: folder for report.json, trials.jsonl, durations.csv and replay bundles; nothing is written without.
+        resume: go on with what an interrupted validation has left in ``out``.
+        against: folder of an earlier validation under other settings, to compare run by run.
+        random_worlds: the family that ``random`` stands for.
+        progress: shows what is done.
+
+    Raises:
+        InputError: an argument, or a file that it names, is not as it should be.
+    """
+    started = time.perf_counter()
+    if trials < 1 or workers < 1 or not timeout_s > 0:
+        raise InputError("trials and workers must be at least 1, timeout_s above 0")
+    several = [worlds] if isinstance(worlds, World) else list(worlds)
+    given = [name for name, value in (("plan", plan), ("actions", actions), ("policy", policy)) if value]
+    if len(given) > 1:
+        raise InputError(f"{given[0]} and {given[1]} exclude each other")
+    if given and given[0] != "policy" and len(several) != 1:
+        raise InputError(f"{given[0]} needs the one world that it is for")
+    if out is None and (workers > 1 or engine != "local" or resume or against):
+        raise InputError("several workers, an engine, resume and against need the folder 'out'")
+    subjects = subjects_of(several, random_worlds)
+    if plan is not None:
+        pilots = [plan_pilot(plan if isinstance(plan, Plan) else Path(plan), subjects[0], order)]
+    elif actions is not None:
+        pilots = [actions_pilot(Path(actions), subjects[0])]
+    else:
+        default = RANDOM if all(s.name == RANDOM for s in subjects) else PLANNER
+        named = policy or default
+        named = list(named) if isinstance(named, Iterable) and not isinstance(named, str) else [named]
+        pilots = [policy_pilot(one, subjects, order) for one in dict.fromkeys(named)]
+    folder = None if out is None else Path(out)
+    setup = setup_of(randomize, rules, gains, machines)
+    config: dict[str, Any] = {
+        "worlds": {subject.name: subject.digest for subject in subjects},
+        "by": {pilot.name: pilot.digest for pilot in pilots},
+        "trials": trials,
+        "randomize": randomize,
+        "rules": rules,
+        "order": order,
+        "setup": setup,
+        "digests": setup.digests,
+    }
+    terms = Terms(seed, setup, None if folder is None else folder.resolve())
+    items = list(items_of(subjects, pilots, trials, terms))
+    earlier = None if against is None else Earlier.read(Path(against), COMMAND, folder, seed, items)
+    with progress(len(items)) as on_record:
+        if folder is None:
+            records = run_here(items, do_run, on_record)
+        else:
+            records = run_campaign(
+                items,
+                do_run,
+                folder,
+                Header(COMMAND, seed, config),
+                workers=workers,
+                engine=engine,
+                timeout_s=timeout_s,
+                resume=resume,
+                on_record=on_record,
+            )
+    figures = campaign_figures(records, seed)
+    comparison = None if earlier is None or folder is None else earlier.compare(folder, records)
+    if folder is not None:
+        wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
+        found = {"validation": figures, "paired": comparison}
+        asked = config | {"against": against}
+        write_report(folder, found, command=COMMAND, seed=seed, config=asked, wall=wall)
+        write_durations(folder, figures.durations)
+    return Validation(records, figures, config, seed, items, comparison)

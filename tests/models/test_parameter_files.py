@@ -1,0 +1,78 @@
+"""Machines come from a file that a person writes; what is wrong with one is said by file, line and figure."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from craftsim.discrete.errors import InputError
+from craftsim.models.parameter_files import load_machines
+from craftsim.models.parameters import NOMINAL, BlockParameters, SlopeParameters, SmartcarParameters
+
+
+def _file(folder: Path, text: str) -> Path:
+    path = folder / "own.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_an_empty_file_gives_the_nominal_machines(tmp_path):
+    assert load_machines(_file(tmp_path, "# nothing yet\n")) == NOMINAL
+
+
+def test_a_file_overrides_the_figures_that_it_gives(tmp_path):
+    text = """
+    smartcar: {chassis_mass_kg: 1.1, wheel_torque_nm: 3}
+    block: {deck_mass_kg: 0.6}
+    slope: {hinge_speed_rad_s: 1.0}
+    contact: {ground_friction: 0.5}
+    gains: {drive: {max_speed: 0.5}}
+    """
+    machines = load_machines(str(_file(tmp_path, text)))
+    assert machines.cars == (SmartcarParameters(chassis_mass_kg=1.1, wheel_torque_nm=3.0),)
+    assert machines.block == BlockParameters(deck_mass_kg=0.6)
+    assert machines.slope == SlopeParameters(hinge_speed_rad_s=1.0)
+    assert machines.contact.ground_friction == 0.5
+    assert load_machines(_file(tmp_path, text)).digest == machines.digest != NOMINAL.digest
+
+
+def test_single_cars_differ_from_the_others(tmp_path):
+    text = "smartcar: {chassis_mass_kg: 1.1}\ncars: [{}, {wheel_torque_nm: 3.0, chassis_mass_kg: 1.2}]\n"
+    machines = load_machines(_file(tmp_path, text))
+    assert machines.car(0) == SmartcarParameters(chassis_mass_kg=1.1)
+    assert machines.car(1) == SmartcarParameters(chassis_mass_kg=1.2, wheel_torque_nm=3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("smartcat: {}", ":1: unknown key 'smartcat'; did you mean 'smartcar'?"),
+        ("\nsmartcar: {wheel_mas_kg: 1}", ":2: unknown key 'wheel_mas_kg'; did you mean 'wheel_mass_kg'?"),
+        ("smartcar: {wheel_mass_kg: -1}", ":1: smartcar.wheel_mass_kg must be above 0, not -1.0"),
+        ("smartcar: {wheel_mass_kg: heavy}", ":1: smartcar.wheel_mass_kg must be a number, not 'heavy'"),
+        ("smartcar: {mass_kg: 11}", ":1: smartcar.mass_kg is not given but follows from other figures"),
+        ("smartcar: {wheel_torque_nm: 0}", ":1: smartcar.wheel_torque_nm must be above 0"),
+        ("smartcar: {boss_side_m: 0.1}", ":1: smartcar.boss_side_m cannot be changed from 0.11: the pockets"),
+        ("block: {side_m: 0.4}", ":1: block.side_m cannot be changed from 0.32: the grid's cells"),
+        ("slope: {height_m: 0.2}", ":1: slope.height_m is not given but follows"),
+        ("slope: {hinge_x_m: 0.2}", ":1: slope.hinge_x_m cannot be changed from 0.16125"),
+        ("smartcar: {wheel_radius_m: 0.04}", ": smartcar.wheel_radius_m is 0.04: the chassis would ground"),
+        ("cars: [{}, {board_travel_m: 0.02}]", ": smartcar.board_travel_m is 0.02; from 0.0309 to 0.0509"),
+        ("cars: {}", ":1: 'cars' must be a list with figures of each car, not a mapping"),
+        ("cars: []", ":1: 'cars' must be a list"),
+        ("cars: [{}, {wheel_mas_kg: 1}]", ":1: unknown key 'wheel_mas_kg'"),
+        ("smartcar: &x {}", ":1: anchors and aliases"),
+        ("smartcar: [", ":2: not valid YAML"),
+        ("# " + "x" * 300_000, ": larger than the 256 KiB that are allowed"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path, text, message):
+    path = _file(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        load_machines(path)
+    assert re.match(re.escape(f"{path}{message}"), str(caught.value)), str(caught.value)
+
+
+def test_a_missing_file_is_refused_by_name(tmp_path):
+    with pytest.raises(InputError, match=r"none\.yaml: no such file"):
+        load_machines(tmp_path / "none.yaml")

@@ -1,0 +1,101 @@
+"""Skills act with the machines that they are given: other cars, several kinds of them, another hinge."""
+
+import numpy as np
+import pytest
+from drawn import draw
+
+from craftsim.checking.checked_run import CheckedSite
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.rules import Rules
+from craftsim.models.parameter_files import load_machines
+from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.models.scene import write_scene
+from craftsim.models.site import Site
+from craftsim.skills.executor import Executor
+from craftsim.skills.gains import load_gains
+
+OWN = """
+smartcar:  # ten per cent heavier, with other motors
+  chassis_mass_kg: 1.1
+  wheel_mass_kg: 2.53
+  board_mass_kg: 0.11
+  wheel_torque_nm: 2.2
+slope:
+  hinge_speed_rad_s: 1.0
+gains:
+  drive: {max_speed: 0.6}
+  hinge: {acceleration: 2.0}
+"""
+HEAVY = SmartcarParameters(chassis_mass_kg=4.0, wheel_torque_nm=3.5, wheel_x_m=0.062, chassis_length_m=0.214)
+DOCKED = (5, 5, 2), [(Kind.FSLOPE, (1, 2, 1), 0)], [(1, 2, 1, 2)]
+
+
+def _durations(machines: Machines, gains, actions: list[Action]) -> list[float]:
+    checked_site = Site(draw(*DOCKED), machines=machines)
+    checked = CheckedSite(checked_site, Rules("physical"), Executor(checked_site, gains))
+    records = [checked.perform(tick, 0, action) for tick, action in enumerate(actions)]
+    for record in records:
+        assert record.outcome.succeeded, f"{record.action.name}: {record.outcome}"
+        assert record.verdict.agrees, f"{record.action.name}: {record.verdict}"
+    return [record.outcome.duration_s for record in records]
+
+
+def test_machines_and_gains_of_one_file_lift_carry_and_unfold_faster(tmp_path):
+    path = tmp_path / "own.yaml"
+    path.write_text(OWN, encoding="utf-8")
+    machines, gains = load_machines(path), load_gains(path)
+    assert machines.car(0).mass_kg == pytest.approx(1.1 * NOMINAL.cars[0].mass_kg)
+    plan = [Action.LIFT, Action.MOVE_RIGHT, Action.DROP, Action.UNFOLD]
+    own, nominal = _durations(machines, gains, plan), _durations(NOMINAL, None, plan)
+    assert own[1] > nominal[1], "it drives slower"
+    assert own[3] < 0.5 * nominal[3], "and unfolds faster"
+
+
+def test_two_cars_of_different_machines_drive_in_one_world():
+    grid = draw((3, 4, 2), cars=[(0, 0, 1, 0), (0, 2, 1, 0)])
+    machines = Machines(cars=(SmartcarParameters(), HEAVY))
+    site = Site(grid, machines=machines)
+    light, heavy = site.cars
+    assert (light.parameters, heavy.parameters) == machines.cars
+    model = site.model
+    found = [model.body_subtreemass[car.base.body] for car in site.cars]
+    assert found == pytest.approx([car.mass_kg for car in machines.cars], abs=1e-5)
+    assert model.actuator_forcerange[heavy.wheel_actuators, 1] == pytest.approx([3.5] * 4)
+    assert model.actuator_forcerange[light.wheel_actuators, 1] == pytest.approx([2.5] * 4)
+    executor = Executor(site)
+    for action in (Action.MOVE_FORWARD, Action.ROTATE_LEFT, Action.ROTATE_RIGHT, Action.MOVE_RIGHT):
+        outcomes = executor.run({0: action, 1: action})
+        assert all(outcome.succeeded for outcome in outcomes.values()), outcomes
+    ends = [site.free_body_state(car.base)[0][:2] for car in site.cars]
+    np.testing.assert_allclose(ends, 0.3225 * np.array([[1.5, 1.5], [1.5, 3.5]]), atol=1e-3)
+
+
+def test_a_car_with_weak_motors_drives_slower_and_arrives():
+    """At 10 rad/s and 1.4 Nm the nominal path of 0.84 m/s is out of reach; it is laid within what the motors give."""
+    weak = Machines(cars=(SmartcarParameters(wheel_speed_rad_s=10.0, wheel_torque_nm=1.4),))
+    outcomes = [
+        Executor(Site(draw((2, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)).run({0: Action.MOVE_RIGHT})[
+            0
+        ]
+        for machines in (weak, NOMINAL)
+    ]
+    assert all(outcome.succeeded for outcome in outcomes), outcomes
+    assert outcomes[0].duration_s > 1.2 * outcomes[1].duration_s
+
+
+def test_figures_for_another_number_of_cars_are_refused():
+    machines = Machines(cars=(SmartcarParameters(), HEAVY, HEAVY))
+    with pytest.raises(InputError, match="figures of 3 cars are given for a world with 1"):
+        Site(draw((1, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)
+
+
+def test_a_scene_of_other_machines_is_written_with_its_meshes(tmp_path):
+    import mujoco
+
+    grid = draw((3, 1, 2), [(Kind.BLOCK, (2, 0, 1))], [(0, 0, 1, 0), (1, 0, 1, 0)])
+    write_scene(tmp_path, grid, machines=Machines(cars=(SmartcarParameters(), HEAVY)))
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "site.xml"))
+    assert model.nbody == Site(grid).model.nbody
+    assert len(list((tmp_path / "meshes").glob("chassis*.stl"))) == 4, "body and trim of two kinds of car"

@@ -76,9 +76,7 @@ def test_a_car_with_weak_motors_drives_slower_and_arrives():
     """At 10 rad/s and 1.4 Nm the nominal path of 0.84 m/s is out of reach; it is laid within what the motors give."""
     weak = Machines(cars=(SmartcarParameters(wheel_speed_rad_s=10.0, wheel_torque_nm=1.4),))
     outcomes = [
-        Executor(Site(draw((2, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)).run({0: Action.MOVE_RIGHT})[
-            0
-        ]
+        Executor(Site(draw((2, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)).run({0: Action.MOVE_RIGHT})[0]
         for machines in (weak, NOMINAL)
     ]
     assert all(outcome.succeeded for outcome in outcomes), outcomes

@@ -44,11 +44,13 @@ mutants: $(VENV)/installed-dev  ## Mutation testing: break one grid rule at a ti
 faults: $(VENV)/installed-dev  ## Fault injection: kill a validation ten times at random, resume it, compare (some minutes)
 	$(BIN)/python tests/validation/campaign/faults.py
 
-campaigns: $(VENV)/installed  ## Measure the skills at length (about 40 minutes on two cores): every context with and without noise, the six tasks, long episodes
-	$(BIN)/craftsim trials --trials 10000 --workers 2 --out out/trials
-	$(BIN)/craftsim trials --trials 10000 --workers 2 --noise --out out/trials-noise
-	$(BIN)/craftsim tasks --workers 2 --out out/tasks
-	$(BIN)/craftsim episodes --workers 2 --out out/episodes
+campaigns: $(VENV)/installed  ## Measure the skills at length (hours on two cores): what the rules allow with and without noise, the six tasks, long episodes, both audits
+	$(BIN)/craftsim audit --rules physical --only legal --randomize none --workers 2 --out out/legal
+	$(BIN)/craftsim audit --rules physical --only legal --randomize strong --workers 2 --out out/legal-strong
+	$(BIN)/craftsim validate --order concurrent --randomize strong --trials 20 --workers 2 --video none --out out/tasks-strong
+	$(BIN)/craftsim validate random --randomize none --trials 10 --workers 2 --video none --out out/random
+	$(BIN)/craftsim audit --rules physical --workers 2 --out out/audit-physical
+	$(BIN)/craftsim audit --workers 2 --out out/audit-published
 
 picture: $(VENV)/installed libraries  ## Film the clearest unsound rule again, as docs/unsound_rule.webp
 	$(BIN)/craftsim audit --contexts 'MOVE/scene=over the edge to a foot across' --trials 1 --video --out out/unsound-rule || [ $$? -eq 1 ]

@@ -3,13 +3,13 @@
 import json
 
 import pytest
+from craftsim.validation.jobs import episodes as episodes_module
+from craftsim.validation.jobs import trials as job_trials
 
 from craftsim import cli
 from craftsim.commands import tasks as tasks_module
 from craftsim.validation.campaign import local
 from craftsim.validation.campaign.items import perform
-from craftsim.validation.jobs import episodes as episodes_module
-from craftsim.validation.jobs import trials as job_trials
 
 
 @pytest.fixture(autouse=True)

@@ -10,8 +10,8 @@ from typing import Any, Final
 from craftsim.checking.contact_log import Contact
 from craftsim.checking.safety import Hazard
 from craftsim.checking.settings import Thresholds
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.discrete.verdict import Finding, Verdict, describe_car
 from craftsim.skills.outcome import Outcome
@@ -133,7 +133,7 @@ def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:
         tick=step.tick,
         car=step.car,
         action=step.action.name,
-        verb=verb_of(step.action),
+        verb=ACTIONS[step.action].verb,
         level=int(row[CarField.Z]),
         load="none" if load == Kind.AIR else load.name.lower(),
         slope=bool(row[CarField.SLOPE] or after[CarField.SLOPE]),
@@ -155,11 +155,6 @@ def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:
         duration_s=0.0 if outcome is None else round(outcome.duration_s, 6),
         peak_force_n=evidence.peak_force_n,
     )
-
-
-def verb_of(action: Action) -> str:
-    """Return the name of an action whatever its map direction."""
-    return "MOVE" if action in MOVE_DIRECTION or action > Action.STOP else action.name
 
 
 def result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Result:

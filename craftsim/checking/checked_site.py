@@ -12,10 +12,9 @@ from craftsim.checking.attempt import Attempt, Evidence, judge
 from craftsim.checking.contact_log import ContactLog, speed_m_s
 from craftsim.checking.safety import hazards, is_unsafe
 from craftsim.checking.settings import Thresholds
-from craftsim.checking.unexpected import handled, unexpected_contacts
+from craftsim.checking.unexpected import handled, shoved, unexpected_contacts
 from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import Footprint
-from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Poses, Reading, read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Order, Schedule, ScheduledAction, make_schedule
@@ -35,8 +34,6 @@ Joint = Sequence[tuple[int, Action]]
 OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
 
-_NOWHERE: Final = Footprint(frozenset(), frozenset(), frozenset(), frozenset())
-
 
 @dataclass
 class _Running:
@@ -50,8 +47,8 @@ class _Running:
     reading: Reading
     cars: set[int]
     """Those that act meanwhile, its own included."""
-    handled: set[int]
-    """Objects that they handle."""
+    meant: set[int]
+    """Objects that are meant to move though no acting car carries them: what is shoved, what other cars handle."""
 
 
 class CheckedSite:
@@ -104,7 +101,7 @@ class CheckedSite:
         """
         if intended is None:
             return self.perform_tick([(car, action)], tick=tick)[0]
-        step = ScheduledAction(tick, car, action, self.grid, intended, _NOWHERE, frozenset())
+        step = ScheduledAction(tick, car, action, self.grid, intended)
         legal = self.rules.legal(self.grid, car, action)
         return self._perform(Schedule((step,), (), intended, ((tick, car),)), legal=legal)[0]
 
@@ -147,11 +144,7 @@ class CheckedSite:
                 one = running.pop(car)
                 evidence[one.index] = self._measure(one, outcome, legal)
         world = self._world_verdict(before, schedule.final, settled)
-        never = [(step, True) for step in waiting.values()]
-        never += [
-            (ScheduledAction(tick, car, action, self.grid, self.grid, _NOWHERE, frozenset()), False)
-            for tick, car, action in schedule.forbidden
-        ]
+        never = [*((step, True) for step in waiting.values()), *((step, False) for step in schedule.forbidden)]
         found = [evidence[index] for index in sorted(evidence)]
         found += [self._measure(self._now(step), None, allowed) for step, allowed in never]
         attempts = [judge(one, self._verdict(one, world, found), self.thresholds) for one in found]
@@ -164,15 +157,15 @@ class CheckedSite:
         one = self._now(step, index)
         for other in running.values():
             other.cars |= one.cars
-            other.handled |= one.handled
+            other.meant.update(handled(self.reading, step.after, step.car))
+            one.meant.update(handled(other.reading, other.step.after, other.step.car))
         one.cars.update(running)
-        one.handled.update(*(other.handled for other in running.values()))
         self.executor.begin(step.car, step.action, Terrain(*step.inclines))
         return one
 
     def _now(self, step: ScheduledAction, index: int = -1) -> _Running:
-        about = set(handled(self.reading, step.after, step.car))
-        return _Running(index, step, self.site.time_s, self.poses, self.reading, {step.car}, about)
+        meant = set(shoved(self.reading, step.after, step.car))
+        return _Running(index, step, self.site.time_s, self.poses, self.reading, {step.car}, meant)
 
     def _look(self) -> None:
         self.poses: Poses = read_poses(self.site)
@@ -191,7 +184,9 @@ class CheckedSite:
 
     def _measure(self, one: _Running, outcome: Outcome | None, legal: bool) -> Evidence:
         step, car, log = one.step, one.step.car, self.log
-        placed, set_down = self.reading.cars[car], self._set_down(one)
+        placed, about = self.reading.cars[car], handled(one.reading, step.after, car)
+        # What the car should not carry afterwards is set down, folded, unfolded or shoved.
+        set_down = about[0] if about and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
         moved_m, moved = self._furthest_moved(one)
         differences = tuple(own_differences(step.before, step.after, self.grid, car))
         contacts = () if log is None else log.contacts
@@ -200,7 +195,7 @@ class CheckedSite:
             legal=legal,
             outcome=outcome,
             differences=differences,
-            own=(f"car {car}", *(one.poses.name(i) for i in handled(one.reading, step.after, car))),
+            own=(f"car {car}", *(one.poses.name(i) for i in about)),
             read=describe_car(self.grid, car),
             car_error_m=placed.offset_m,
             heading_error_rad=abs(placed.heading_rad),
@@ -214,16 +209,6 @@ class CheckedSite:
             peak_force_n=0.0 if log is None else log.peak_n,
         )
 
-    def _set_down(self, one: _Running) -> int | None:
-        """Return the object that an action sets down, folds or unfolds, if there is one."""
-        before, car, action = one.reading, one.step.car, one.step.action
-        for index, (was, kind) in enumerate(zip(before.objects, self.poses.kinds, strict=True)):
-            dropped = action is Action.DROP and was.carrier == car
-            turned = action in (Action.FOLD, Action.UNFOLD) and kind == Kind.FSLOPE
-            if dropped or (turned and was.carrier is None and was.cell == before.cars[car].cell):
-                return index
-        return None
-
     def _furthest_moved(self, one: _Running) -> tuple[float, str]:
         """Return the largest displacement in metres of a bystander of an action, and the bystander's name."""
         then, now = one.poses, self.poses
@@ -231,7 +216,7 @@ class CheckedSite:
         moved = [(way, f"car {car}") for car, way in enumerate(ways) if car not in one.cars]
         ways = np.linalg.norm(now.positions - then.positions, axis=1).tolist()
         for index, (was, reads) in enumerate(zip(one.reading.objects, self.reading.objects, strict=True)):
-            if index not in one.handled and not one.cars & {was.carrier, reads.carrier}:
+            if index not in one.meant and not one.cars & {was.carrier, reads.carrier}:
                 moved.append((ways[index], then.name(index)))
         return max(moved, default=(0.0, ""))
 
@@ -252,9 +237,10 @@ class CheckedSite:
         """Return the verdict on one of many actions."""
         car, action = one.step.car, one.step.action
         if one.outcome is None:
-            waits = f"car {car} waits for an action that failed"
-            forbidden = f"the rules forbid {action.name} to car {car} here"
-            return Verdict(Finding.NOT_EXECUTED, (waits if one.legal else forbidden,))
+            if one.legal:
+                return Verdict(Finding.NOT_EXECUTED, (f"car {car} waits for an action that failed",))
+            why = self.rules.explain(one.step.before, car, action)
+            return Verdict(Finding.NOT_EXECUTED, (f"the rules forbid it: {why}",))
         tried = [other for other in all_evidence if other.legal or other.outcome is not None]
         nobodys = len(tried) == 1 or all(other.applied for other in tried)
         if world.agrees or (one.applied and not nobodys):

@@ -10,8 +10,9 @@ import numpy as np
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
-from craftsim.discrete.durations import SITUATIONS, situation, verb
+from craftsim.discrete.durations import SITUATIONS, situation
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.rules.table import ACTIONS
 
 _LEFT, _RIGHT, _BACK, _FORWARD = (
     Action.MOVE_LEFT,
@@ -58,7 +59,7 @@ def measure_durations() -> dict[str, dict[str, float]]:
         if not attempt.agrees:
             raise RuntimeError(f"action {number} of the tour, {action.name}, failed: {attempt}")
         name = SITUATIONS[int(situation(before, checked.grid.cars)[0])]
-        seconds[verb(action)][name].append(attempt.duration_s)
+        seconds[ACTIONS[action].duration][name].append(attempt.duration_s)
     return {
         name: {where: round(float(np.mean(taken)), 2) for where, taken in rows.items()}
         for name, rows in seconds.items()

@@ -45,14 +45,24 @@ def unexpected_contacts(
 
 
 def handled(before: Reading, predicted: Grid, car: int) -> list[int]:
-    """Return the objects, by their index, that an action of a car is about: its load, and what it takes or turns."""
+    """Return the objects, by their index, that an action is about: the car's load, what it takes, turns or shoves."""
     cell = _cell(before.grid, car)
-    changes = before.grid.kind[cell] != predicted.kind[cell]
-    return [
-        index
-        for index, thing in enumerate(before.objects)
-        if thing.carrier == car or (thing.carrier is None and thing.cell == cell and changes)
-    ]
+    loads = [index for index, thing in enumerate(before.objects) if thing.carrier == car]
+    return [*loads, *_changing(before, predicted, cell), *shoved(before, predicted, car)]
+
+
+def shoved(before: Reading, predicted: Grid, car: int) -> list[int]:
+    """Return the objects, by their index, in whose place the car should be after its action."""
+    there = _cell(predicted, car)
+    return [] if there == _cell(before.grid, car) else _changing(before, predicted, there)
+
+
+def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
+    """Return the objects that stand in a cell which should hold something else afterwards."""
+    if cell[2] > before.grid.size[2] or before.grid.kind[cell] == predicted.kind[cell]:
+        return []
+    things = enumerate(before.objects)
+    return [index for index, thing in things if thing.carrier is None and thing.cell == cell]
 
 
 def _cell(grid: Grid, car: int) -> Cell:

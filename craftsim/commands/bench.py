@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import resource
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -19,11 +18,8 @@ if TYPE_CHECKING:
 
     from craftsim.discrete.tasks.episodes import Episode, Episodes
 
-REFERENCE: Final = {
-    "simple_two_story": (5270.0, 225.0),
-    "complex_two_story": (2830.0, 115.0),
-}
-"""CraftEnv's steps a second on one core of a machine like ours: primitive masks; helper masks and observations."""
+TASKS: Final = ("simple_two_story", "complex_two_story")
+"""Those with two and with four cars."""
 
 DEPTH: Final = 20
 """The search depth of CraftEnv's published training settings, the costlier of the two."""
@@ -42,9 +38,11 @@ def bench(
 ) -> int:
     """Measure how fast the grid rules, the environments and worker processes are, or how long actions take.
 
-    rules: steps a second on one core, and the memory of many worlds. A step is one tick of one world, with reward,
+    rules: steps a CPU second, and the memory of many worlds. A step is one tick of one world, with reward,
     end of episode and reset, and the masks of all cars for the next one; "helper" adds the helper's search to masks
     and moves, and the global observation of every car. Drawing actions from the masks is part of the time.
+    A fixed calibration work in plain Python is timed in turns with it: "per unit" is steps in the time of one unit of
+    that work, "CraftEnv" what CraftEnv would do here and now by an estimate from the calibration, "times" the ratio.
 
     env: the same through PettingZoo and in batches; and in physics, the wall time of a step against that of MuJoCo's
     steps alone under the same commands.
@@ -76,13 +74,13 @@ def bench(
     config: dict[str, Any] = {"what": what}
     match what:
         case "rules":
-            config |= {"rules": rules, "worlds": worlds, "depth": DEPTH, "reference": REFERENCE}
+            config |= {"rules": rules, "worlds": worlds, "depth": DEPTH}
             figures, wall = _bench_rules(console, rules, worlds, seconds, memory_worlds, seed)
         case "env":
             from craftsim.commands.bench_env import bench_env
 
-            config |= {"worlds": worlds, "depth": DEPTH, "episode": episode, "reference": REFERENCE}
-            wall = bench_env(console, _rate, REFERENCE, DEPTH, worlds, seconds, episode, seed)
+            config |= {"worlds": worlds, "depth": DEPTH, "episode": episode}
+            wall = bench_env(console, TASKS, DEPTH, worlds, seconds, episode, seed)
         case "workers":
             from craftsim.commands.bench_workers import bench_workers
 
@@ -105,37 +103,34 @@ def _bench_rules(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Print the rates of the rules; return the figures that are the same every time, and what the clock said."""
     import numpy as np
+    from rich.box import SIMPLE
     from rich.table import Table
 
+    from craftsim.commands.bench_calibration import COLUMNS, measure
     from craftsim.discrete.tasks import make_task
     from craftsim.discrete.tasks.episodes import Episode, Episodes
 
-    table = Table("task", "cars", "work", "worlds", "steps/s", "CraftEnv", "times")
-    rates: dict[str, dict[str, float]] = {}
+    table = Table("task", "work", "worlds", *COLUMNS, box=SIMPLE)
+    rates: dict[str, dict[str, Any]] = {}
     memory = _memory(memory_worlds, rules, seed)
-    for name, (primitive, with_helper) in REFERENCE.items():
+    for name in TASKS:
         task = make_task(name, reward="published_code")
         rates[name] = {}
-        cases: list[tuple[str, int, float, int | None]] = [
-            ("primitive", worlds, primitive, None),
-            ("helper", worlds, with_helper, DEPTH),
-            ("helper", 1, with_helper, DEPTH),
-        ]
-        for work, n, reference, depth in cases:
+        for depth, n in ((None, worlds), (DEPTH, worlds), (DEPTH, 1)):
             rng = np.random.default_rng(seed)
             if n == 1:
                 step = _single_step(Episode(task, rng, rules, depth), rng)
             else:
                 step = _batch_step(Episodes(task, rng, n, rules, depth), rng)
-            rate = _rate(step, seconds) * n
+            rate = measure(step, n, seconds, name, helper=depth is not None)
+            work = "primitive" if depth is None else "helper"
             rates[name][f"{work}, {n} world{'s' if n > 1 else ''}"] = rate
-            cars, times = str(task.starts[0].n_cars), f"{rate / reference:.0f}"
-            table.add_row(name, cars, work, str(n), f"{rate:,.0f}", f"{reference:,.0f}", times)
+            table.add_row(name, work, str(n), *rate.cells())
     console.print(table)
     for line in memory["lines"]:
         console.print(line)
     figures = {"memory_worlds": memory_worlds, "bytes_a_world": memory["bytes_a_world"]}
-    wall = {"steps_a_second": rates, "peak_mib": memory["peak_mib"], "grown_mib": memory["grown_mib"]}
+    wall = {"rates": rates, "peak_mib": memory["peak_mib"], "grown_mib": memory["grown_mib"]}
     return figures, wall
 
 
@@ -172,17 +167,6 @@ def _single_step(episode: Episode, rng: np.random.Generator) -> Callable[[], Non
         episode.vectors()
 
     return step
-
-
-def _rate(step: Callable[[], None], seconds: float) -> float:
-    """Return calls a second, after a first call that compiles."""
-    step()
-    calls = 0
-    begun = time.perf_counter()
-    while (elapsed := time.perf_counter() - begun) < seconds:
-        step()
-        calls += 1
-    return calls / elapsed
 
 
 def _peak_mib() -> float:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from craftsim.commands.bench_calibration import Rate
 
 BAR: Final = 1.15
 """How much longer a step in physics may take than MuJoCo's own steps."""
@@ -15,8 +17,7 @@ BAR: Final = 1.15
 
 def bench_env(
     console: Console,
-    rate: Callable[[Callable[[], None], float], float],
-    reference: dict[str, tuple[float, float]],
+    tasks: Sequence[str],
     depth: int,
     worlds: int,
     seconds: float,
@@ -30,38 +31,39 @@ def bench_env(
 
     Args:
         console: where to print.
-        rate: returns calls a second of a function that is called for so many seconds.
-        reference: by task CraftEnv's steps a second, without and with its helper.
+        tasks: names of the tasks, those for which CraftEnv's rate is known.
         depth: search depth of the helper.
         worlds: how many worlds the vector form has.
         seconds: how long each measurement on the grid runs.
         episode: ticks of the episode that is timed in physics, 2 or more.
         seed: seed of starts, actions and orders.
     """
+    from rich.box import SIMPLE
     from rich.table import Table
 
+    from craftsim.commands.bench_calibration import COLUMNS, measure
     from craftsim.discrete.tasks import make_task
     from craftsim.envs import parallel_env
     from craftsim.envs.timing import parallel_step, time_physics, vector_step
     from craftsim.envs.vector import GridVectorEnv
 
-    table = Table("task", "form", "helper", "steps/s", "CraftEnv", "times", title="grid")
-    rates: dict[str, dict[str, float]] = {}
-    physics = Table("task", "cars", "step ms", "bare ms", "times", title="physics")
+    table = Table("task", "form", "helper", *COLUMNS, title="grid", box=SIMPLE)
+    rates: dict[str, dict[str, Rate]] = {}
+    physics = Table("task", "cars", "step ms", "bare ms", "times", title="physics", box=SIMPLE)
     ratios = {}
-    for task, (_, with_helper) in reference.items():
+    for task in tasks:
         rates[task] = {}
         for helper_depth in (depth, None):
             helper = "no" if helper_depth is None else "yes"
             env = parallel_env(task, "grid", helper_depth=helper_depth)
             envs = GridVectorEnv(task, worlds, helper_depth=helper_depth)
-            for form, found in (
-                ("PettingZoo", rate(parallel_step(env, seed), seconds)),
-                (f"vector, {worlds} worlds", worlds * rate(vector_step(envs, seed), seconds)),
+            for form, n, step in (
+                ("PettingZoo", 1, parallel_step(env, seed)),
+                (f"vector, {worlds} worlds", worlds, vector_step(envs, seed)),
             ):
-                rates[task][f"{form}, helper {helper}"] = found
-                times = f"{found / with_helper:,.0f}"
-                table.add_row(task, form, helper, f"{found:,.0f}", f"{with_helper:,.0f}", times)
+                rate = measure(step, n, seconds, task, helper=True)
+                rates[task][f"{form}, helper {helper}"] = rate
+                table.add_row(task, form.split(",")[0], helper, *rate.cells())
         timing = time_physics(make_task(task, max_steps=episode - 2), seed)
         ratios[task] = asdict(timing) | {"ratio": timing.ratio}
         env_ms, bare_ms = (1e3 * total / timing.n_steps for total in (timing.env_s, timing.bare_s))
@@ -69,4 +71,4 @@ def bench_env(
         physics.add_row(task, str(timing.n_cars), *numbers)
     console.print(table)
     console.print(physics)
-    return {"steps_a_second": rates, "physics": ratios}
+    return {"rates": rates, "physics": ratios}

@@ -13,20 +13,14 @@ from craftsim.discrete.errors import CraftsimError
 
 def bench_workers(console: Console, runs: int, seed: int) -> dict[str, float]:
     """Build ``strip`` so many times with one worker and with two; return wall times, starts of processes included."""
-    from craftsim.checking.settings import MILDLY
-    from craftsim.validation.campaign import Header, run_campaign
-    from craftsim.validation.runs.choice import PLANNER, items_of, policy_pilot, subjects_of
-    from craftsim.validation.runs.run import Terms, do_run
+    from craftsim.validation.validation import validate
 
-    subjects = subjects_of(["strip"])
-    pilots = [policy_pilot(PLANNER, subjects)]
     seconds, lines = [], []
     for workers in (1, 2):
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder)
-            items = list(items_of(subjects, pilots, runs, Terms(seed, MILDLY, "physical", out)))
             begun = time.perf_counter()
-            run_campaign(items, do_run, out, Header("bench", seed, {}), workers=workers)
+            validate("strip", randomize="mild", trials=runs, seed=seed, workers=workers, out=out)
             seconds.append(time.perf_counter() - begun)
             lines.append((out / "trials.jsonl").read_bytes())
         console.print(f"{workers} workers: {runs} runs in {seconds[-1]:.1f} s")

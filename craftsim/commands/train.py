@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -11,19 +12,21 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from craftsim.discrete.errors import InputError
-from craftsim.discrete.tasks import TaskName
 from craftsim.report import output_directory, write_report
 from craftsim.training.config import AlgoName, TrainConfig
 from craftsim.training.extra import need_torch
 
 if TYPE_CHECKING:
+    from craftsim.discrete.tasks import Task
     from craftsim.training.trainer import Trainer
 
 INTERRUPTED: Final = 130
+LINE_EVERY_S: Final = 15.0
+"""How often a run says how far it is where there is no terminal for a bar."""
 
 
 def train(
-    task: TaskName = "strip",
+    task: str = "strip",
     algo: AlgoName = "ippo",
     seed: int = 0,
     steps: int = 3_000_000,
@@ -35,21 +38,23 @@ def train(
     resume: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Train a policy on the grid and say how often it succeeds there on fresh episodes.
+    """Train a policy on the grid and report its success rate there on fresh episodes.
 
-    It runs on one core. Ctrl-C ends it after the current iteration with everything saved; --resume goes on as if it
-    had never stopped. Exit status 0 when training ended by itself.
+    It runs on one core, under the physical rule set; gains and machine parameters mean nothing on the grid, so there is
+    no --rules, --gains or --parameters here. Ctrl-C ends it after the current iteration with everything saved; --resume
+    goes on as if it had never stopped. Exit status 0 when training ended by itself.
 
     Args:
-        task: one of the paper's six.
+        task: one of the paper's six, or a task of one's own: a registered name, a file, or module:factory; with any
+            number of cars.
         algo: independent or multi-agent PPO, QMIX, VDN, or independent Q-learning.
         seed: decides everything that is drawn.
         steps: ticks to play at most, all worlds together.
-        until: end when this part of the episodes of an evaluation succeeds.
-        worlds: how many are played side by side between two updates.
-        novelty: pay so much for a building never seen before, and less the more often it was seen.
+        until: end when this success rate is reached in an evaluation.
+        worlds: how many are stepped side by side in a rollout.
+        novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
         starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
-        episodes: how many episodes to judge the trained policy by.
+        episodes: how many episodes the final evaluation has.
         resume: go on with the run in the output folder, begun with the same options.
         out: folder for policy.pt, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not given.
     """
@@ -58,15 +63,23 @@ def train(
         raise InputError("--steps and --episodes must be at least 1")
     if not 0 <= until <= 1:
         raise InputError(f"--until is {until}; allowed: 0 to 1")
+    from craftsim.discrete.tasks import as_task
+
     config = TrainConfig(task, algo, seed, worlds, novelty=novelty)
-    folder = output_directory(out or Path("out/train") / f"{task}-{algo}")
+    learnt = as_task(task)
+    if not learnt.has_goal:
+        raise InputError(
+            f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, or name one "
+            "in a task file (docs/tasks.md)"
+        )
+    folder = output_directory(out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}"))
 
     import torch
 
     # One thread adds numbers up in one order, so that a run can be repeated bit for bit.
     torch.set_num_threads(1)
     console = Console()
-    trainer = _trainer(config, starts, folder, resume)
+    trainer = _trainer(config, learnt, starts, folder, resume)
     begun = time.perf_counter()
     try:
         _run(trainer, console, steps, until, folder)
@@ -76,17 +89,17 @@ def train(
         return INTERRUPTED
     trainer.save(folder)
     asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
+    asked |= {"task_digest": trainer.identity.digest, "starts_digest": trainer.starts}
     _report(trainer, console, folder, asked, time.perf_counter() - begun)
     return 0
 
 
-def _trainer(config: TrainConfig, starts: Path | None, folder: Path, resume: bool) -> Trainer:
-    from craftsim.discrete.tasks import make_task
+def _trainer(config: TrainConfig, task: Task, starts: Path | None, folder: Path, resume: bool) -> Trainer:
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
-    other = with_starts(make_task(config.task), starts) if starts else None
+    other = with_starts(task, starts) if starts else None
     if resume:
         trainer = Trainer.resume(folder, other)
         if trainer.config != config:
@@ -94,7 +107,7 @@ def _trainer(config: TrainConfig, starts: Path | None, folder: Path, resume: boo
         return trainer
     if (folder / RUN_FILE).exists():
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
-    return Trainer(config, other)
+    return Trainer(config, other, task)
 
 
 def _run(trainer: Trainer, console: Console, steps: int, until: float, folder: Path) -> None:
@@ -102,23 +115,32 @@ def _run(trainer: Trainer, console: Console, steps: int, until: float, folder: P
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn(
-            "success {task.fields[success]}, return {task.fields[pay]}, {task.fields[rate]:,.0f} steps/s"
+            "success {task.fields[success]}, return {task.fields[earned]}, {task.fields[rate]:,.0f} steps/s"
         ),
         TimeElapsedColumn(),
         TextColumn("at most"),
         TimeRemainingColumn(),
     )
-    what = f"{trainer.config.task} {trainer.config.algo}"
-    begun, before = time.perf_counter(), trainer.steps
+    what = f"{trainer.task.name}, {trainer.config.algo}"
+    begun = printed = time.perf_counter()
+    before, success, earned = trainer.steps, "-", "-"
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        row = bar.add_task(what, total=steps, completed=before, success="-", pay="-", rate=0.0)
-        for looked in trainer.run(steps, until):
-            rate = (trainer.steps - before) / (time.perf_counter() - begun)
-            bar.update(row, completed=trainer.steps, rate=rate)
-            if looked:
+        row = bar.add_task(what, total=steps, completed=before, success=success, earned=earned, rate=0.0)
+        for evaluated in trainer.run(steps, until):
+            now = time.perf_counter()
+            rate = (trainer.steps - before) / (now - begun)
+            if evaluated:
                 point = trainer.curve[-1]
-                bar.update(row, success=f"{point.success:.2f}", pay=f"{point.mean_return:.2f}")
+                success, earned = f"{point.success:.2f}", f"{point.mean_return:.2f}"
                 trainer.save(folder)
+            bar.update(row, completed=trainer.steps, rate=rate, success=success, earned=earned)
+            if not console.is_terminal and now - printed >= LINE_EVERY_S:
+                printed = now
+                console.print(
+                    f"{what}: {trainer.steps:,} of at most {steps:,} steps, success {success}, return {earned}, "
+                    f"{rate:,.0f} steps/s",
+                    soft_wrap=True,
+                )
 
 
 def _report(trainer: Trainer, console: Console, folder: Path, asked: dict[str, Any], seconds: float) -> None:
@@ -131,7 +153,9 @@ def _report(trainer: Trainer, console: Console, folder: Path, asked: dict[str, A
     success = Proportion.of(played.successes, played.episodes)
     write_curve(folder / "curve.csv", curve)
     intervals = [wilson(point.successes, point.episodes) for point in curve]
-    plot_curve(folder / "curve.png", f"{config.task}, {config.algo}, seed {config.seed}", curve, intervals)
+    plot_curve(
+        folder / "curve.png", f"{trainer.task.name}, {config.algo}, seed {config.seed}", curve, intervals
+    )
     figures: dict[str, Any] = {
         "steps": trainer.steps,
         "success": success,
@@ -143,7 +167,7 @@ def _report(trainer: Trainer, console: Console, folder: Path, asked: dict[str, A
     wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
     report = write_report(folder, figures, command="train", seed=config.seed, config=asked, wall=wall)
     console.print(
-        f"{config.task}, {config.algo}: success {success.rate:.3f} ({success.wilson_low:.3f} to "
+        f"{trainer.task.name}, {config.algo}: success {success.rate:.3f} ({success.wilson_low:.3f} to "
         f"{success.wilson_high:.3f}) in {played.episodes} fresh episodes of {played.mean_ticks:.1f} ticks, after "
         f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s.",
         soft_wrap=True,

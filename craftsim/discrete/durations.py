@@ -13,29 +13,35 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import suggestion
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.rules.table import ACTIONS
 
 SITUATIONS: Final = ("flat", "flat_loaded", "slope", "slope_loaded")
 """Columns of the table: whether a move starts or ends on a slope, and whether the car is loaded before its action."""
 
-_TURNS: Final = (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
-
-
-def verb(action: Action) -> str:
-    """Return the table's row for an action: its name in small letters, one for all moves and one for both turns."""
-    if action in MOVE_DIRECTION:
-        return "move"
-    return "rotate" if action in _TURNS else action.name.lower()
+_FILE: Final = "craftsim/data/durations.yaml"
 
 
 @cache
 def nominal_durations() -> NDArray[np.float64]:
-    """Return the shipped table in seconds, shape (15, 4): by action and situation, 0 for what does not happen."""
+    """Return the shipped table in seconds, shape (15, 4): by action and situation, 0 for what does not happen.
+
+    Raises RuntimeError, with the name of the action, if a row is missing or belongs to no action.
+    """
     rows = yaml.safe_load(files("craftsim.data").joinpath("durations.yaml").read_text(encoding="utf-8"))
     table = np.zeros((len(Action), len(SITUATIONS)))
-    for action in Action:
-        table[action] = [rows.get(verb(action), {}).get(name, 0.0) for name in SITUATIONS]
+    for action, spec in ACTIONS.items():
+        if not spec.performed:
+            continue
+        if spec.duration not in rows:
+            raise RuntimeError(f"{action.name}: no row '{spec.duration}' in {_FILE}; measure it and add one")
+        table[action] = [rows[spec.duration].get(name, 0.0) for name in SITUATIONS]
+    known = {spec.duration for spec in ACTIONS.values()}
+    for row in rows:
+        if row not in known:
+            raise RuntimeError(f"{_FILE}: row '{row}' belongs to no action{suggestion(row, known)}")
     return table
 
 
@@ -55,8 +61,8 @@ def tick_durations(
     """Return how long a tick takes when all cars act at once, the slowest car's time, shape (...).
 
     That cars may have to wait for each other is not counted. Arguments are the cars of worlds before and after the tick
-    (..., n, 7), what they were told (..., n), and whether they did it. What the action helper does instead of a move is
-    told from what has changed.
+    (..., n, 7), their actions (..., n), and whether these were carried out. What the action helper does instead of a
+    move follows from what has changed.
     """
     turned = (before[..., CarField.YAW] != after[..., CarField.YAW]) & applied
     moved = (before[..., :3] != after[..., :3]).any(-1) | (

@@ -2,7 +2,7 @@
 
 Two actions of different cars may run at the same time when neither sweeps space that the other sweeps, neither changes
 an object that the other relies on, and no two loads in motion pass side by side, where 2.5 mm of air are too little
-for two moving machines.
+for two moving machines. The table of actions (:mod:`craftsim.discrete.rules.table`) says which function is whose.
 """
 
 from __future__ import annotations
@@ -11,22 +11,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 
 
 @dataclass(frozen=True)
 class Footprint:
     """The cells (x, y, z) that matter to one action."""
 
-    space: frozenset[Cell]
+    space: frozenset[Cell] = frozenset()
     """Swept by the car, its load or a flap."""
-    changes: frozenset[Cell]
+    changes: frozenset[Cell] = frozenset()
     """Whose object the action takes, puts down or turns."""
-    relies: frozenset[Cell]
+    relies: frozenset[Cell] = frozenset()
     """Whose object must stay as it is: what is stood on, driven under or out of."""
-    loads: frozenset[Cell]
+    loads: frozenset[Cell] = frozenset()
     """Through which a load moves, sideways play and all."""
 
     def __or__(self, other: Footprint) -> Footprint:
@@ -47,31 +46,50 @@ class Footprint:
         )
 
 
-def footprint(before: Grid, after: Grid, car: int, action: Action) -> Footprint:
-    """Return the footprint of a legal action, given the predicted worlds before and after it."""
-    ends = _standing(before, car) | _standing(after, car)
+def of_nothing(before: Grid, after: Grid, car: int) -> Footprint:
+    """Return that nothing is needed beyond what the car needs where it stands."""
+    return Footprint()
+
+
+def of_move(before: Grid, after: Grid, car: int) -> Footprint:
+    """Return what a move needs: a load sweeps the space that it stands in before and after."""
+    loaded = before.cars[car, CarField.LOAD] != Kind.AIR
+    return _swept((standing(before, car) | standing(after, car)).space if loaded else frozenset())
+
+
+def of_turn(before: Grid, after: Grid, car: int) -> Footprint:
+    """Return what a turn needs: a load sweeps the neighbour cells, a folded slope the corners, too."""
     row = before.cars[car]
-    loaded = row[CarField.LOAD] != Kind.AIR
-    x, y, z = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z))
-    here = (x, y, z)
-    if action in MOVE_DIRECTION:
-        return ends | _swept(ends.space if loaded else frozenset())
-    if action in (Action.ROTATE_LEFT, Action.ROTATE_RIGHT) and loaded:
-        around = {(x + dx, y + dy, z) for dx, dy in DIRECTIONS.tolist()}
-        if row[CarField.LOAD] == Kind.FSLOPE:
-            around |= {(x + dx, y + dy, z) for dx in (-1, 1) for dy in (-1, 1)}
-        return ends | _swept(frozenset({here, *around}))
-    if action in (Action.LIFT, Action.DROP):
-        gears = _gear(before, car) | _gear(after, car)
-        changed = frozenset({here}) | gears
-        return ends | Footprint(changed | {(x, y, z + 1)}, changed, frozenset(), frozenset({here}) | gears)
-    if action in (Action.FOLD, Action.UNFOLD):
-        _, foot, beyond = _along_slope(before, car)
-        # The flap is a third of a metre long: it reaches into the second level above, and 13 mm past the foot's cell.
-        swung = {(cx, cy, z + up) for cx, cy, _ in (here, foot) for up in (0, 1, 2)} | {beyond}
-        held = frozenset({(foot[0], foot[1], z - 1)})
-        return ends | Footprint(frozenset(swung), frozenset({here, foot}), held, frozenset())
-    return ends
+    x, y, z = here = cell_of(before, car)
+    if row[CarField.LOAD] == Kind.AIR:
+        return of_nothing(before, after, car)
+    around = {(x + dx, y + dy, z) for dx, dy in DIRECTIONS.tolist()}
+    if row[CarField.LOAD] == Kind.FSLOPE:
+        around |= {(x + dx, y + dy, z) for dx in (-1, 1) for dy in (-1, 1)}
+    return _swept(frozenset({here, *around}))
+
+
+def of_board(before: Grid, after: Grid, car: int) -> Footprint:
+    """Return what LIFT and DROP need: the object, a slope's gear too, and room above it."""
+    x, y, z = here = cell_of(before, car)
+    gears = _gear(before, car) | _gear(after, car)
+    changed = frozenset({here}) | gears
+    return Footprint(changed | {(x, y, z + 1)}, changed, frozenset(), changed)
+
+
+def of_flap(before: Grid, after: Grid, car: int) -> Footprint:
+    """Return what FOLD and UNFOLD need: the slope, and room for its flap."""
+    here, foot, beyond = _along_slope(before, car)
+    # The flap is a third of a metre long: it reaches into the second level above, and 13 mm past the foot's cell.
+    swung = {(cx, cy, z + up) for cx, cy, z in (here, foot) for up in (0, 1, 2)} | {beyond}
+    held = frozenset({(foot[0], foot[1], foot[2] - 1)})
+    return Footprint(frozenset(swung), frozenset({here, foot}), held, frozenset())
+
+
+def cell_of(grid: Grid, car: int) -> Cell:
+    """Return the cell of a car."""
+    x, y, z = (int(grid.cars[car, field]) for field in (CarField.X, CarField.Y, CarField.Z))
+    return x, y, z
 
 
 def _swept(cells: frozenset[Cell]) -> Footprint:
@@ -82,13 +100,12 @@ def _swept(cells: frozenset[Cell]) -> Footprint:
 
 def _along_slope(grid: Grid, car: int) -> tuple[Cell, Cell, Cell]:
     """Return the cell of a car, the cell of the foot of a slope above it, and the cell beyond that."""
-    row = grid.cars[car]
-    x, y, z = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z))
-    dx, dy = (int(v) for v in DIRECTIONS[(row[CarField.YAW] + 2) % 4])
-    return (x, y, z), (x + dx, y + dy, z), (x + 2 * dx, y + 2 * dy, z)
+    here, back = cell_of(grid, car), int(grid.cars[car, CarField.YAW]) + 2
+    foot = beside(here, back)
+    return here, foot, beside(foot, back)
 
 
-def _standing(grid: Grid, car: int) -> Footprint:
+def standing(grid: Grid, car: int) -> Footprint:
     """Return what a car needs where it stands."""
     row = grid.cars[car]
     x, y, z, slope = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z, CarField.SLOPE))
@@ -110,8 +127,7 @@ def _gear(grid: Grid, car: int) -> frozenset[Cell]:
     row = grid.cars[car]
     if row[CarField.LOAD] != Kind.FSLOPE:
         return frozenset()
-    dx, dy = (int(v) for v in DIRECTIONS[row[CarField.LOAD_YAW]])
-    return frozenset({(int(row[CarField.X]) + dx, int(row[CarField.Y]) + dy, int(row[CarField.Z]))})
+    return frozenset({beside(cell_of(grid, car), int(row[CarField.LOAD_YAW]))})
 
 
 def _beside(cells: frozenset[Cell]) -> frozenset[Cell]:

@@ -3,42 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.cells import RuleFlags, World, derive_marks
 from craftsim.discrete.geometry import DIRECTIONS
+from craftsim.discrete.kinds import CarField, Kind
 
-
-class Kind(IntEnum):
-    """What a cell holds, or what a car carries."""
-
-    AIR = 0
-    GROUND = 1
-    WALL = 2
-    BLOCK = 3
-    FLAG = 4
-    FSLOPE = 5
-    GEAR = 6
-    BODY = 7
-    FOOT = 8
-
-
-class CarField(IntEnum):
-    """Columns of :attr:`Grid.cars`."""
-
-    X = 0
-    Y = 1
-    Z = 2
-    YAW = 3
-    LOAD = 4
-    """A Kind; AIR is no load."""
-    LOAD_YAW = 5
-    """Yaw of a carried folded slope, else 0."""
-    SLOPE = 6
-    """0 off slopes, 1 in a foot's cell, 2 in the cell above a body."""
+__all__ = ["KINDS_WITH_YAW", "SECOND_PART", "CarField", "Cell", "Grid", "Kind", "beside"]
 
 
 KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
@@ -103,11 +77,7 @@ class Grid:
 
     def derive_marks(self) -> None:
         """Overwrite both marks with what follows from the visible state."""
-        from craftsim.discrete.rules import cells
-
-        cells.derive_marks(
-            cells.World(self.kind, self.yaw, self.top, self.back, self.cars, cells.RuleFlags())
-        )
+        derive_marks(World(self.kind, self.yaw, self.top, self.back, self.cars, RuleFlags()))
 
     def same_visible(self, other: Grid) -> bool:
         """Return whether objects and cars are equal; marks are not compared."""

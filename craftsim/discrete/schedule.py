@@ -9,13 +9,14 @@ Warehouses, RA-L 2019).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import Footprint, footprint
+from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules.table import footprint
 from craftsim.discrete.terrain import inclines_of
 
 Order = Literal["sequential", "concurrent", "at-once"]
@@ -25,7 +26,7 @@ wrong, all of a tick together and tick after tick."""
 
 @dataclass(frozen=True)
 class ScheduledAction:
-    """One legal action of a schedule."""
+    """One action of a schedule."""
 
     tick: int
     car: int
@@ -34,8 +35,8 @@ class ScheduledAction:
     """The predicted world when its turn comes in the order of the plan."""
     after: Grid
     """The predicted world right after it."""
-    footprint: Footprint
-    waits_for: frozenset[int]
+    footprint: Footprint = field(default_factory=Footprint)
+    waits_for: frozenset[int] = frozenset()
     """Indices of the earlier steps that must have ended."""
 
     @property
@@ -49,8 +50,8 @@ class Schedule:
     """The legal actions of a plan with their dependencies, and those that the rules forbid when their turn comes."""
 
     steps: tuple[ScheduledAction, ...]
-    forbidden: tuple[tuple[int, int, Action], ...]
-    """(tick, car, action) of what is left out."""
+    forbidden: tuple[ScheduledAction, ...]
+    """What is left out; it changes nothing."""
     final: Grid
     """The predicted world at the end."""
     acts: tuple[tuple[int, int], ...] = ()
@@ -68,7 +69,7 @@ def make_schedule(
         for car, action in joint:
             acts.append((tick, car))
             if not rules.legal(grid, car, action):
-                forbidden.append((tick, car, action))
+                forbidden.append(ScheduledAction(tick, car, action, grid, grid))
                 continue
             after = rules.apply(grid, car, action)
             needs = footprint(grid, after, car, action)

@@ -5,33 +5,37 @@ Importing this package registers ``craftsim/SimpleTwoStory-v0`` and its like wit
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
-from craftsim.discrete.tasks import TASK_NAMES, Task
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
 
 if TYPE_CHECKING:
+    from gymnasium.vector import VectorEnv
     from pettingzoo import AECEnv
 
-    from craftsim.envs.core import BackendName
+    from craftsim.envs.options import BackendName
     from craftsim.envs.parallel import ParallelConstruction
 
-__all__ = ["GYMNASIUM_IDS", "env", "parallel_env"]
+__all__ = ["GYMNASIUM_IDS", "env", "parallel_env", "vector_env"]
 
 
 def parallel_env(task: Task | str, backend: BackendName = "physics", **options: Any) -> ParallelConstruction:
     """Return a task as a PettingZoo environment whose agents act at the same time.
 
     Args:
-        task: name of one of the six, or a task of one's own.
+        task: a Task, or what :func:`craftsim.discrete.tasks.as_task` makes one of, a registered name for instance.
         backend: contact physics, or the grid and its rules.
-        options: the other fields of :class:`craftsim.envs.core.Options`.
+        options: the other fields of :class:`craftsim.envs.options.Options`.
 
     Raises:
         InputError: there is no such task, backend, option or option value.
     """
-    from craftsim.envs.core import Options
+    from craftsim.envs.options import Options
     from craftsim.envs.parallel import ParallelConstruction
 
     return ParallelConstruction(task, Options.named(backend=backend, **options))
@@ -42,6 +46,43 @@ def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> A
     from pettingzoo.utils.conversions import parallel_to_aec
 
     return parallel_to_aec(parallel_env(task, backend, **options))
+
+
+def vector_env(
+    task: Task | str, num_envs: int, backend: BackendName = "grid", **options: Any
+) -> VectorEnv[Any, Any, Any]:
+    """Return many worlds of a task as a Gymnasium environment, one agent for all cars of each world.
+
+    An episode that ends is reset in the same step, and its last observation is in ``infos["final_obs"]``. Grid worlds
+    advance in one array call; each world in physics runs in a process of its own, so call this where
+    ``__name__ == "__main__"``, and close it.
+
+    Args:
+        task: as in :func:`parallel_env`.
+        num_envs: how many worlds, 1 or more.
+        backend: the grid and its rules, or contact physics.
+        options: on the grid ``rule_set``, ``helper_depth`` and ``time_weight``; in physics the fields of
+            :class:`craftsim.envs.options.Options`, ``observe`` aside.
+
+    Raises:
+        InputError: there is no such task, backend, option or option value.
+    """
+    from craftsim.envs.options import Options
+    from craftsim.envs.vector import GridVectorEnv
+
+    Options.named(backend=backend, **options)
+    if backend == "grid":
+        for name in options:
+            if name not in ("rule_set", "helper_depth", "time_weight"):
+                raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
+        return GridVectorEnv(task, num_envs, **options)
+    from craftsim.envs.central import CentralConstruction
+
+    make = partial(CentralConstruction, as_task(task), backend=backend, **options)
+    make().close()  # so that what is wrong is said here, and not in a process
+    if not isinstance(num_envs, int) or num_envs < 1:
+        raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")
+    return AsyncVectorEnv([make] * num_envs, context="spawn", autoreset_mode=AutoresetMode.SAME_STEP)
 
 
 GYMNASIUM_IDS: Final = {

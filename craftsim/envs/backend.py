@@ -1,4 +1,4 @@
-"""What a backend is: how a tick of all cars happens, and what is told of it."""
+"""What a backend is: how a tick of all cars happens, and what it reports."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from craftsim.discrete.tasks.worlds import Worlds
 
 @dataclass(frozen=True)
 class Tick:
-    """What a tick brought."""
+    """The result of a tick."""
 
     applied: NDArray[np.bool_]
     """(n,): by car, whether the rules allowed what it was to do when its turn came."""
@@ -23,7 +23,7 @@ class Tick:
     problems: tuple[str, ...] = ()
     """Why the world cannot be read as a grid any more, in words; empty when it can."""
     of_car: tuple[dict[str, Any], ...] = field(default=())
-    """By car: what there is to tell beyond that; empty when there is nothing."""
+    """By car: further entries of its info; empty when there are none."""
 
 
 class Backend(Protocol):
@@ -40,6 +40,9 @@ class Backend(Protocol):
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return the world as a picture, shape (height, width, 3)."""
+
+    def pictures(self, grid: Grid, goal: Cell | None) -> list[NDArray[np.uint8]]:
+        """Return pictures of what has happened since the last call, the latest last; one or more."""
 
     def show(self, grid: Grid, goal: Cell | None) -> None:
         """Show the world to a person."""

@@ -1,4 +1,4 @@
-"""The Gymnasium form: one agent tells all cars what to do."""
+"""The Gymnasium form: one agent chooses the actions of all cars."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import Task
-from craftsim.envs.core import RENDER_FPS, RENDER_MODES, Core, Options
+from craftsim.envs.core import Core
+from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.envs.spaces import central_space, joint_action_space
 
 Observation = dict[str, NDArray[Any]]
@@ -24,11 +26,18 @@ class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
     }
 
     def __init__(self, task: Task | str, render_mode: Any = None, **options: Any) -> None:
-        """Prepare a task; ``options`` are the fields of :class:`craftsim.envs.core.Options`.
+        """Prepare a task; ``options`` are the fields of :class:`craftsim.envs.options.Options`, ``observe`` aside.
 
         Raises InputError for a task, an option or an option value that there is not.
         """
-        self.core = Core(task, Options.named(render_mode=render_mode, **options))
+        chosen = Options.named(render_mode=render_mode, **options)
+        if chosen.observe is not None:
+            raise InputError(
+                "'observe' is what single cars observe, in the PettingZoo forms; "
+                "here wrap the environment in gymnasium.wrappers.TransformObservation"
+            )
+        self.core = Core(task, chosen)
+        self.metadata = type(self).metadata | {"render_fps": chosen.render_fps}
         self.render_mode = render_mode
         self.observation_space = central_space(self.core.task)
         self.action_space = joint_action_space(self.core.task)
@@ -54,10 +63,13 @@ class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
         return self._observe(), result.reward, result.terminated, result.truncated, info
 
     def _observe(self) -> Observation:
-        return {"observation": self.core.state(), "action_mask": self.core.masks}
+        return {"observation": self.core.state(), "action_mask": self.core.masks.copy()}
 
     def render(self) -> Any:
-        """Return a picture (``rgb_array``) or text (``ansi``); ``human`` shows every tick by itself."""
+        """Return a picture (``rgb_array``), all since the last call (``rgb_array_list``) or text (``ansi``).
+
+        ``human`` shows every tick by itself.
+        """
         return self.core.render()
 
     def close(self) -> None:

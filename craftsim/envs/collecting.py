@@ -1,4 +1,4 @@
-"""Gathering worlds that real skills reach, to be the starts of later training."""
+"""Collecting worlds that real skills reach, to be the starts of later training."""
 
 from __future__ import annotations
 

@@ -2,122 +2,32 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.errors import InputError, suggestion
+from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.discrete.tasks.starts import check_start
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.backend import Backend
-from craftsim.envs.grid_backend import GridBackend
-
-if TYPE_CHECKING:
-    from craftsim.models.config import SimulationConfig
-    from craftsim.models.noise import SensorNoise
-    from craftsim.models.randomization import DomainRandomization
-
-BackendName = Literal["physics", "grid"]
-RenderMode = Literal["rgb_array", "human", "ansi"]
-RENDER_MODES: Final[tuple[str, ...]] = get_args(RenderMode)
-RENDER_FPS: Final = 2
-"""Pictures a second in films that Gymnasium's wrappers make: one a tick, which is about what a move takes."""
+from craftsim.envs.options import Options
 
 _RESET_FIRST: Final = "call reset() before anything else"
 
 
 @dataclass(frozen=True)
-class Options:
-    """How an environment works, on top of its task; docs/envs.md explains each. Raises InputError for a bad value."""
-
-    backend: BackendName = "physics"
-    rule_set: RuleSet = "physical"
-    helper_depth: int | None = None
-    """Search depth of the action helper; None is without it."""
-    time_weight: float = 0.0
-    """What a simulated second costs."""
-    render_mode: RenderMode | None = None
-    noise: SensorNoise | None = None
-    """Noise of the cars' sensors and motors; physics only."""
-    randomization: DomainRandomization | None = None
-    """How far the physics of each episode is drawn from the nominal one; physics only."""
-    config: SimulationConfig | None = None
-    """How the physics is computed; physics only."""
-
-    def __post_init__(self) -> None:
-        choices = {"backend": get_args(BackendName), "render_mode": (None, *RENDER_MODES)}
-        for name, allowed in choices.items():
-            value = getattr(self, name)
-            if value not in allowed:
-                words = [str(word) for word in allowed]
-                raise InputError(
-                    f"unknown {name} '{value}'{suggestion(str(value), words)}; there are {', '.join(words)}"
-                )
-        depth, weight = self.helper_depth, self.time_weight
-        if depth is not None and not (isinstance(depth, int) and depth >= 0):
-            raise InputError(f"helper_depth is {depth!r}; allowed: None, or 0 and more")
-        if not (isinstance(weight, int | float) and 0 <= weight < math.inf):
-            raise InputError(f"time_weight is {weight!r}; allowed: 0 and more, and finite")
-        for name in ("noise", "randomization", "config"):
-            if self.backend == "grid" and getattr(self, name) is not None:
-                raise InputError(
-                    f"the grid backend knows no '{name}'; leave it out, or take backend='physics'"
-                )
-
-    @classmethod
-    def named(cls, **options: Any) -> Options:
-        """Return options given by name; raises InputError for a name that is none of them."""
-        known = [field.name for field in fields(cls)]
-        for name in options:
-            if name not in known:
-                raise InputError(
-                    f"unknown option '{name}'{suggestion(name, known)}; there are {', '.join(known)}"
-                )
-        return cls(**options)
-
-    def make_backend(self, task: Task) -> Backend:
-        """Return the backend; only here does the physics get imported."""
-        if self.backend == "grid":
-            return GridBackend()
-        if self.render_mode == "rgb_array":
-            from craftsim.rendering.backend import choose_backend
-
-            choose_backend()
-        from craftsim.checking.settings import Setup, nominal_gains
-        from craftsim.envs.physics_backend import PhysicsBackend
-        from craftsim.models.config import SimulationConfig
-        from craftsim.models.noise import EXACT, SensorNoise
-        from craftsim.models.randomization import DomainRandomization
-
-        kinds = {"noise": SensorNoise, "randomization": DomainRandomization, "config": SimulationConfig}
-        for name, kind in kinds.items():
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
-                raise InputError(f"the option '{name}' must be a {kind.__name__}, not {value!r}")
-        setup = Setup(
-            rules=self.rule_set,
-            noise=self.noise or EXACT,
-            randomization=self.randomization,
-            simulation=self.config or SimulationConfig(),
-            gains=nominal_gains(),
-        )
-        return PhysicsBackend(setup, self.helper_depth, task.goal_cells)
-
-
-@dataclass(frozen=True)
 class CoreStep:
-    """What a tick brought."""
+    """The result of a tick."""
 
     reward: float
     """Shared by all cars."""
@@ -143,6 +53,7 @@ class Core:
         self._success = self.task.success_measure
         self._worlds: Worlds | None = None
         self._runs = False
+        self._pictures: list[NDArray[np.uint8]] = []
         self._seed(None)
 
     def _seed(self, seed: int | None) -> None:
@@ -181,10 +92,11 @@ class Core:
         self._t = np.zeros(1, np.int64)
         self._paid = np.zeros(1, np.bool_)
         self._runs = True
-        self._worth = self.task.reward.measure.of_worlds(self._worlds.arrays)
+        self._potential = self.task.reward.measure.of_worlds(self._worlds.arrays)
         self._look()
+        self._pictures.clear()
         self._show()
-        return [{"action_mask": self.masks[car]} for car in range(self.n_cars)]
+        return [{"action_mask": mask} for mask in self.masks.copy()]
 
     def _draw(self, options: dict[str, Any]) -> Grid:
         grid, path = options.get("grid"), options.get("blueprint")
@@ -202,7 +114,7 @@ class Core:
         return grid.copy()
 
     def _look(self) -> None:
-        """Bring what the cars observe up to date: fresh arrays, that the caller may keep."""
+        """Bring what the cars observe up to date; callers get copies, for the next tick is judged by these."""
         self.masks: NDArray[np.int8] = self.worlds.offered()[0].view(np.int8)
         """(n, 15): what each car is offered; STOP, which then does nothing, where the rules leave it nothing."""
         self.rows: NDArray[np.int32] = self.worlds.entity_rows(self.layout)[0]
@@ -230,25 +142,25 @@ class Core:
         Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.
         """
         self.require_episode()
-        told = checked(actions, (self.n_cars,))
+        chosen = checked(actions, (self.n_cars,))
         offered, helped = self.masks, self.options.helper_depth is not None
         queued = self.worlds.queue[0, :, 0] >= 0 if helped else None
         order = self._rng.permutation(self.n_cars)
-        tick = self.backend.tick(self.worlds, told, order)
+        tick = self.backend.tick(self.worlds, chosen, order)
         arrays = self.worlds.arrays
-        after = self._worth if tick.problems else self.task.reward.measure.of_worlds(arrays)
-        reward, self._paid = self.task.reward.pay(self._worth, after, self._t, self._paid)
+        after = self._potential if tick.problems else self.task.reward.measure.of_worlds(arrays)
+        reward, self._paid = self.task.reward.pay(self._potential, after, self._t, self._paid)
         success = not tick.problems and bool(self._success.of_worlds(arrays)[0])
         over = bool(self.task.over(self._t, np.array([success]))[0])
-        self._worth, self._t = after, self._t + 1
+        self._potential, self._t = after, self._t + 1
         self._look()
         self._show()
-        wrong = illegal(told, tick.applied, offered, queued)
+        wrong = illegal(chosen, tick.applied, offered, queued)
         shared = {"success": success, "duration_s": tick.duration_s, "problems": tick.problems}
         extras = tick.of_car or ({},) * self.n_cars
         infos = [
-            {"action_mask": self.masks[car], "illegal": bool(wrong[car]), **shared, **extras[car]}
-            for car in range(self.n_cars)
+            {"action_mask": mask, "illegal": bool(wrong[car]), **shared, **extras[car]}
+            for car, mask in enumerate(self.masks.copy())
         ]
         terminated = success and self.task.ends_on_success
         truncated = not terminated and (over or bool(tick.problems))
@@ -260,18 +172,27 @@ class Core:
             infos=infos,
         )
 
-    def render(self) -> NDArray[np.uint8] | str | None:
-        """Return what ``render_mode`` says: a picture (height, width, 3), text, or nothing if it is shown already."""
+    def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | str | None:
+        """Return what ``render_mode`` says: a picture (height, width, 3), pictures, text, or nothing if it is shown.
+
+        ``rgb_array_list`` returns the pictures since the last call, or since the reset if that was later.
+        """
         mode, goal = self.options.render_mode, self.layout.goal
         if mode == "rgb_array":
             return self.backend.picture(self.grid, goal)
+        if mode == "rgb_array_list":
+            taken, self._pictures = self._pictures, []
+            return taken
         if mode == "ansi":
             return _ansi(self.grid, goal)
         return None
 
     def _show(self) -> None:
-        if self.options.render_mode == "human":
-            self.backend.show(self.grid, self.layout.goal)
+        mode, goal = self.options.render_mode, self.layout.goal
+        if mode == "human":
+            self.backend.show(self.grid, goal)
+        elif mode == "rgb_array_list":
+            self._pictures += self.backend.pictures(self.grid, goal)
 
     def close(self) -> None:
         """Release what rendering holds."""

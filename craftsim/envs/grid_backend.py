@@ -30,6 +30,10 @@ class GridBackend:
 
         return world_image(grid, goal)
 
+    def pictures(self, grid: Grid, goal: Cell | None) -> list[NDArray[np.uint8]]:
+        """Return the one picture of a tick: there is no motion between two."""
+        return [self.picture(grid, goal)]
+
     def show(self, grid: Grid, goal: Cell | None) -> None:
         """Print the world as coloured text."""
         from rich.console import Console

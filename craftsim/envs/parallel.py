@@ -14,10 +14,19 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import N_ACTIONS
 from craftsim.envs.backend import Backend
-from craftsim.envs.core import RENDER_FPS, RENDER_MODES, Core, Options
+from craftsim.envs.core import Core
+from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.envs.spaces import car_space, state_space
 
 Observation = dict[str, NDArray[Any]]
+
+
+class Observations(dict[str, Observation]):
+    """What all agents observe, by agent; it knows of which task, so that a policy can refuse another one."""
+
+    def __init__(self, seen: dict[str, Observation], task: Task) -> None:
+        super().__init__(seen)
+        self.task = task
 
 
 class ParallelConstruction(ParallelEnv[str, Observation, int]):
@@ -35,16 +44,19 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
     def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
         """Prepare a task; the first episode begins with :meth:`reset`. ``backend`` replaces the one of the options."""
         self.core = Core(task, options, backend)
-        self.metadata = type(self).metadata | {"name": f"craftsim_{self.core.task.name}_v0"}  # type: ignore[misc]
+        own = {"name": f"craftsim_{self.core.task.name}_v0", "render_fps": options.render_fps}
+        self.metadata = type(self).metadata | own  # type: ignore[misc]
         self.render_mode = options.render_mode
         self.possible_agents = [f"car_{car}" for car in range(self.core.n_cars)]
         self.agents: list[str] = []
         self.state_space = state_space(self.core.task)
-        self._observation_spaces = {agent: car_space(self.core.task) for agent in self.possible_agents}
+        self._own = options.observe
+        space = None if self._own is None else self._own.space
+        self._observation_spaces = {agent: car_space(self.core.task, space) for agent in self.possible_agents}
         self._action_spaces = {agent: spaces.Discrete(N_ACTIONS) for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """Return an agent's observation space."""
+        """Return an agent's observation space: what it observes, and its action mask."""
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Discrete:
@@ -96,18 +108,26 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
         )
 
     def _observe(self) -> dict[str, Observation]:
-        vectors, masks = self.core.vectors(), self.core.masks
-        return {
-            agent: {"observation": vectors[car], "action_mask": masks[car]}
+        masks = self.core.masks.copy()
+        seen = list(self.core.vectors())
+        if self._own is not None:
+            grid = self.core.grid
+            seen = [self._own.of(grid, car) for car in range(self.core.n_cars)]
+        of_cars = {
+            agent: {"observation": seen[car], "action_mask": masks[car]}
             for car, agent in enumerate(self.possible_agents)
         }
+        return Observations(of_cars, self.core.task)
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: the rows of all entities, flattened, as ``state_space`` says."""
         return self.core.state()
 
-    def render(self) -> NDArray[np.uint8] | str | None:
-        """Return a picture (``rgb_array``) or text (``ansi``); ``human`` shows every tick by itself."""
+    def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | str | None:
+        """Return a picture (``rgb_array``), all since the last call (``rgb_array_list``) or text (``ansi``).
+
+        ``human`` shows every tick by itself.
+        """
         return self.core.render()
 
     def close(self) -> None:

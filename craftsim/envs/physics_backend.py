@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,21 +14,14 @@ from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
-from craftsim.models.site import Site
+from craftsim.envs.pictures import Pictures
 from craftsim.skills.executor import Observer
-
-if TYPE_CHECKING:
-    from mujoco.viewer import Handle
-
-PICTURE_SIZE: Final = (640, 480)
-"""Width and height of a picture in pixels."""
 
 
 class PhysicsBackend:
@@ -43,6 +34,7 @@ class PhysicsBackend:
         goals: Sequence[Cell] = (),
         observers: Sequence[Observer] = (),
         watch_contacts: bool = False,
+        pictures: Pictures | None = None,
     ) -> None:
         """Prepare for episodes.
 
@@ -52,13 +44,13 @@ class PhysicsBackend:
             goals: cells to mark.
             observers: called with the Site after every control period.
             watch_contacts: whether the judge logs contacts, 8 % of the time; unsafe actions then end at once.
+            pictures: shows the world to people.
         """
         self.setup, self.goals = setup, tuple(goals)
         self.observers, self.watch_contacts = observers, watch_contacts
         self._planner = None if helper_depth is None else Planner(Rules(setup.rules), helper_depth)
         self._start: Grid | None = None
-        self._renderer: mujoco.Renderer | None = None
-        self._viewer: Handle | None = None
+        self._pictures = pictures or Pictures()
         self.checked: CheckedSite
         self.recipe: Recipe
         """How the episode starts, and all its ticks so far: it is re-run bit for bit from this."""
@@ -69,13 +61,13 @@ class PhysicsBackend:
         """Begin an episode; a Site is compiled only when the start is another than the last one's."""
         seed = Seed.drawn(rng)
         if self._start is None or not self._start.same_visible(grid):
-            self.close()
             self._world = compile_world(grid, self.setup, self.goals)
             self._start = grid.copy()
         self.checked = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
-        self.checked.executor.observers += [self._observe, *self.observers]
+        self.checked.executor.observers += [self._pictures.watch, *self.observers]
         self.recipe = Recipe(blueprint_text(grid), (), self.setup, seed, self.goals)
         self.ticks = []
+        self._pictures.begin(self.checked.site)
         return self.checked.grid
 
     def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
@@ -113,36 +105,20 @@ class PhysicsBackend:
         return primitives
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
-        """Return what the overview camera sees."""
-        if self._renderer is None:
-            width, height = PICTURE_SIZE
-            self._renderer = mujoco.Renderer(self.checked.site.model, height, width)
-        self._renderer.update_scene(self.checked.site.data, "overview")
-        return self._renderer.render()
+        """Return what the camera sees."""
+        return self._pictures.picture()
+
+    def pictures(self, grid: Grid, goal: Cell | None) -> list[NDArray[np.uint8]]:
+        """Return the pictures of the motion since the last call."""
+        return self._pictures.taken()
 
     def show(self, grid: Grid, goal: Cell | None) -> None:
         """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
-        if self._viewer is None:
-            if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-                raise InputError(
-                    "render_mode 'human' needs a display, and there is none here; try 'rgb_array' or 'ansi'"
-                )
-            import mujoco.viewer
-
-            self._viewer = mujoco.viewer.launch_passive(self.checked.site.model, self.checked.site.data)
-        self._viewer.sync()
+        self._pictures.show()
 
     def close(self) -> None:
         """Close the viewer and the renderer."""
-        if self._viewer is not None:
-            self._viewer.close()
-        if self._renderer is not None:
-            self._renderer.close()
-        self._viewer = self._renderer = None
-
-    def _observe(self, site: Site) -> None:
-        if self._viewer is not None:
-            self._viewer.sync()
+        self._pictures.close()
 
 
 def _info(attempt: Attempt) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from gymnasium import spaces
 
@@ -21,18 +23,21 @@ def state_space(task: Task) -> spaces.Box:
     return entity_space(task, task.layout.n_rows)
 
 
-def car_space(task: Task) -> spaces.Dict:
-    """Return one car's observation space: its own row, then all rows; and the actions that it is offered."""
+def car_space(task: Task, own: spaces.Space[Any] | None = None) -> spaces.Dict:
+    """Return one car's observation space, and the actions that it is offered.
+
+    What it observes is its own row, then all rows, or an observation of one's ``own``.
+    """
     return spaces.Dict(
         {
-            "observation": entity_space(task, 1 + task.layout.n_rows),
+            "observation": own or entity_space(task, 1 + task.layout.n_rows),
             "action_mask": spaces.Box(0, 1, (N_ACTIONS,), np.int8),
         }
     )
 
 
 def central_space(task: Task) -> spaces.Dict:
-    """Return the observation space of one who tells all cars what to do: the global state, and the masks of all."""
+    """Return the observation space of one who acts for all cars: the global state, and all masks."""
     return spaces.Dict(
         {
             "observation": state_space(task),

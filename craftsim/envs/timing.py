@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task
-from craftsim.envs.core import Options
+from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.envs.vector import GridVectorEnv

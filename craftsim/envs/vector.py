@@ -16,7 +16,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.core import BackendName, Options
+from craftsim.envs.options import BackendName, Options
 from craftsim.envs.spaces import central_space, joint_action_space
 
 Observation = dict[str, NDArray[Any]]
@@ -45,14 +45,14 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         helper_depth: int | None = None,
         time_weight: float = 0.0,
     ) -> None:
-        """Prepare ``num_envs`` worlds; the options are as in :class:`craftsim.envs.core.Options`.
+        """Prepare ``num_envs`` worlds; the options are as in :class:`craftsim.envs.options.Options`.
 
         Raises InputError for a task or an option value that there is not, and for any backend but the grid.
         """
         if backend != "grid":
             raise InputError(
-                f"a batch in one call is of grid worlds, not of backend '{backend}'; "
-                "for physics say vectorization_mode='async' (or 'sync')"
+                f"a batch in one call is of grid worlds, not of backend '{backend}'; for physics say "
+                "vectorization_mode='async' (or 'sync'), or craftsim.envs.vector_env(..., backend='physics')"
             )
         if not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")
@@ -90,18 +90,18 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         """
         if not self._begun:
             raise InputError("call reset() before anything else")
-        episodes, told = self.episodes, checked(actions, (self.num_envs, self.task.layout.n_cars))
+        episodes, chosen = self.episodes, checked(actions, (self.num_envs, self.task.layout.n_cars))
         worlds, offered = episodes.worlds, self._masks
         queued = None if worlds.depth is None else worlds.queue[:, :, 0] >= 0
         before = worlds.arrays.cars.copy()
-        steps = episodes.step(told)
-        duration = tick_durations(before, worlds.arrays.cars, told, steps.applied)
+        steps = episodes.step(chosen)
+        duration = tick_durations(before, worlds.arrays.cars, chosen, steps.applied)
         terminated = steps.success & self.task.ends_on_success
         truncated = steps.done & ~terminated
         infos: dict[str, Any] = {
             "success": steps.success,
             "duration_s": duration,
-            "illegal": illegal(told, steps.applied, offered, queued),
+            "illegal": illegal(chosen, steps.applied, offered, queued),
         }
         self._look()
         ended = np.flatnonzero(steps.done)
@@ -117,7 +117,9 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         self._rows = self.episodes.entity_rows()
 
     def _observe(self) -> Observation:
-        return {"observation": self._rows.reshape(self.num_envs, -1), "action_mask": self._masks}
+        # Copies, for the next step is judged by these masks, and car_vectors() reads these rows.
+        rows = self._rows.reshape(self.num_envs, -1).copy()
+        return {"observation": rows, "action_mask": self._masks.copy()}
 
     def _final(self, ended: NDArray[np.int64]) -> dict[str, Any]:
         last = np.full(self.num_envs, None, object)

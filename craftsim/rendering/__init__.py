@@ -1,1 +1,1 @@
-"""Films of simulated scenes. Nothing else needs it; choose a backend before MuJoCo is imported."""
+"""Films and pictures of simulated scenes. Nothing else needs it."""

@@ -1,8 +1,7 @@
 """Choose how MuJoCo renders off-screen: the one place where that is decided.
 
-MuJoCo fixes its OpenGL backend when it is imported, from the environment variable ``MUJOCO_GL``. So a
-program that wants pictures calls `choose_backend` before anything imports ``mujoco``; a program that wants
-only physics calls nothing.
+`choose_backend` tries the backends, each in a process of its own, and may be called at any time, before or after
+MuJoCo was imported; `craftsim.rendering.renderer.make_renderer` calls it and makes renderers that use the choice.
 
 ``python -m craftsim.rendering.backend`` prints the backend that works, or says what is missing and exits
 with 1.
@@ -43,7 +42,7 @@ renderer.close()
 
 
 class RenderingUnavailable(CraftsimError):
-    """No backend renders a frame on this machine; the message says why and which command mends it."""
+    """No backend renders a frame on this machine; the message says why and which command fixes it."""
 
 
 @functools.cache
@@ -72,12 +71,12 @@ def failure(backend: str) -> str | None:
 
 
 def choose_backend() -> str:
-    """Return the backend that renders, and set ``MUJOCO_GL`` to it for this process.
+    """Return the backend that renders, and set ``MUJOCO_GL`` to it for this process and its children.
 
     A ``MUJOCO_GL`` that is already set is used, or refused if it does not render, but never replaced.
 
     Raises:
-        RenderingUnavailable: nothing renders, or MuJoCo was imported before the choice.
+        RenderingUnavailable: nothing renders.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted:
@@ -87,11 +86,6 @@ def choose_backend() -> str:
                 f"MUJOCO_GL={wanted} does not render ({reason}). Unset MUJOCO_GL to let craftsim choose."
             )
         return wanted
-    if "mujoco" in sys.modules:
-        raise RenderingUnavailable(
-            "MuJoCo was imported before a rendering backend was chosen. Call choose_backend() first, "
-            "or set MUJOCO_GL=egl in the environment."
-        )
     reasons = []
     for backend in BACKENDS:
         reason = failure(backend)

@@ -1,7 +1,4 @@
-"""A film of a running simulation: pictures at the right simulated moments, captioned and encoded.
-
-Importing this module imports MuJoCo, so call `craftsim.rendering.backend.choose_backend` before.
-"""
+"""A film of a running simulation: pictures at the right simulated moments, captioned and encoded."""
 
 from __future__ import annotations
 
@@ -13,6 +10,7 @@ from typing import Self
 
 import mujoco
 
+from craftsim.rendering.renderer import make_renderer
 from craftsim.rendering.video import VideoWriter, caption
 
 
@@ -46,17 +44,16 @@ class Film:
             speed: simulated seconds in a second of film.
             shadows: draw them, at three and a half times the cost of a frame with Mesa's software renderer.
             start_s: simulated time of the first frame.
+
+        Raises:
+            RenderingUnavailable: nothing renders on this machine.
         """
         self.speed = speed
         self._camera = camera
         self._start_s = start_s
         self._frame_time_s = speed / fps
         self._writer = VideoWriter(path, fps)
-        width, height = size
-        buffers = model.vis.global_
-        buffers.offwidth = max(buffers.offwidth, width)
-        buffers.offheight = max(buffers.offheight, height)
-        self._renderer = mujoco.Renderer(model, height, width)
+        self._renderer = make_renderer(model, size)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
 
     @property

@@ -16,21 +16,30 @@ from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.training.config import TrainConfig
 from craftsim.training.features import Shape
+from craftsim.training.identity import TaskIdentity
 from craftsim.training.networks import CarNet
 
 POLICY_FILE: Final = "policy.pt"
 RUN_FILE: Final = "run.pt"
-FORMAT: Final = 1
+FORMAT: Final = 2
 """Raised whenever older files cannot be read any more."""
 
 
-def save_policy(path: Path, config: TrainConfig, shape: Shape, net: CarNet, versions: dict[str, str]) -> None:
-    """Write what decides, and what it was trained for and with."""
+def save_policy(
+    path: Path,
+    config: TrainConfig,
+    identity: TaskIdentity,
+    shape: Shape,
+    net: CarNet,
+    versions: dict[str, str],
+) -> None:
+    """Write a policy, and what it was trained for and with."""
     _save(
         path,
         {
             "kind": "policy",
             "config": config.as_dict(),
+            "task": identity.as_dict(),
             "shape": asdict(shape),
             "versions": versions,
             "net": net.state_dict(),
@@ -38,14 +47,15 @@ def save_policy(path: Path, config: TrainConfig, shape: Shape, net: CarNet, vers
     )
 
 
-def read_policy(path: Path) -> tuple[TrainConfig, Shape, CarNet]:
+def read_policy(path: Path) -> tuple[TrainConfig, TaskIdentity, Shape, CarNet]:
     """Return what :func:`save_policy` wrote; raises InputError for any other file."""
     content = _read(path, "policy")
     try:
         shape = Shape(**{**content["shape"], "size": tuple(content["shape"]["size"])})
         net = CarNet(shape, N_ACTIONS)
         net.load_state_dict(content["net"])
-        return TrainConfig.from_dict(content["config"]), shape, net.eval()
+        identity = TaskIdentity(**content["task"])
+        return TrainConfig.from_dict(content["config"]), identity, shape, net.eval()
     except (KeyError, TypeError, RuntimeError, InputError) as error:
         raise InputError(f"{path}: not a policy of this version of craftsim ({error})") from error
 

@@ -1,4 +1,4 @@
-"""What a training run is told; it is kept in its checkpoints."""
+"""The configuration of a training run; it is kept in its checkpoints."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Final, Literal, get_args
 
 from craftsim.discrete.errors import InputError
-from craftsim.discrete.tasks import TaskName
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql"]
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
@@ -17,15 +16,16 @@ ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
 class TrainConfig:
     """Everything that decides what a run learns, its length aside. Raises InputError for a bad value."""
 
-    task: TaskName
+    task: str
+    """A registered name, a file or ``module:factory``, as :func:`craftsim.discrete.tasks.as_task` takes it."""
     algo: AlgoName = "ippo"
     seed: int = 0
     worlds: int = 500
-    """How many grid worlds are played side by side."""
+    """How many grid worlds are stepped side by side in a rollout."""
     width: int = 128
     """Length of the vectors inside the networks."""
     novelty: float = 0.0
-    """What a building never seen before pays in training; one seen k times pays that much divided by the root of k."""
+    """Exploration bonus for a building never seen before; for one seen k times it is divided by the root of k."""
 
     def __post_init__(self) -> None:
         if self.seed < 0:

@@ -1,4 +1,4 @@
-"""How well a policy does: whole episodes on the grid, from the task's own starts."""
+"""Evaluation of a policy: whole episodes on the grid, from the task's own starts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from craftsim.training.networks import CarNet
 
 @dataclass(frozen=True)
 class Played:
-    """What came of some episodes."""
+    """The result of an evaluation."""
 
     episodes: int
     successes: int
@@ -25,7 +25,7 @@ class Played:
 
     @property
     def success(self) -> float:
-        """The part that succeeded."""
+        """The success rate."""
         return self.successes / self.episodes
 
 

@@ -15,6 +15,6 @@ def need_torch() -> None:
     missing = [name for name in PACKAGES if find_spec(name) is None]
     if missing:
         raise InputError(
-            f"training needs {', '.join(missing)}, not installed here; try: pip install 'craftsim[train]' "
-            "(a CPU build of torch is enough: pip install torch --index-url https://download.pytorch.org/whl/cpu)"
+            f"training needs {', '.join(missing)}, not installed here; in a checkout of craftsim try: "
+            "pip install '.[train]' (a CPU build of torch is enough: pip install torch --index-url https://download.pytorch.org/whl/cpu)"
         )

@@ -1,4 +1,4 @@
-"""What a training algorithm is: how it acts, and what it learns from what came of it."""
+"""What a training algorithm is: how it explores, and how it learns from a rollout."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ class Learner(ABC):
     """One of the algorithms, with its networks and its optimiser."""
 
     net: CarNet
-    """What decides: from observation and mask to one number an action, higher for better."""
+    """The policy: from observation and mask to one number an action, higher for better."""
     plays: TensorDictModuleBase
-    """Chooses the actions that are learnt from."""
+    """Chooses the actions of rollouts."""
     modules: nn.Module
-    """All that is learnt."""
+    """All that has weights."""
     ticks: int
-    """How many ticks of each world are played between two updates."""
+    """Length of a rollout: ticks of each world between two updates."""
 
     @abstractmethod
     def update(self, rollout: TensorDictBase) -> None:
-        """Learn from what was played, batch size (B, ticks)."""
+        """Learn from a rollout, batch size (B, ticks)."""
 
     @abstractmethod
     def state(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Pay for buildings not seen before, the less the more often they were: count-based exploration by hashing.
+"""An exploration bonus for buildings that were seldom seen: count-based exploration by hashing.
 
 After Tang et al., "#Exploration", NeurIPS 2017. The bonus fades as counts grow, and evaluations never see it.
 """
@@ -30,7 +30,7 @@ class Novelty:
         self._factors = torch.randint(-(2**62), 2**62, (n,), generator=generator)
 
     def add_to(self, rollout: TensorDictBase) -> None:
-        """Add the bonus to what a rollout, batch size (B, ticks), was paid."""
+        """Add the bonus to the rewards of a rollout, batch size (B, ticks)."""
         if not self.weight:
             return
         things = rollout["next", *OBSERVATION][:, :, 0, self._skip :].long()

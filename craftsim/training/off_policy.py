@@ -38,7 +38,7 @@ CHOSEN: Final = ("agents", "chosen_action_value")
 
 
 class QLearner(Learner):
-    """Learns what each action of a car is worth: alone (iql), or such that the cars' values mix to the team's."""
+    """Learns the value of each action of a car: alone (iql), or such that the cars' values mix to the team's."""
 
     def __init__(self, shape: Shape, ticks: int, algo: AlgoName) -> None:
         self.ticks = ticks

@@ -25,8 +25,8 @@ LEARNING_RATE: Final = 1e-3
 EPOCHS: Final = 4
 MINIBATCHES: Final = 4
 MAX_GRADIENT: Final = 1.0
-LEAST_SPREAD: Final = 0.1
-"""Advantages that differ by less than this are not blown up to a spread of 1: they are noise of the critic."""
+MIN_ADVANTAGE_STD: Final = 0.1
+"""Advantages of a smaller standard deviation are not scaled up to 1: they are noise of the critic."""
 
 VALUE: Final = ("agents", "state_value")
 LOGITS: Final = ("agents", "logits")
@@ -66,7 +66,7 @@ class PPOLearner(Learner):
         with torch.no_grad():
             self.loss.value_estimator(rollout)
         advantage = rollout["advantage"]
-        rollout["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp(min=LEAST_SPREAD)
+        rollout["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp(min=MIN_ADVANTAGE_STD)
         played = rollout.reshape(-1)
         for _ in range(EPOCHS):
             for some in torch.randperm(len(played)).chunk(MINIBATCHES):

@@ -12,8 +12,11 @@ from craftsim.discrete.errors import InputError
 from craftsim.training.extra import need_torch
 
 if TYPE_CHECKING:
+    from craftsim.discrete.rules import RuleSet
+    from craftsim.discrete.tasks import Task
     from craftsim.training.config import TrainConfig
     from craftsim.training.features import Shape
+    from craftsim.training.identity import TaskIdentity
     from craftsim.training.networks import CarNet
 
 Observations = dict[str, dict[str, NDArray[Any]]]
@@ -21,21 +24,44 @@ Observations = dict[str, dict[str, NDArray[Any]]]
 
 
 class TrainedPolicy:
-    """Chooses for every car the offered action that training rates highest; nothing is drawn."""
+    """Chooses for every car the offered action that its network rates highest; nothing is drawn."""
 
-    def __init__(self, config: TrainConfig, shape: Shape, net: CarNet) -> None:
+    def __init__(self, config: TrainConfig, identity: TaskIdentity, shape: Shape, net: CarNet) -> None:
         self.config = config
+        self.identity = identity
+        """What it was trained for."""
         self.shape = shape
         self.net = net
+        self._checked: Task | None = None
+
+    def check_task(self, task: Task | str, rules: RuleSet | None = None) -> None:
+        """Raise InputError for another task than the one that it was trained for, or another rule set if one is given.
+
+        Observations of :func:`craftsim.envs.parallel_env` are checked by themselves, the rule set aside; whoever calls
+        a policy with observations from elsewhere calls this before.
+        """
+        from craftsim.discrete.tasks import as_task
+
+        task = as_task(task)
+        difference = self.identity.difference(task, rules)
+        if difference:
+            raise InputError(
+                f"this policy was trained on {self.identity.name}, and cannot play {task.name}: {difference}; "
+                "train one with 'craftsim train --task'"
+            )
+        self._checked = task
 
     def __call__(self, observations: Observations) -> dict[str, int]:
         """Return one action for each agent; raises InputError if the observations are those of another task."""
         from craftsim.training.evaluation import best_actions
 
+        task = getattr(observations, "task", None)
+        if task is not None and task is not self._checked:
+            self.check_task(task)
         names = [f"car_{i}" for i in range(self.shape.n_cars)]
         if set(observations) != set(names):
             raise InputError(
-                f"this policy was trained on {self.config.task} with the agents {', '.join(names)}; "
+                f"this policy was trained on {self.identity.name} with the agents {', '.join(names)}; "
                 f"asked for {', '.join(sorted(observations)) or 'none'}"
             )
         seen, mask = (
@@ -43,7 +69,7 @@ class TrainedPolicy:
         )
         if seen.shape[-1] != self.shape.vector_length:
             raise InputError(
-                f"this policy was trained on {self.config.task}, whose observations have "
+                f"this policy was trained on {self.identity.name}, whose observations have "
                 f"{self.shape.vector_length} numbers, not {seen.shape[-1]}"
             )
         return dict(zip(names, best_actions(self.net, seen, mask).tolist(), strict=True))
@@ -51,6 +77,9 @@ class TrainedPolicy:
 
 def load_policy(path: str | Path) -> TrainedPolicy:
     """Return the policy of a file that ``craftsim train`` wrote: its ``policy.pt``, or the folder that holds it.
+
+    It is called with the observations of :func:`craftsim.envs.parallel_env` and returns the actions; it refuses those
+    of another task than the one that it was trained for.
 
     Raises:
         InputError: the extra ``train`` is not installed, or the file is not a policy.

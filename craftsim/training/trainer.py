@@ -1,4 +1,4 @@
-"""The training loop: play, learn, look how well it goes, keep what was learnt."""
+"""The training loop: rollout, update, evaluation now and then, checkpoints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from craftsim.discrete.errors import InputError
-from craftsim.discrete.tasks import Task, make_task
+from craftsim.discrete.tasks import Task, as_task
 from craftsim.report import versions
 from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_run, save_policy, save_run
@@ -23,14 +23,15 @@ from craftsim.training.evaluation import Played, evaluate
 from craftsim.training.extra import PACKAGES
 from craftsim.training.features import Shape
 from craftsim.training.grid_env import GridEnv
+from craftsim.training.identity import TaskIdentity, starts_digest
 from craftsim.training.interrupts import finishing_first
 from craftsim.training.novelty import Novelty
 
-LOOKS_EVERY: Final = 10
+EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next."""
-LOOKS_AT: Final = 500
+EVALUATION_EPISODES: Final = 500
 """Episodes of an evaluation while training."""
-_PLAYING, _LOOKING, _FINAL = range(3)
+_ROLLOUT, _EVALUATION, _FINAL = range(3)
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,22 @@ class Point(Played):
 class Trainer:
     """A training run. After each iteration it is where another run of the same configuration would be, bit for bit."""
 
-    def __init__(self, config: TrainConfig, starts: Task | None = None) -> None:
-        """Prepare a run; ``starts`` is the task with other starts to train from, where they are not its own."""
+    def __init__(self, config: TrainConfig, starts: Task | None = None, task: Task | None = None) -> None:
+        """Prepare a run.
+
+        Args:
+            config: what decides the run.
+            starts: the task with other starts to train from, where they are not its own.
+            task: the task itself; made of its name in the configuration unless given.
+
+        Raises:
+            InputError: there is no such task.
+        """
         self.config = config
-        self.task = make_task(config.task)
+        self.task = task or as_task(config.task)
+        self.identity = TaskIdentity.of(self.task)
+        self.starts = "" if starts is None else starts_digest(starts)
+        """Digest of the other starts; empty without."""
         self.shape = Shape.of(self.task, config.width)
         self.env = GridEnv(starts or self.task, config.worlds)
         self.iteration = 0
@@ -71,25 +84,25 @@ class Trainer:
     def run(self, steps: int, until: float) -> Iterator[bool]:
         """Train for so many steps in all, or until an evaluation has that success.
 
-        Yields after each iteration whether the curve has a new point. A Ctrl-C is heard between two iterations.
+        Yields after each iteration whether the curve has a new point. Ctrl-C takes effect between two iterations.
         """
         while self.steps < steps and not (self.curve and self.curve[-1].success >= until):
             begun = time.perf_counter()
             with finishing_first():
                 self._iterate()
-                looks = self.iteration % LOOKS_EVERY == 0
-                if looks:
-                    played = self.evaluate(LOOKS_AT, _LOOKING)
+                evaluates = self.iteration % EVALUATION_INTERVAL == 0
+                if evaluates:
+                    played = self.evaluate(EVALUATION_EPISODES, _EVALUATION)
                     self.curve.append(Point(**asdict(played), steps=self.steps))
                 self.wall_s += time.perf_counter() - begun
-            yield looks
+            yield evaluates
 
     def evaluate(self, episodes: int, purpose: int = _FINAL) -> Played:
-        """Play fresh episodes with what was learnt so far."""
+        """Evaluate the policy as it is on fresh episodes."""
         return evaluate(self.learner.net, self.task, episodes, self._seed(purpose))
 
     def _iterate(self) -> None:
-        seed = self._seed(_PLAYING)
+        seed = self._seed(_ROLLOUT)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.env.set_seed(seed)
@@ -105,12 +118,15 @@ class Trainer:
 
     def save(self, folder: Path) -> None:
         """Write the policy and all that is needed to go on."""
-        save_policy(folder / POLICY_FILE, self.config, self.shape, self.learner.net, training_versions())
+        net, made_with = self.learner.net, training_versions()
+        save_policy(folder / POLICY_FILE, self.config, self.identity, self.shape, net, made_with)
         save_run(
             folder / RUN_FILE,
             {
                 "config": self.config.as_dict(),
-                "versions": training_versions(),
+                "task": self.identity.as_dict(),
+                "starts": self.starts,
+                "versions": made_with,
                 "iteration": self.iteration,
                 "wall_s": self.wall_s,
                 "curve": [asdict(point) for point in self.curve],
@@ -120,22 +136,33 @@ class Trainer:
         )
 
     @classmethod
-    def resume(cls, folder: Path, starts: Task | None = None) -> Trainer:
-        """Return the run that a folder holds, as it was when it was saved."""
-        content: dict[str, Any] = read_run(folder / RUN_FILE)
+    def resume(cls, folder: Path, starts: Task | None = None, task: Task | None = None) -> Trainer:
+        """Return the run that a folder holds, as it was when it was saved.
+
+        Raises InputError where the task or the other starts are not those that it was begun with.
+        """
+        path = folder / RUN_FILE
+        content: dict[str, Any] = read_run(path)
         try:
-            trainer = cls(TrainConfig.from_dict(content["config"]), starts)
+            trainer = cls(TrainConfig.from_dict(content["config"]), starts, task)
+            if TaskIdentity(**content["task"]).digest != trainer.identity.digest:
+                raise InputError(
+                    f"{path}: the task '{trainer.task.name}' has changed since the run was begun"
+                )
+            if content["starts"] != trainer.starts:
+                begun = "other starts" if content["starts"] else "no other starts"
+                raise InputError(
+                    f"{path}: the run was begun with {begun} than these; give the --starts of then"
+                )
             trainer.iteration, trainer.wall_s = content["iteration"], content["wall_s"]
             trainer.curve = [Point(**point) for point in content["curve"]]
             trainer.learner.restore(content["learner"])
             trainer.novelty.counts = content["novelty"]
         except (KeyError, TypeError, RuntimeError) as error:
-            raise InputError(
-                f"{folder / RUN_FILE}: not a run of this version of craftsim ({error})"
-            ) from error
+            raise InputError(f"{path}: not a run of this version of craftsim ({error})") from error
         return trainer
 
 
 def training_versions() -> dict[str, str]:
-    """Return the versions that decide what is learnt."""
+    """Return the versions that decide what a run learns."""
     return {**versions(), **{name: version(name) for name in PACKAGES}}

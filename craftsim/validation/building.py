@@ -138,7 +138,7 @@ def read_building(
         )
     if blueprint is not None:
         drawing = read_blueprint(blueprint)
-        found = free_play(drawing.path.stem, drawing)
+        found = free_play(drawing.path.stem, (drawing,))
     if goal is not None:
         design = read_design(goal)
         found = replace(found, design=design, success=Finished(design))

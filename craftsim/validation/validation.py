@@ -168,8 +168,8 @@ def validate(
         pilots = [actions_pilot(Path(actions), subjects[0])]
     else:
         default = RANDOM if all(s.name == RANDOM for s in subjects) else PLANNER
-        named = policy or default
-        named = list(named) if isinstance(named, Iterable) and not isinstance(named, str) else [named]
+        chosen = policy or default
+        named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
         pilots = [policy_pilot(one, subjects, order) for one in dict.fromkeys(named)]
     folder = None if out is None else Path(out)
     setup = setup_of(randomize, rules, gains, machines)

@@ -5,13 +5,14 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from craftsim.checking.attempt import Attempt, Result, attempt_of, result_of, verb_of
+from craftsim.checking.attempt import Attempt, Result, attempt_of, result_of
 from craftsim.checking.contact_log import Contact
 from craftsim.checking.recipe import set_up
 from craftsim.checking.safety import Hazard, impact_limit_n
 from craftsim.checking.settings import Thresholds
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.verdict import Finding, Verdict
 from craftsim.skills.outcome import Outcome, Reason
 
@@ -178,5 +179,5 @@ def test_the_impact_limit_is_above_what_a_loaded_car_and_its_motors_do():
 
 
 def test_verbs_forget_the_direction():
-    assert verb_of(Action.MOVE_BACK) == "MOVE"
-    assert verb_of(Action.ROTATE_LEFT) == "ROTATE_LEFT"
+    assert ACTIONS[Action.MOVE_BACK].verb == "MOVE"
+    assert ACTIONS[Action.ROTATE_LEFT].verb == "ROTATE_LEFT"

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from craftsim.checking.checked_run import CheckedSite, run_plan
+
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Grid, Kind

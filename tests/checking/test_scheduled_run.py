@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-
 from craftsim.checking.scheduled_run import ScheduledRun, run_schedule
+from craftsim.validation.jobs.job import read_job
+
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules
@@ -14,7 +15,6 @@ from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Reason
-from craftsim.validation.jobs.job import read_job
 
 RULES = Rules("physical")
 RIGHT, FORWARD = Action.MOVE_RIGHT, Action.MOVE_FORWARD

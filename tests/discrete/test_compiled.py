@@ -6,10 +6,11 @@ import weakref
 import pytest
 from numba import config
 
+from craftsim.discrete import compiled
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.rules import Rules, compiled
-from craftsim.discrete.rules.legality import legal
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules.table import legal
 
 needs_compiler = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
 
@@ -18,9 +19,9 @@ needs_compiler = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is
 def test_the_cache_is_stamped_with_a_digest_of_every_source(tmp_path, monkeypatch):
     assert legal._cache._cache_file._version.endswith(compiled._source_digest())
     (tmp_path / "rules").mkdir()
-    for name in ("rules/compiled.py", "grid.py"):
+    for name in ("rules/moves.py", "grid.py"):
         (tmp_path / name).write_text("1")
-    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "rules" / "compiled.py"))
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
     digest = compiled._source_digest.__wrapped__
     before = digest()
     assert digest() == before

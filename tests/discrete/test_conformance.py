@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from craftsim.discrete.cells import RuleFlags
 from craftsim.discrete.records.conformance import QUIRK_TAGS, Checker
 from craftsim.discrete.records.traces import read_records
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.cells import RuleFlags
 
 DATA = Path(__file__).parents[1] / "data"
 DERIVED = RuleFlags(derived_marks=True)

@@ -8,9 +8,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import Footprint, footprint
+from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules.table import footprint
 from craftsim.discrete.schedule import make_schedule
 
 from .worldgen import play, random_world

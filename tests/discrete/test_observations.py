@@ -1,16 +1,12 @@
-"""Observations: the 13 numbers of each entity, the vectors made of them, the local view, plain arrays."""
+"""Observations: the 13 numbers of each entity, the vectors made of them, plain arrays."""
 
-import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.planning.planner import Planner, empty_queue
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episode
-from craftsim.discrete.tasks.local import CONTINUE, LocalRows, choose, local_view
 from craftsim.discrete.tasks.observation import Layout, as_arrays, design_rows
 from craftsim.discrete.tasks.worlds import Worlds
 
@@ -96,64 +92,3 @@ def test_plain_arrays_show_the_world_and_share_nothing_with_it(scene, car):
         array[:] = 99
     assert grid.kind[1, 2, 1] == Kind.BLOCK
     assert grid.cars[0, 0] == 3
-
-
-@pytest.fixture
-def local():
-    """A planner, the layout of the scene below and its row counts."""
-    layout = Layout(1, 1, 2, None, shows_flag=False)
-    return Planner(RULES, 10), layout, LocalRows(blocks=2, slopes=1, free=4)
-
-
-def ramp_scene(scene, car, **kwargs):
-    objects = [(Kind.BODY, (3, 3, 1), 2), (Kind.BLOCK, (4, 3, 1)), (Kind.BLOCK, (9, 9, 1))]
-    return scene(objects, [car(1, 3, **kwargs)], size=(10, 10, 3))
-
-
-def test_the_local_view_lists_what_the_car_could_get_to_nearby(scene, car, local):
-    planner, layout, rows = local
-    grid = ramp_scene(scene, car)
-    view = local_view(grid, 0, empty_queue(1, 10), planner, layout, rows)
-    assert view.places == {1: (4, 3, 1), 3: (3, 3, 1), 4: (3, 3, 2), 5: (4, 3, 2)}
-    listed = view.vector[layout.vector_length :].reshape(-1, 13)
-    assert listed[0].tolist() == [4, 3, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0]
-    assert listed[2].tolist() == [3, 3, 1, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0]
-    assert listed[3].tolist() == [3, 3, 2] + [0] * 10
-    assert not listed[[1, 5, 6]].any()
-    assert np.flatnonzero(view.mask[: -len(Action)]).tolist() == [1, 3, 4, 5]
-    assert np.array_equal(view.mask[-len(Action) :], planner.reachable(grid)[0])
-    assert len(view.mask) == rows.n_actions == 1 + 2 + 1 + 4 + 15
-
-
-def test_a_loaded_car_sees_what_it_could_get_to_without_its_load(scene, car, local):
-    views = [
-        local_view(ramp_scene(scene, car, load=load), 0, empty_queue(1, 10), *local)
-        for load in (Kind.AIR, Kind.FLAG)
-    ]
-    assert views[0].places == views[1].places
-
-
-def test_a_place_is_reached_by_choosing_it_and_then_going_on(scene, car, local):
-    planner = local[0]
-    grid, queue = ramp_scene(scene, car), empty_queue(1, 10)
-    view = local_view(grid, 0, queue, *local)
-    action = choose(view, 5, grid, 0, queue, planner)
-    for _ in range(3):
-        grid, queue, applied = planner.tick(grid, queue, [(0, action)])
-        assert applied.all()
-        view = local_view(grid, 0, queue, *local)
-        if queue[0, 0] >= 0:
-            assert np.flatnonzero(view.mask).tolist() == [CONTINUE]
-            action = choose(view, CONTINUE, grid, 0, queue, planner)
-    assert grid.cars[0, :3].tolist() == [4, 3, 2]
-    assert not view.mask[CONTINUE]
-
-
-def test_the_last_numbers_are_the_primitive_actions_and_no_way_means_stop(scene, car, local):
-    planner, _, rows = local
-    grid, queue = ramp_scene(scene, car), empty_queue(1, 10)
-    view = local_view(grid, 0, queue, *local)
-    first = rows.n_actions - len(Action)
-    assert choose(view, first + Action.ROTATE_LEFT, grid, 0, queue, planner) == Action.ROTATE_LEFT
-    assert choose(view, 2, grid, 0, queue, planner) == Action.STOP
-    assert (queue == -1).all()

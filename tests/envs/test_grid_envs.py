@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from platforms import platform
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
@@ -33,9 +34,9 @@ def test_masks_are_sound_on_all_tasks(task):
 
 
 @pytest.mark.parametrize("cars", [1, 3, 8])
-def test_any_number_of_cars_passes_all_tests(platform_task, cars):
+def test_any_number_of_cars_passes_all_tests(cars):
     def make():
-        return parallel_env(platform_task(cars), "grid")
+        return parallel_env(platform(cars), "grid")
 
     check_api(make)
     check_deterministic(make, episodes=3)

@@ -32,6 +32,13 @@ STOP = int(Action.STOP)
         ({"backend": "physics", "noise": 0.1}, "must be a SensorNoise"),
         ({"backend": "physics", "randomization": 0.1}, "must be a DomainRandomization"),
         ({"backend": "physics", "config": {"sleep": False}}, "must be a SimulationConfig"),
+        ({"backend": "physics", "gains": {"drive": 3}}, "must be a Gains"),
+        ({"gains": object()}, "backend='physics'"),
+        ({"render_camera": "top"}, "backend='physics'"),
+        ({"backend": "physics", "render_size": (640, 0)}, "width, height"),
+        ({"backend": "physics", "observers": 3}, "functions of a Site"),
+        ({"observers": [print]}, "no control periods"),
+        ({"observe": print}, "must be an Observe"),
     ],
 )
 def test_wrong_options_are_refused(options, words):

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from platforms import platform
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
@@ -46,10 +47,10 @@ def test_the_tasks_pass_the_tests_of_interface_determinism_masks_and_skills(task
 
 
 @pytest.mark.parametrize("cars", [1, 3, 8])
-def test_any_number_of_cars_passes_all_tests(platform_task, cars):
-    env = parallel_env(platform_task(cars), "physics")
+def test_any_number_of_cars_passes_all_tests(cars):
+    env = parallel_env(platform(cars), "physics")
     check_api(lambda: env, cycles=2)
-    check_deterministic(lambda: parallel_env(platform_task(cars), "physics"), ticks=2)
+    check_deterministic(lambda: parallel_env(platform(cars), "physics"), ticks=2)
     check_masks(env, states=1, tries=6)
     check_skills(env, ticks=2)
 

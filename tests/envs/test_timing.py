@@ -7,9 +7,16 @@ import pytest
 
 from craftsim.checking.nominal import measure_durations
 from craftsim.cli import main
+from craftsim.commands.bench_calibration import (
+    PRIMITIVE_TIMES_HELPER,
+    REFERENCE_PER_UNIT,
+    measure,
+    unit,
+)
 from craftsim.discrete.actions import Action
-from craftsim.discrete.durations import SITUATIONS, nominal_durations, tick_durations, verb
+from craftsim.discrete.durations import SITUATIONS, nominal_durations, tick_durations
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.tasks import make_task
 from craftsim.envs.timing import time_physics
 
@@ -19,7 +26,7 @@ def test_the_shipped_durations_are_what_physics_takes():
     table = nominal_durations()
     for action in Action:
         for column, name in enumerate(SITUATIONS):
-            seconds = measured.get(verb(action), {}).get(name, 0.0)
+            seconds = measured.get(ACTIONS[action].duration, {}).get(name, 0.0)
             assert table[action, column] == pytest.approx(seconds, abs=0.05), (
                 f"{action.name}, {name}: run `craftsim bench durations` and put it into durations.yaml"
             )
@@ -60,11 +67,29 @@ def test_bench_prints_the_environments_against_the_reference(tmp_path, capsys):
     assert main(["bench", "env", *small, "--out", str(tmp_path)]) == 0
     assert "bar 1.15" in capsys.readouterr().out
     wall = json.loads((tmp_path / "report.json").read_text())["wall"]
-    for rates in wall["steps_a_second"].values():
+    for rates in wall["rates"].values():
         assert set(rates) == {
             f"{form}, helper {helper}"
             for form in ("PettingZoo", "vector, 20 worlds")
             for helper in ("yes", "no")
         }
-        assert min(rates.values()) > 100
+        assert min(rate["steps_a_second"] for rate in rates.values()) > 100
     assert wall["physics"]["complex_two_story"]["n_cars"] == 4
+
+
+def test_a_ratio_to_the_reference_does_not_depend_on_how_fast_the_machine_is():
+    """Both sides slow down together: work of the calibration's own kind has one ratio, whatever runs beside it."""
+
+    def slowed(times):
+        return lambda: [unit(seed) for seed in range(times)] and None
+
+    one = measure(slowed(1), 1, 0.3, "simple_two_story", helper=True)
+    assert one.per_unit == pytest.approx(1.0, rel=0.3)
+    assert one.times == pytest.approx(1 / REFERENCE_PER_UNIT["simple_two_story"], rel=0.3)
+    two = measure(slowed(2), 1, 0.3, "simple_two_story", helper=True)
+    assert two.per_unit == pytest.approx(0.5, rel=0.3)
+    many = measure(slowed(2), 10, 0.3, "complex_two_story", helper=False)
+    assert many.per_unit == pytest.approx(5.0, rel=0.3)
+    assert many.times == pytest.approx(
+        5 / REFERENCE_PER_UNIT["complex_two_story"] / PRIMITIVE_TIMES_HELPER["complex_two_story"], rel=0.3
+    )

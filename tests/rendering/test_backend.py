@@ -13,11 +13,10 @@ BROKEN = {"egl": "no EGL here", "osmesa": "no OSMesa here"}
 
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch):
-    """A machine on which MuJoCo is not imported yet and the backends fail as told."""
+    """A machine on which the backends fail as told."""
 
     def set_up(failures: dict[str, str]) -> None:
         monkeypatch.delenv("MUJOCO_GL", raising=False)
-        monkeypatch.delitem(sys.modules, "mujoco", raising=False)
         monkeypatch.setattr(backend, "failure", failures.get)
 
     return set_up
@@ -49,11 +48,26 @@ def test_a_users_choice_is_kept_when_it_works_and_refused_when_not(machine, monk
     assert os.environ["MUJOCO_GL"] == "egl"
 
 
-def test_a_choice_after_mujoco_was_imported_is_refused(machine, monkeypatch):
-    machine({})
-    monkeypatch.setitem(sys.modules, "mujoco", object())
-    with pytest.raises(backend.RenderingUnavailable, match="imported before"):
-        backend.choose_backend()
+@pytest.mark.usefixtures("rendering")
+def test_pictures_come_whatever_was_imported_before_the_choice():
+    code = """
+import mujoco
+from craftsim.rendering.renderer import make_renderer
+model = mujoco.MjModel.from_xml_string(
+    '<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="5 5 1"/></worldbody></mujoco>'
+)
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+renderer = make_renderer(model, (4000, 16))  # wider than the model's own buffer
+renderer.update_scene(data)
+print(renderer.render().shape, renderer.render().any())
+"""
+    environment = {key: value for key, value in os.environ.items() if key != "MUJOCO_GL"}
+    child = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert child.stdout == "(16, 4000, 3) True\n"
+    assert child.stderr == "", "a renderer left open is closed before the display is"
 
 
 def test_a_backend_that_cannot_load_fails_with_a_reason():

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-
 from craftsim.checking.checked_run import CheckedSite
+
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from craftsim.checking.checked_run import CheckedSite
 from drawn import draw
 
-from craftsim.checking.checked_run import CheckedSite
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Kind

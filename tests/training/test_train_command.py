@@ -35,6 +35,9 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
         assert [int(row["steps"]) for row in csv.DictReader(file)] == [2000]
     assert (short / "curve.png").read_bytes().startswith(b"\x89PNG")
     assert load_policy(short).config.task == "strip"
+    digest = load_policy(short).identity.digest
+    assert len(digest) == 64
+    assert reports[0]["config"]["task_digest"] == digest
 
 
 @pytest.mark.parametrize(
@@ -46,6 +49,7 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
         (["--seed", "-1"], "seed is -1"),
         (["--novelty", "nan"], "novelty is nan"),
         (["--starts", "no_such.plan"], "no_such.plan"),
+        (["--task", "strap"], "strip"),
     ],
 )
 def test_wrong_input_gives_one_message(words, message, tmp_path, capsys):
@@ -63,13 +67,37 @@ def test_a_run_is_neither_overwritten_nor_mixed_with_another(tmp_path, capsys):
     assert "begun with" in capsys.readouterr().err
 
 
+def test_a_run_goes_on_from_the_starts_of_then_only(tmp_path, capsys):
+    plan, other = tmp_path / "short.plan", tmp_path / "other.plan"
+    plan.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 MOVE_RIGHT\n")
+    other.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 DROP\n3 0 MOVE_LEFT\n")
+    first = ["--steps", "1", "--starts", str(plan)]
+    assert _train(tmp_path / "run", *first) == 0
+    assert _train(tmp_path / "run", *first, "--resume") == 0
+    capsys.readouterr()
+    for words in (["--starts", str(other)], []):
+        assert _train(tmp_path / "run", "--steps", "1", *words, "--resume") == 2
+        assert "give the --starts of then" in capsys.readouterr().err
+    assert _train(tmp_path / "plain", "--steps", "1") == 0
+    assert _train(tmp_path / "plain", *first, "--resume") == 2
+    assert "begun with no other starts" in capsys.readouterr().err
+
+
+def test_without_a_terminal_it_says_now_and_then_how_far_it_is(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("craftsim.commands.train.LINE_EVERY_S", 0.0)
+    assert _train(tmp_path, "--steps", "600") == 0
+    assert "strip, ippo: 400 of at most 600 steps, success -, return -," in capsys.readouterr().out
+
+
 def test_without_the_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(
         "craftsim.training.extra.find_spec", lambda name: None if name == "torchrl" else find(name)
     )
     assert _train(tmp_path) == 2
-    assert "pip install 'craftsim[train]'" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "pip install '.[train]'" in error
+    assert "craftsim[train]" not in error, "the name on the package index belongs to somebody else"
 
 
 @pytest.mark.parametrize("module", ["craftsim.commands.train", "craftsim.training.policy"])

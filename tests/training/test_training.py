@@ -2,15 +2,18 @@
 
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from platforms import platform
 
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import save_starts
+from craftsim.envs import parallel_env
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
 from craftsim.training.config import ALGO_NAMES, TrainConfig
 from craftsim.training.policy import load_policy
@@ -64,7 +67,7 @@ def test_a_loaded_policy_obeys_masks_and_is_the_one_saved(algo, tmp_path):
     trainer = _run(TrainConfig("simple_two_story", algo, worlds=20, width=8), 1)
     trainer.save(tmp_path)
     assert _play(load_policy(tmp_path)) == _play(load_policy(tmp_path / POLICY_FILE))
-    assert _same(read_policy(tmp_path / POLICY_FILE)[2].state_dict(), trainer.learner.net.state_dict())
+    assert _same(read_policy(tmp_path / POLICY_FILE)[3].state_dict(), trainer.learner.net.state_dict())
 
 
 def _play(policy):
@@ -92,6 +95,51 @@ def test_a_policy_refuses_the_observations_of_another_task(tmp_path):
         policy({"car_0": {"observation": np.zeros(117), "action_mask": mask}})
 
 
+def _blueprint(task, change):
+    """Return a task like one of the six that differs in its only start file."""
+    return replace(task, starts=(change(task.starts[0]),))
+
+
+def test_a_policy_refuses_a_task_of_equal_observations_that_it_was_not_trained_for(tmp_path):
+    strip = make_task("strip")
+    Trainer(TrainConfig("strip", worlds=1, width=4)).save(tmp_path)
+    policy = load_policy(tmp_path)
+    turned = _blueprint(strip, lambda start: replace(start, objects=start.objects[::-1]))
+    other_design = replace(strip, design=replace(strip.design, targets=strip.design.targets[:-1]))
+    for task, words in ((turned, "start otherwise"), (other_design, "design is another")):
+        env = parallel_env(task, "grid")
+        observations, _ = env.reset(seed=0)
+        with pytest.raises(InputError, match=f"trained on strip, and cannot play strip.*{words}"):
+            policy(observations)
+        with pytest.raises(InputError, match=words):
+            policy.check_task(task)
+    with pytest.raises(InputError, match="rule set is published, not physical"):
+        policy.check_task("strip", "published")
+
+
+def test_a_policy_plays_its_task_with_another_length_reward_name_or_file(tmp_path):
+    strip = make_task("strip")
+    Trainer(TrainConfig("strip", worlds=1, width=4)).save(tmp_path)
+    policy = load_policy(tmp_path)
+    moved = _blueprint(strip, lambda start: replace(start, path=tmp_path / "copy.yaml", notes=("a note",)))
+    without_goal = replace(strip, name="copy", design=None)
+    for task in (strip, make_task("strip", "complexity", max_steps=3), moved, without_goal):
+        policy.check_task(task, "physical")
+        env = parallel_env(task, "grid")
+        observations, _ = env.reset(seed=0)
+        assert set(policy(observations)) == {"car_0", "car_1"}
+
+
+@pytest.mark.parametrize(("cars", "algo"), [(1, "ippo"), (3, "mappo"), (5, "qmix")])
+def test_any_number_of_cars_is_trained(cars, algo, tmp_path):
+    task = platform(cars)
+    trainer = Trainer(TrainConfig("platform", algo, worlds=4, width=4), task=task)
+    _go_on(trainer, 1)
+    trainer.save(tmp_path)
+    observations, _ = parallel_env(task, "grid").reset(seed=0)
+    assert len(load_policy(tmp_path)(observations)) == cars
+
+
 class _Evil:
     def __reduce__(self):
         return os.mkdir, ("owned",)
@@ -102,7 +150,7 @@ def test_a_bad_checkpoint_is_refused(content, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / POLICY_FILE
     if content is None:
-        torch.save({"craftsim": 1, "kind": "policy", "net": _Evil()}, path)
+        torch.save({"craftsim": 2, "kind": "policy", "net": _Evil()}, path)
     else:
         path.write_bytes(content)
     with pytest.raises(InputError, match="not a file that 'craftsim train' wrote"):

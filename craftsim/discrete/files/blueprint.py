@@ -5,15 +5,18 @@ docs/blueprints.md describes the keys.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from craftsim.discrete.errors import BlueprintError
 from craftsim.discrete.files.blueprint_checks import check_blueprint
 from craftsim.discrete.files.documents import Mapping, Scalar, Sequence, Source, parse_keys, read_text
+from craftsim.discrete.files.listing import ListedCar, ListedObject, Listing, Override, Snapshot
 from craftsim.discrete.files.placement import Placement, build_grid
+from craftsim.discrete.files.shipped import find
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
 
 NO_CELL: Final[Cell] = (-1, -2, 1)
@@ -42,64 +45,8 @@ KEYS: Final = [
 ]
 
 
-@dataclass(frozen=True)
-class ListedObject:
-    """An object with its place; a slope is listed once, by its FSLOPE or BODY cell."""
-
-    kind: Kind
-    cell: Cell
-    yaw: int
-    line: int
-    """Line of the file that lists it."""
-
-
-@dataclass(frozen=True)
-class ListedCar:
-    """A car with its place; load and slope state are additions of ours, for worlds saved while they run."""
-
-    car: int
-    cell: Cell
-    yaw: int
-    load: Kind
-    load_yaw: int
-    slope: int
-    line: int
-
-
-@dataclass(frozen=True)
-class Override:
-    """A cell of a saved world that the listed objects do not account for."""
-
-    cell: Cell
-    kind: Kind
-    yaw: int
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """What a world saved while it runs has beyond its listed objects: odd cells and marks that differ."""
-
-    cells: tuple[Override, ...]
-    top: tuple[tuple[Cell, int], ...]
-    back: tuple[tuple[Cell, int], ...]
-
-
-@dataclass(frozen=True)
-class Blueprint:
-    """A checked start file; what the counts have beyond the listed objects and cars is drawn at random."""
-
-    path: Path
-    size: Cell
-    """(L, W, H) in cells."""
-    n_blocks: int
-    n_slopes: int
-    n_cars: int
-    objects: tuple[ListedObject, ...]
-    cars: tuple[ListedCar, ...]
-    goal: Cell | None
-    notes: tuple[str, ...]
-    """What the file has that is accepted and ignored, in plain words."""
-    snapshot: Snapshot | None
+class Blueprint(Listing):
+    """A checked start file."""
 
     def grid(self, rng: np.random.Generator, placement: Placement = "sane") -> Grid:
         """Return a new world; unlisted objects and cars are drawn from ``rng``.
@@ -108,22 +55,34 @@ class Blueprint:
         """
         return build_grid(self, rng, placement)
 
-    @property
-    def is_fixed(self) -> bool:
-        """Whether nothing is left to chance."""
-        numbers = (self.n_blocks, self.n_slopes, self.n_cars)
-        return numbers == (self.listed(Kind.BLOCK), self.listed(Kind.FSLOPE, Kind.BODY), len(self.cars))
+    def with_counts(self, n_cars: int | None = None, n_blocks: int | None = None) -> Blueprint:
+        """Return the same start with other numbers of cars and blocks; those that are not listed are drawn at random.
 
-    def listed(self, *kinds: Kind) -> int:
-        """Return how many objects of some kinds are listed, carried and odd ones included."""
-        odd = self.snapshot.cells if self.snapshot else ()
-        present = [o.kind for o in self.objects] + [c.load for c in self.cars] + [o.kind for o in odd]
-        return sum(kind in kinds for kind in present)
+        Raises BlueprintError for fewer than the file lists, and for more than there is room for.
+        """
+        asked = [
+            ("cars", n_cars, len(self.cars), MAX_CARS),
+            ("blocks", n_blocks, self.listed(Kind.BLOCK), self.size[0] * self.size[1] * self.size[2]),
+        ]
+        for what, number, listed, most in asked:
+            if number is not None and not listed <= number <= most:
+                raise BlueprintError(
+                    f"{self.path}: {number} {what} asked for; it lists {listed}, allowed: {listed} to {most}"
+                )
+        return replace(
+            self,
+            n_cars=self.n_cars if n_cars is None else n_cars,
+            n_blocks=self.n_blocks if n_blocks is None else n_blocks,
+        )
 
 
 def read_blueprint(path: str | Path) -> Blueprint:
-    """Read and check a start file; raise BlueprintError with file, line and key for whatever is wrong."""
-    return parse_blueprint(read_text(Path(path)), path)
+    """Read and check a start file, or a shipped one by its name, such as ``strip``.
+
+    Raises BlueprintError with file, line and key for whatever is wrong.
+    """
+    found = find(path, "blueprints")
+    return parse_blueprint(read_text(found), found)
 
 
 def parse_blueprint(text: str, path: str | Path) -> Blueprint:

@@ -2,23 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
-
 from craftsim.discrete.files.documents import Source
+from craftsim.discrete.files.listing import ListedCar, ListedObject, Listing
 from craftsim.discrete.grid import SECOND_PART, Cell, Kind, beside
-
-if TYPE_CHECKING:
-    from craftsim.discrete.files.blueprint import Blueprint, ListedCar, ListedObject
-
-NAMES: Final = {
-    Kind.WALL: "a wall",
-    Kind.BLOCK: "a block",
-    Kind.FLAG: "a flag",
-    Kind.FSLOPE: "a folded slope",
-    Kind.GEAR: "the gear of a folded slope",
-    Kind.BODY: "the body of a slope",
-    Kind.FOOT: "the foot of a slope",
-}
+from craftsim.discrete.kinds import NAMES
 
 
 def parts(item: ListedObject) -> list[tuple[Cell, Kind]]:
@@ -30,7 +17,7 @@ def parts(item: ListedObject) -> list[tuple[Cell, Kind]]:
 
 
 class _Checker:
-    def __init__(self, blueprint: Blueprint) -> None:
+    def __init__(self, blueprint: Listing) -> None:
         self.blueprint = blueprint
         self.source = Source(blueprint.path)
         self.kinds: dict[Cell, Kind] = {}
@@ -132,7 +119,7 @@ class _Checker:
             self.source.fail(self.lines[goal], f"the goal {goal} is inside a wall")
 
 
-def check_blueprint(blueprint: Blueprint) -> None:
+def check_blueprint(blueprint: Listing) -> None:
     """Raise BlueprintError if a blueprint contradicts itself.
 
     Worlds saved while they run are not checked for sense: what play led to is so.

@@ -9,6 +9,7 @@ from typing import Final
 
 from craftsim.discrete.files.blueprint import MAX_SIDE
 from craftsim.discrete.files.documents import Source, parse_keys, read_text
+from craftsim.discrete.files.shipped import find
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
 
 TARGET_KEYS: Final = {
@@ -78,8 +79,12 @@ class Design:
 
 
 def read_design(path: str | Path) -> Design:
-    """Read and check a goal file; raise BlueprintError with file, line and key for anything that is wrong."""
-    source, keys = parse_keys(Path(path), read_text(Path(path)), list(TARGET_KEYS))
+    """Read and check a goal file, or a shipped one by its name, such as ``strip_goal``.
+
+    Raises BlueprintError with file, line and key for anything that is wrong.
+    """
+    path = find(path, "goals")
+    source, keys = parse_keys(path, read_text(path), list(TARGET_KEYS))
     targets: list[Target] = []
     lines: dict[Cell, int] = {}
     for key, kind in TARGET_KEYS.items():
@@ -99,7 +104,7 @@ def read_design(path: str | Path) -> Design:
             targets.append(Target(kind, cell, entry.line))
     if not targets:
         source.fail(None, f"no targets; allowed: at least one entry in {', '.join(TARGET_KEYS)}")
-    design = Design(Path(path), tuple(targets))
+    design = Design(path, tuple(targets))
     for body in design.of_kind(Kind.BODY):
         try:
             design.body_yaw(body)

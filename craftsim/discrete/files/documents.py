@@ -6,6 +6,7 @@ bounds are checked. Anchors, aliases and tags have no use in our files and are r
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Final, NoReturn
 
 import yaml
 
-from craftsim.discrete.errors import BlueprintError, suggestion
+from craftsim.discrete.errors import BlueprintError, InputError, suggestion
 
 MAX_BYTES: Final = 256 * 1024
 MAX_NODES: Final = 30_000
@@ -139,6 +140,18 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         source.fail(data[: error.start].count(b"\n") + 1, "not UTF-8 text")
+
+
+def write_whole(path: str | Path, text: str) -> None:
+    """Write a text file such that it is whole or, if something goes wrong, as it was; raise InputError then."""
+    target = Path(path)
+    part = target.with_name(f"{target.name}.{os.getpid()}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(target)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(f"{target}: cannot be written: {error.strerror}") from error
 
 
 def parse_keys(path: Path, text: str, known: list[str]) -> tuple[Source, Mapping]:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.documents import Source
+from craftsim.discrete.files.listing import ListedObject, Listing
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
-
-if TYPE_CHECKING:
-    from craftsim.discrete.files.blueprint import Blueprint, ListedObject
 
 Placement = Literal["sane", "published"]
 """How unlisted things are drawn.
@@ -64,7 +62,7 @@ class _Draw:
     """Draws free places at level 1."""
 
     def __init__(
-        self, grid: Grid, blueprint: Blueprint, rng: np.random.Generator, placement: Placement
+        self, grid: Grid, blueprint: Listing, rng: np.random.Generator, placement: Placement
     ) -> None:
         self.grid = grid
         self.rng = rng
@@ -128,7 +126,7 @@ class _Draw:
         return None
 
 
-def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placement) -> Grid:
+def build_grid(blueprint: Listing, rng: np.random.Generator, placement: Placement) -> Grid:
     """Return the start of a world as :meth:`craftsim.discrete.files.blueprint.Blueprint.grid` describes it."""
     grid = Grid.empty(blueprint.size, blueprint.n_cars)
     blocks = [item for item in blueprint.objects if item.kind == Kind.BLOCK]
@@ -154,7 +152,7 @@ def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placem
     return grid
 
 
-def _place_cars(grid: Grid, blueprint: Blueprint, draw: _Draw) -> None:
+def _place_cars(grid: Grid, blueprint: Listing, draw: _Draw) -> None:
     listed = {car.car: car for car in blueprint.cars}
     for car in range(blueprint.n_cars):
         row = grid.cars[car]

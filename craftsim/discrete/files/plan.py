@@ -9,15 +9,17 @@ A list of actions, to be tried one after the other, has only ``car ACTION`` a li
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final, NoReturn
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import BlueprintError, PlanError, suggestion
-from craftsim.discrete.files.documents import read_text
+from craftsim.discrete.errors import BlueprintError, InputError, PlanError, suggestion
+from craftsim.discrete.files.documents import read_text, write_whole
+from craftsim.discrete.files.shipped import find, shipped_plan
+
+__all__ = ["Plan", "plan_text", "read_actions", "read_plan", "shipped_plan", "write_plan"]
 
 MAX_TICK: Final = 100_000
 
@@ -34,15 +36,12 @@ class Plan:
     """For each tick the (car, action) pairs in acting order; a tick may be empty."""
 
 
-def shipped_plan(name: str) -> Path:
-    """Return the path of a shipped plan, named as the task that it builds."""
-    with as_file(files("craftsim") / "data" / "plans" / f"{name}.plan") as path:
-        return path
-
-
 def read_plan(path: str | Path, n_cars: int) -> Plan:
-    """Read and check a plan for a world with ``n_cars`` cars; raise PlanError with file and line."""
-    path = Path(path)
+    """Read and check a plan, or a shipped one by its name, for a world with ``n_cars`` cars.
+
+    Raises PlanError with file and line.
+    """
+    path = _found(path)
     ticks: list[list[tuple[int, Action]]] = []
     for line, words in _lines(path):
         if len(words) != 3:
@@ -66,7 +65,7 @@ def read_actions(path: str | Path, n_cars: int) -> Plan:
 
     Raises PlanError with file and line.
     """
-    path = Path(path)
+    path = _found(path)
     actions = []
     for line, words in _lines(path):
         if len(words) != 2:
@@ -75,6 +74,31 @@ def read_actions(path: str | Path, n_cars: int) -> Plan:
     if not actions:
         _fail(path, None, "no actions; a line is: car ACTION")
     return Plan(path, tuple(actions))
+
+
+def plan_text(ticks: Iterable[Iterable[tuple[int, Action]]]) -> str:
+    """Return the text of a plan; each tick is (car, action) pairs in acting order."""
+    return "".join(
+        f"{tick} {car} {Action(action).name}\n" for tick, joint in enumerate(ticks) for car, action in joint
+    )
+
+
+def write_plan(ticks: Plan | Iterable[Iterable[tuple[int, Action]]], path: str | Path) -> None:
+    """Write a plan, or its ticks, into a file that :func:`read_plan` reads; the file is whole or not there.
+
+    Raises InputError for a plan without any action, and if the file cannot be written.
+    """
+    text = plan_text(ticks.ticks if isinstance(ticks, Plan) else ticks)
+    if not text:
+        raise InputError(f"{path}: the plan has no actions")
+    write_whole(path, text)
+
+
+def _found(path: str | Path) -> Path:
+    try:
+        return find(path, "plans")
+    except BlueprintError as error:
+        raise PlanError(str(error)) from None
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -10,6 +10,7 @@ import numpy as np
 from craftsim.discrete.errors import BlueprintError
 from craftsim.discrete.files.blueprint import LOADS, NO_CELL, OBJECT_KEYS, parse_blueprint
 from craftsim.discrete.files.design import TARGET_KEYS
+from craftsim.discrete.files.documents import write_whole
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
 
 _LOAD_NAMES: Final = {kind: name for name, kind in LOADS.items()}
@@ -113,6 +114,14 @@ def blueprint_text(grid: Grid, goal: Cell | None = None) -> str:
     n_blocks = int((grid.kind == Kind.BLOCK).sum()) + carried[0]
     n_slopes = int(np.isin(grid.kind, (Kind.FSLOPE, Kind.BODY)).sum()) + carried[1]
     return _text(grid, goal, n_blocks, n_slopes, snapshot)
+
+
+def write_blueprint(grid: Grid, path: str | Path, goal: Cell | None = None) -> None:
+    """Write a world into a blueprint file that reads back as the same world; it is whole or not there.
+
+    Raises InputError if it cannot be written.
+    """
+    write_whole(path, blueprint_text(grid, goal))
 
 
 def design_text(grid: Grid) -> str:

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.cells import World, derive_marks
+from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.planning.search import (
     Space,
@@ -20,11 +22,8 @@ from craftsim.discrete.planning.search import (
     make_space,
     plan_move,
     search,
-    visit_near,
     write_plan,
 )
-from craftsim.discrete.rules.cells import AIR, World, derive_marks, pose_of
-from craftsim.discrete.rules.compiled import compiled
 from craftsim.discrete.rules.legality import FIRST_MOVE, LAST_MOVE, STOP
 from craftsim.discrete.rules.sets import Rules, act, acting_order, check_car, world_of
 
@@ -151,16 +150,6 @@ class Planner:
         mask = self.rules.mask(grid)
         fill_reachable(world_of(grid, self.rules.flags), self._space(grid), self.depth, mask)
         return mask
-
-    def surroundings(self, grid: Grid, car: int, view: int) -> NDArray[np.bool_]:
-        """Return (L, W, H + 2): the cells a car could get to without its load, at most ``view`` columns away."""
-        check_car(grid, car)
-        length, width, height = grid.size
-        out = np.zeros((length, width, height + 2), np.bool_)
-        world = world_of(grid, self.rules.flags)
-        start = pose_of(world, car)._replace(load=AIR, load_yaw=0)
-        visit_near(world, car, self._space(grid), start, view, out)
-        return out
 
     def tick(
         self, grid: Grid, queue: NDArray[np.int8], joint: Sequence[tuple[int, int]]

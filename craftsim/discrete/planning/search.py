@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
+from craftsim.discrete.cells import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
+from craftsim.discrete.compiled import compiled
 from craftsim.discrete.planning.heap import heapify, pop, push
-from craftsim.discrete.rules.cells import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
-from craftsim.discrete.rules.compiled import compiled
 from craftsim.discrete.rules.effects import turned
-from craftsim.discrete.rules.legality import FIRST_MOVE, ROTATE_LEFT, ROTATE_RIGHT, legal, move_direction
+from craftsim.discrete.rules.legality import FIRST_MOVE, ROTATE_LEFT, ROTATE_RIGHT, move_direction
 from craftsim.discrete.rules.moves import moved
+from craftsim.discrete.rules.table import legal
 
 MOVE_FORWARD = int(Action.MOVE_FORWARD)
 MOVE_BACK = int(Action.MOVE_BACK)
@@ -253,34 +254,6 @@ def near_enough(w: World, me: int, space: Space, limit: int) -> int:
             elif space.slope[next_node] != new.slope:
                 return 15
     return goals
-
-
-@compiled
-def visit_near(w: World, me: int, space: Space, start: Pose, view: int, out: NDArray[np.bool_]) -> None:
-    """Mark in out (L, W, H + 2) the cells that car ``me`` could get to from a state, at most ``view`` columns away."""
-    forget_ways(space)
-    space.state[:] = UNSEEN
-    space.heap[0] = node_of(w, start)
-    space.state[space.heap[0]] = OPEN
-    space.slope[space.heap[0]] = start.slope
-    head, tail = 0, 1
-    while head < tail:
-        node = space.heap[head]
-        head += 1
-        car = pose_at(w, start, node, space.slope[node])
-        out[car.x, car.y, car.z] = True
-        ways = ways_from(w, me, space, node, car)
-        for i in range(len(SUCCESSORS)):
-            if not ways & (1 << i):
-                continue
-            new = after(w, car, SUCCESSORS[i])
-            next_node = node_of(w, new)
-            near = abs(new.x - start.x) <= view and abs(new.y - start.y) <= view
-            if near and space.state[next_node] == UNSEEN:
-                space.state[next_node] = OPEN
-                space.slope[next_node] = new.slope
-                space.heap[tail] = next_node
-                tail += 1
 
 
 @compiled

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
+from craftsim.discrete.cells import RuleFlags
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.records.traces import Record, recorded_grid
-from craftsim.discrete.rules.cells import RuleFlags
 from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.tasks.measures import FlagNearness
 from craftsim.discrete.tasks.observation import Layout

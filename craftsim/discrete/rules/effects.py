@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.rules.cells import (
+from craftsim.discrete.cells import (
     AIR,
     BLOCK,
     BODY,
@@ -26,21 +26,9 @@ from craftsim.discrete.rules.cells import (
     inside,
     is_air_or_gear,
     kind_at,
-    pose_of,
     yaw_at,
 )
-from craftsim.discrete.rules.compiled import compiled
-from craftsim.discrete.rules.legality import (
-    DROP,
-    FIRST_MOVE,
-    FOLD,
-    LAST_MOVE,
-    LIFT,
-    ROTATE_LEFT,
-    ROTATE_RIGHT,
-    UNFOLD,
-    move_direction,
-)
+from craftsim.discrete.compiled import compiled
 from craftsim.discrete.rules.moves import moved
 from craftsim.discrete.rules.reach import standing_gear_in
 
@@ -156,25 +144,17 @@ def write_pose(w: World, me: int, car: Pose) -> None:
 
 
 @compiled
-def apply(w: World, me: int, action: int) -> None:
-    """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
-    car = pose_of(w, me)
-    if FIRST_MOVE <= action <= LAST_MOVE:
-        new = moved(w, car, move_direction(action))
-        # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
-        left_air = kind_at(w, car.x, car.y, car.z) == AIR
-        mark_top(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
-        mark_top(w, new.x, new.y, new.z - 1, me)
-        write_pose(w, me, new)
-    elif action == ROTATE_LEFT:
-        write_pose(w, me, turned(car, 1))
-    elif action == ROTATE_RIGHT:
-        write_pose(w, me, turned(car, -1))
-    elif action == LIFT:
-        lift(w, me, car)
-    elif action == DROP:
-        drop(w, me, car)
-    elif action == FOLD:
-        fold(w, car)
-    elif action == UNFOLD:
-        unfold(w, car)
+def move(w: World, me: int, car: Pose, direction: int) -> None:
+    """Drive to the next cell in a direction 0..3."""
+    new = moved(w, car, direction)
+    # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
+    left_air = kind_at(w, car.x, car.y, car.z) == AIR
+    mark_top(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
+    mark_top(w, new.x, new.y, new.z - 1, me)
+    write_pose(w, me, new)
+
+
+@compiled
+def rotate(w: World, me: int, car: Pose, turn: int) -> None:
+    """Turn on the spot by +1 (left) or -1 (right)."""
+    write_pose(w, me, turned(car, turn))

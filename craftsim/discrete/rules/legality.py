@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.rules.cells import (
+from craftsim.discrete.cells import (
     AIR,
     BLOCK,
     BODY,
@@ -27,14 +27,9 @@ from craftsim.discrete.rules.cells import (
     top_at,
     yaw_at,
 )
-from craftsim.discrete.rules.compiled import compiled
-from craftsim.discrete.rules.moves import move_legal
+from craftsim.discrete.compiled import compiled
 from craftsim.discrete.rules.reach import flap_has_room, leans_into
 
-LIFT = int(Action.LIFT)
-DROP = int(Action.DROP)
-FOLD = int(Action.FOLD)
-UNFOLD = int(Action.UNFOLD)
 ROTATE_LEFT = int(Action.ROTATE_LEFT)
 ROTATE_RIGHT = int(Action.ROTATE_RIGHT)
 FIRST_MOVE = int(Action.MOVE_FORWARD)
@@ -138,27 +133,3 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
             if beside and not points_at_me:
                 return False
     return True
-
-
-@compiled
-def legal(w: World, me: int, car: Pose, action: int) -> bool:
-    """Return whether car ``me``, were it in the state ``car``, could do a primitive action now."""
-    if FIRST_MOVE <= action <= LAST_MOVE:
-        return move_legal(w, me, car, move_direction(action))
-    if car.slope != 0:
-        return False
-    if action == STOP:
-        return True
-    if action == LIFT:
-        return lift_legal(w, me, car)
-    if action == DROP:
-        return drop_legal(w, car)
-    if action == FOLD:
-        return fold_legal(w, me, car)
-    if action == UNFOLD:
-        return unfold_legal(w, me, car)
-    if action == ROTATE_LEFT:
-        return rotate_legal(w, me, car, 1)
-    if action == ROTATE_RIGHT:
-        return rotate_legal(w, me, car, -1)
-    return False

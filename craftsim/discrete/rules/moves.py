@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.rules.cells import (
+from craftsim.discrete.cells import (
     AIR,
     BLOCK,
     BODY,
@@ -21,7 +21,7 @@ from craftsim.discrete.rules.cells import (
     top_at,
     yaw_at,
 )
-from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.compiled import compiled
 from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_fits
 
 

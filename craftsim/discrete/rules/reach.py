@@ -7,7 +7,7 @@ at a right angle to it has not.
 
 from __future__ import annotations
 
-from craftsim.discrete.rules.cells import (
+from craftsim.discrete.cells import (
     AIR,
     BODY,
     F_LOAD,
@@ -28,7 +28,7 @@ from craftsim.discrete.rules.cells import (
     kind_at,
     yaw_at,
 )
-from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.compiled import compiled
 
 
 @compiled

@@ -8,12 +8,14 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.actions import Action
+from craftsim.discrete.cells import RuleFlags, World, derive_marks, pose_of
+from craftsim.discrete.compiled import compiled
 from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules.cells import RuleFlags, World, derive_marks, pose_of
-from craftsim.discrete.rules.compiled import compiled
-from craftsim.discrete.rules.effects import apply
-from craftsim.discrete.rules.legality import N_ACTIONS, legal
+from craftsim.discrete.rules.explain import Explanation, explain
+from craftsim.discrete.rules.legality import N_ACTIONS
+from craftsim.discrete.rules.table import apply, legal
 
 RuleSet = Literal["published", "physical"]
 
@@ -31,7 +33,7 @@ RULE_FLAGS: Final[dict[RuleSet, RuleFlags]] = {
         lasting_gears=True,
     ),
 }
-"""What each rule set switches on. A correction found by physics is one more switch, read in its rule."""
+"""The rule flags of each rule set. A correction found by physics is one more flag, read in its rule."""
 
 
 def world_of(grid: Grid, flags: RuleFlags) -> World:
@@ -88,7 +90,7 @@ class Rules:
     """
 
     def __init__(self, rule_set: RuleSet, flags: RuleFlags | None = None) -> None:
-        """Make a rule set; ``flags`` gives other switches than its own, to see what a single one changes."""
+        """Make a rule set; ``flags`` gives other rule flags than its own, to see what a single one changes."""
         if rule_set not in RULE_FLAGS:
             known = ", ".join(get_args(RuleSet))
             raise InputError(
@@ -108,6 +110,15 @@ class Rules:
         check_car(grid, car)
         world = world_of(grid, self.flags)
         return bool(legal(world, car, pose_of(world, car), int(action)))
+
+    def explain(self, grid: Grid, car: int, action: int) -> Explanation:
+        """Return which rule forbids an action of a car now, in words, with the cells concerned; or that it is legal.
+
+        ``str()`` of it is one line, such as ``LIFT is forbidden: something stands on (3, 2, 1): a block``. Raises
+        ValueError for a car or an action that there is not.
+        """
+        check_car(grid, car)
+        return explain(world_of(grid, self.flags), car, Action(action))
 
     def apply(self, grid: Grid, car: int, action: int) -> Grid:
         """Return the world after one car's action; an illegal action changes nothing."""

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.cells import World, world_at
+from craftsim.discrete.compiled import compiled
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.rules.cells import World, world_at
-from craftsim.discrete.rules.compiled import compiled
 from craftsim.discrete.rules.sets import RULE_FLAGS, world_of
 from craftsim.discrete.tasks.scores import (
     NO_FLAG,

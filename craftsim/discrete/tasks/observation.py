@@ -12,10 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.files.blueprint import NO_CELL, Blueprint
-from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.rules.cells import (
+from craftsim.discrete.cells import (
     AIR,
     BLOCK,
     BODY,
@@ -30,7 +27,10 @@ from craftsim.discrete.rules.cells import (
     FSLOPE,
     World,
 )
-from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.files.blueprint import NO_CELL, Blueprint
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 
 ROW: Final = 13
 IS_CAR, IS_FSLOPE, IS_BODY, IS_FOOT, IS_BLOCK, IS_FLAG, IS_GOAL = range(3, 10)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.rules.cells import (
+from craftsim.discrete.cells import (
     BLOCK,
     BODY,
     F_LOAD,
@@ -21,7 +21,7 @@ from craftsim.discrete.rules.cells import (
     kind_at,
     standable,
 )
-from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.compiled import compiled
 
 NO_FLAG = -1
 

@@ -1,4 +1,4 @@
-"""Tasks: where a world starts, what it pays, when it is done. The six of the paper and one's own."""
+"""Tasks: where a world starts, its reward, when it is done. The six of the paper and one's own."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final, Literal, get_args
 
@@ -17,6 +16,7 @@ from craftsim.discrete.errors import BlueprintError, InputError, suggestion
 from craftsim.discrete.files.blueprint import NO_CELL, Blueprint, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.placement import Placement
+from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.measures import (
     CodeBuilding,
@@ -40,13 +40,13 @@ TaskName = Literal[
 TASK_NAMES: Final[tuple[str, ...]] = get_args(TaskName)
 
 RewardName = Literal["paper", "published_code", "complexity"]
-"""What a task pays: as the paper states it, as CraftEnv's code computes it, or how elaborate a building is."""
+"""The reward: as the paper states it, as CraftEnv's code computes it, or how elaborate a building is."""
 
 DEFAULT_MAX_STEPS: Final = 18
 """The published step limit; an episode has two ticks more (docs/rules.md#episode-length)."""
 
 UPPER_BLOCK: Final = {"simple_two_story": 1.0, "complex_two_story": 3.0}
-"""Worth of a block above the floor by the paper's table 1, in simple and in complex buildings."""
+"""Potential of a block above the floor by the paper's table 1, in simple and in complex buildings."""
 
 
 @dataclass(frozen=True)
@@ -140,70 +140,84 @@ def _no_goal(grid: Grid) -> bool:
     return False
 
 
-def free_play(name: str, start: Blueprint, max_steps: int = DEFAULT_MAX_STEPS) -> Task:
-    """Return a task without a goal around a blueprint: the reward is how elaborate a building is."""
+def free_play(name: str, starts: tuple[Blueprint, ...], max_steps: int = DEFAULT_MAX_STEPS) -> Task:
+    """Return a task without a goal around start files: the reward is how elaborate a building is."""
     reward = Reward(Complexity())
-    return Task(name, (start,), reward, _no_goal, max_steps=max_steps, ends_on_success=False)
+    return Task(name, starts, reward, _no_goal, max_steps=max_steps, ends_on_success=False)
 
 
-def as_task(task: Task | str) -> Task:
-    """Return a task as it is, or the one of the paper's six that a name stands for; InputError for anything else."""
-    if isinstance(task, Task):
-        return task
-    if isinstance(task, str) and task not in TASK_NAMES and Path(task).exists():
-        blueprint = read_blueprint(Path(task))
-        return free_play(blueprint.path.stem, blueprint)
-    if isinstance(task, str):
-        return make_task(task)
-    raise InputError(f"a task is a Task or the name of one, not {task!r}")
-
-
-def shipped_blueprint(name: str) -> Path:
-    """Return the path of a shipped start or goal file, e.g. ``strip`` or ``strip_goal``."""
-    with as_file(files("craftsim") / "data" / "blueprints" / f"{name}.yaml") as path:
-        return path
-
-
-def make_task(name: TaskName | str, reward: RewardName = "paper", max_steps: int = DEFAULT_MAX_STEPS) -> Task:
+def make_task(
+    name: TaskName | str,
+    reward: RewardName = "paper",
+    max_steps: int = DEFAULT_MAX_STEPS,
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+) -> Task:
     """Return one of the paper's six tasks.
 
     With ``reward="published_code"`` an episode ends by its length alone, random placement is as published,
     and the flag's row is shown in the barrier task only; otherwise it also ends with success.
+    ``n_cars`` and ``n_blocks`` are other numbers than the published ones: what the start file does not list is drawn at
+    random, so there cannot be fewer than it lists. Raises InputError.
     """
     if name not in TASK_NAMES:
         raise InputError(
             f"unknown task '{name}'{suggestion(name, TASK_NAMES)}; there are {', '.join(TASK_NAMES)}"
         )
+    start = read_blueprint(shipped_blueprint(name)).with_counts(n_cars, n_blocks)
+    goal, design = None, None
+    if name == "breaking_barrier":
+        goal = start.goal or NO_CELL
+    elif name != "free_building":
+        design = read_design(shipped_blueprint(f"{name}_goal"))
+    return build_task(name, (start,), design, goal, reward, max_steps, UPPER_BLOCK.get(name, 1.0))
+
+
+def build_task(
+    name: str,
+    starts: tuple[Blueprint, ...],
+    design: Design | None,
+    goal: Cell | None,
+    reward: RewardName,
+    max_steps: int,
+    upper_block: float = 1.0,
+) -> Task:
+    """Return a task whose goal is a building, a flag at a cell or, with neither, one platform of all blocks.
+
+    Args:
+        name: of the task.
+        starts: one of them is drawn for every episode.
+        design: the building.
+        goal: the cell that the flag is to reach; not both.
+        reward: see :func:`make_task`.
+        max_steps: the step limit.
+        upper_block: potential of a block above the floor.
+    """
     if reward not in get_args(RewardName):
         known = get_args(RewardName)
         raise InputError(
             f"unknown reward '{reward}'{suggestion(reward, known)}; there are {', '.join(known)}"
         )
-    start = read_blueprint(shipped_blueprint(name))
     code = reward == "published_code"
-    design = None
     success: Measure
-    pays: Reward
-    if name == "free_building":
-        pays = CodeReward(CodePlatform()) if code else Reward(PaperPlatform())
-        success = OnePlatform(start.n_blocks)
-    elif name == "breaking_barrier":
-        goal = start.goal or NO_CELL
-        pays = (CodeBarrier if code else PaperBarrier)(FlagNearness(goal))
+    rewards: Reward
+    if design is not None:
+        rewards = CodeReward(CodeBuilding(design)) if code else Reward(PaperBuilding(design, upper_block))
+        success = Finished(design)
+    elif goal is not None:
+        rewards = (CodeBarrier if code else PaperBarrier)(FlagNearness(goal))
         success = FlagAtGoal(goal)
     else:
-        design = read_design(shipped_blueprint(f"{name}_goal"))
-        upper_block = UPPER_BLOCK.get(name, 1.0)
-        pays = CodeReward(CodeBuilding(design)) if code else Reward(PaperBuilding(design, upper_block))
-        success = Finished(design)
+        rewards = CodeReward(CodePlatform()) if code else Reward(PaperPlatform())
+        success = OnePlatform(starts[0].n_blocks)
     return Task(
         name=name,
-        starts=(start,),
-        reward=Reward(Complexity()) if reward == "complexity" else pays,
+        starts=starts,
+        reward=Reward(Complexity()) if reward == "complexity" else rewards,
         success=success,
         design=design,
         max_steps=max_steps,
         ends_on_success=not code,
-        shows_flag=name == "breaking_barrier",
+        shows_flag=goal is not None,
         placement="published" if code else "sane",
     )

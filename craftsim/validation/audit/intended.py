@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.cells import pose_of
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.rules import RULE_FLAGS
-from craftsim.discrete.rules.effects import apply
 from craftsim.discrete.rules.sets import world_of
+from craftsim.discrete.rules.table import ACTIONS, apply
 
-_LIFTED: Final = (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
 _LEVEL: Final = (Kind.GROUND, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
 """What has a level top at the height of the next floor, whether the rules let anything stand on it or not."""
 _ROOMY: Final = (Kind.AIR, Kind.GEAR, Kind.FOOT)
@@ -26,23 +26,14 @@ def intended(grid: Grid, car: int, action: Action) -> Grid:
 
     Raises NoPredictionError where there is nothing to do, no room for what would be there, or no such state.
     """
-    x, y, z, _, load, _, slope = (int(v) for v in grid.cars[car])
-    own = Kind(grid.kind[x, y, z]) if z < grid.kind.shape[2] else Kind.AIR
-    if action is Action.LIFT and (load != Kind.AIR or own not in _LIFTED):
-        raise NoPredictionError("there is nothing to lift")
-    if action is Action.DROP and load == Kind.AIR:
-        raise NoPredictionError("there is nothing to drop")
-    if action is Action.DROP and slope:
-        raise NoPredictionError("nothing stands on a slope")
-    if action is Action.FOLD and own != Kind.BODY:
-        raise NoPredictionError("there is nothing to fold")
-    if action is Action.UNFOLD and own != Kind.FSLOPE:
-        raise NoPredictionError("there is nothing to unfold")
+    world = world_of(grid, RULE_FLAGS["physical"])
+    if nothing := ACTIONS[action].no_goal(world, pose_of(world, car)):
+        raise NoPredictionError(nothing)
     after = grid.copy()
     apply(world_of(after, RULE_FLAGS["physical"]), car, int(action))
     if action in MOVE_DIRECTION:
         ax, ay, az = (int(v) for v in after.cars[car, : CarField.Z + 1])
-        _check_target(grid, (ax, ay, az), Kind(load))
+        _check_target(grid, (ax, ay, az), Kind(grid.cars[car, CarField.LOAD]))
     after.derive_marks()
     _check_state(after, car)
     return after

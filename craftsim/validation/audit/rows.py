@@ -25,7 +25,8 @@ from craftsim.validation.contexts.survey import make_world, survey
 
 Situation = Context | Scene
 
-_MIRRORED: Final = {Verb.ROTATE_LEFT: Verb.ROTATE_RIGHT, Verb.ROTATE_RIGHT: Verb.ROTATE_LEFT}
+_TURNS: Final = (Verb("ROTATE_LEFT"), Verb("ROTATE_RIGHT"))
+_MIRRORED: Final = dict(zip(_TURNS, reversed(_TURNS), strict=True))
 
 
 @dataclass(frozen=True)

@@ -6,27 +6,31 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Final
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import KINDS_WITH_YAW, Kind
+from craftsim.discrete.rules.table import ACTIONS, VERBS, Variation
 
 FORWARD, LEFT, BACK, RIGHT = range(4)
 """Directions and yaws relative to the car's heading."""
 DIRECTION_NAMES: Final = ("forward", "left", "back", "right")
 """Their names, by number."""
-_MOVE_OF: Final = {direction: action for action, direction in MOVE_DIRECTION.items()}
+_ACTION_OF: Final = {
+    (spec.verb, spec.direction): action for action, spec in ACTIONS.items() if spec.performed
+}
+_VARIATION_OF: Final = {spec.verb: spec.varies for spec in ACTIONS.values() if spec.performed}
 
 
 class Verb(StrEnum):
-    """An action whatever the map direction."""
+    """An action whatever the map direction: the verbs of the table of actions."""
 
-    LIFT = "LIFT"
-    DROP = "DROP"
-    FOLD = "FOLD"
-    UNFOLD = "UNFOLD"
-    ROTATE_LEFT = "ROTATE_LEFT"
-    ROTATE_RIGHT = "ROTATE_RIGHT"
-    MOVE = "MOVE"
-    STOP = "STOP"
+    _ignore_ = "verb"
+    for verb in VERBS:
+        vars()[verb] = verb
+
+    @property
+    def varies(self) -> Variation:
+        """What its contexts vary."""
+        return _VARIATION_OF[self.value]
 
 
 class Ground(Enum):
@@ -76,10 +80,11 @@ class Context:
     next: Thing | None
     """In the cell that a move goes to."""
     over: Thing = NOTHING
-    """In the cell above the own one (lift, fold, unfold); of a move onto a ramp, in the cell above the landing of the
-    climb, above the body or above the foot that comes next."""
+    """In the cell above the own one (lift, fold, unfold) or above what the action is about; of a move onto a ramp, in
+    the cell above the landing of the climb, above the body or above the foot that comes next."""
     beyond_taken: bool = False
-    """Whether a block stands beyond the foot of a slope that is folded or unfolded."""
+    """Whether a block stands in the cell after the next, where that matters: beyond the foot of a slope that is folded
+    or unfolded."""
     tight: bool = False
     """Whether blocks fill the neighbour cells of the way, as far as the rules let the action be."""
 
@@ -100,13 +105,8 @@ class Context:
         parts += ["beyond=taken"] if self.beyond_taken else []
         return "/".join([*parts, f"room={'tight' if self.tight else 'free'}"])
 
-    @property
-    def swings(self) -> bool:
-        """Whether the action swings a flap."""
-        return self.verb in (Verb.FOLD, Verb.UNFOLD)
-
     def action(self, heading: int) -> Action:
         """Return the primitive action for a car of this grid yaw."""
-        if self.direction is None:
-            return Action[self.verb]
-        return _MOVE_OF[(heading + self.direction) % 4]
+        way = None if self.direction is None else (heading + self.direction) % 4
+        key = (self.verb.value, way)
+        return _ACTION_OF[key if key in _ACTION_OF else (self.verb.value, None)]

@@ -102,8 +102,8 @@ def draw(context: Context) -> Drawing:
         _draw_next(drawing, context, own)
     if context.over.kind != Kind.AIR:
         _put_thing(drawing, context.over, _over(context, own))
-    if context.beyond_taken:
-        drawing.put(Kind.BLOCK, beside(beside(own, BACK), BACK))
+    if context.beyond_taken and context.verb.varies.beyond is not None:
+        drawing.put(Kind.BLOCK, _after_next(own, context.verb.varies.beyond)[-1])
     drawing.support_all()
     return drawing
 
@@ -194,6 +194,8 @@ def _over(context: Context, own: Cell) -> Cell:
     if context.direction is None or context.next is None:
         return x, y, z + 1
     ahead = beside(own, context.direction)
+    if context.verb.varies.over:
+        return ahead[0], ahead[1], z + 1
     if context.next.below:
         return beside(ahead, context.direction)
     if context.next.kind == Kind.FOOT:
@@ -202,6 +204,11 @@ def _over(context: Context, own: Cell) -> Cell:
     if context.next.kind == Kind.BODY and context.ground.half == 1 and context.ground.downhill == BACK:
         return ahead[0], ahead[1], z + 1
     raise ImpossibleError("what is overhead does not concern this move")
+
+
+def _after_next(own: Cell, way: int) -> tuple[Cell, Cell]:
+    """Return the next two cells in a direction."""
+    return beside(own, way), beside(beside(own, way), way)
 
 
 def fillable(context: Context, drawing: Drawing) -> list[tuple[Cell, ...]]:
@@ -217,8 +224,8 @@ def fillable(context: Context, drawing: Drawing) -> list[tuple[Cell, ...]]:
         falls = context.ground.half == 2 and context.ground.downhill == context.direction
         ways.append((x, y, z + climbs - falls))
     taken = set(ways)
-    if context.swings:
-        taken |= {beside(own, BACK), beside(beside(own, BACK), BACK)}
+    if context.verb.varies.beyond is not None:
+        taken |= {*_after_next(own, context.verb.varies.beyond)}
     columns: list[tuple[Cell, ...]] = []
     for x, y, z in ways:
         for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)):

@@ -77,7 +77,7 @@ def _subject(world: World, random_worlds: RandomWorlds) -> Subject:
     if isinstance(world, RandomWorlds):
         return Subject(RANDOM, world, _digest(repr(world).encode()), world.n_cars)
     if isinstance(world, Grid):
-        world = free_play("grid", parse_blueprint(blueprint_text(world), "grid"))
+        world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
     if isinstance(world, Task):
         return Subject(world.name, world, world.digest, world.layout.n_cars)
     name = str(Path(world).resolve()) if Path(world).exists() and world not in TASK_NAMES else str(world)

@@ -39,7 +39,7 @@ class RandomWorlds:
     def task(self, rng: np.random.Generator) -> Task:
         """Return a task without a goal that always starts in the world that a generator draws."""
         blueprint = parse_blueprint(blueprint_text(self.grid(rng)), "random")
-        return free_play("random", blueprint, self.max_steps)
+        return free_play("random", (blueprint,), self.max_steps)
 
     def grid(self, rng: np.random.Generator) -> Grid:
         """Return the world that a generator draws."""

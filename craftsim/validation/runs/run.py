@@ -19,7 +19,7 @@ from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
-from craftsim.envs.core import Options
+from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.validation.campaign import Done

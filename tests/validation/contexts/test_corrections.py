@@ -1,9 +1,9 @@
 """What only published allows goes wrong in physics; its twin, which physical allows as well, does not."""
 
 import pytest
+from craftsim.checking.checked_run import CheckedSite
 from drawn import draw
 
-from craftsim.checking.checked_run import CheckedSite
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules

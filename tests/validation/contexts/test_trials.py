@@ -8,13 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
-
-from craftsim import cli
-from craftsim.validation.campaign import Done, Header, run_campaign
-from craftsim.validation.campaign.items import Failure, make_record
-from craftsim.validation.contexts.context import Verb
 from craftsim.validation.contexts.figures import GROUPS, campaign_figures, reasons, summaries, summarise
-from craftsim.validation.contexts.survey import survey
 from craftsim.validation.contexts.trials import (
     NOMINAL,
     WITH_NOISE,
@@ -25,6 +19,12 @@ from craftsim.validation.contexts.trials import (
     plan_trials,
     run_trial,
 )
+
+from craftsim import cli
+from craftsim.validation.campaign import Done, Header, run_campaign
+from craftsim.validation.campaign.items import Failure, make_record
+from craftsim.validation.contexts.context import Verb
+from craftsim.validation.contexts.survey import survey
 
 CONTEXTS = survey().contexts
 

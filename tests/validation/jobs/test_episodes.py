@@ -2,10 +2,6 @@
 
 import numpy as np
 import pytest
-
-from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.rules import Rules
-from craftsim.validation.campaign import Header, run_campaign
 from craftsim.validation.jobs import episodes
 from craftsim.validation.jobs.episodes import (
     EARLY,
@@ -18,6 +14,10 @@ from craftsim.validation.jobs.episodes import (
     random_world,
     run_episode,
 )
+
+from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.rules import Rules
+from craftsim.validation.campaign import Header, run_campaign
 
 
 def test_four_cars_do_sixty_actions_as_predicted_and_nothing_drifts():

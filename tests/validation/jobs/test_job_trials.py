@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import pytest
-
-from craftsim.validation.campaign import Header, run_campaign
 from craftsim.validation.jobs import trials as job_trials
 from craftsim.validation.jobs.job import read_job
 from craftsim.validation.jobs.trials import JobTrial, do_job, items_of, run_job_trial
+
+from craftsim.validation.campaign import Header, run_campaign
 
 
 @pytest.mark.parametrize("task", ["strip", "simple_two_story"])

@@ -5,12 +5,12 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from craftsim.validation.jobs.job import Job, JobResult, read_job, run_job
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind, beside
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import TASK_NAMES, make_task
-from craftsim.validation.jobs.job import Job, JobResult, read_job, run_job
 
 RULE_SETS = ("published", "physical")
 

@@ -11,6 +11,7 @@ import av
 import mujoco
 import numpy as np
 import pytest
+from craftsim.validation.contexts.trials import Trial, recipe_of, run_trial
 
 from craftsim import cli
 from craftsim.checking.recipe import Recipe, Seed, Step, perform, prepare
@@ -21,7 +22,6 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.randomization import RandomizedSite
 from craftsim.validation.contexts.context import Verb
 from craftsim.validation.contexts.survey import survey
-from craftsim.validation.contexts.trials import Trial, recipe_of, run_trial
 from craftsim.validation.replays import replay as replaying
 from craftsim.validation.replays.bundle import (
     AFTER,

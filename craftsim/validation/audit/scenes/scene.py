@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from craftsim.checking.attempt import verb_of
 from craftsim.checking.recipe import Step
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Grid, Kind, beside
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.schedule import Order
 from craftsim.validation.audit.intended import NoPredictionError, intended
 
@@ -36,7 +36,7 @@ class Scene:
     @property
     def id(self) -> str:
         """Name of its row: the action, and the scene."""
-        verbs = "+".join(verb_of(action) for action in self.actions)
+        verbs = "+".join(ACTIONS[action].verb for action in self.actions)
         return f"{verbs}/scene={self.name}" + (f"/order={self.order}" if self.order else "")
 
     def world(self) -> Grid:

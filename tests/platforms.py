@@ -1,9 +1,5 @@
 """Tasks with other numbers of cars than the paper's."""
 
-from collections.abc import Callable
-
-import pytest
-
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.measures import OnePlatform, PaperPlatform
@@ -23,7 +19,8 @@ smartcar:
 """
 
 
-def _platform(cars: int) -> Task:
+def platform(cars: int) -> Task:
+    """Return a small task for a number of cars from 1 to 8."""
     # Car 0 starts below a block and car 1 below the slope, so that both can lift at once.
     cells = [(0, 0), (2, 2), (3, 3), (4, 0), (4, 1), (4, 3), (5, 2), (5, 3)]
     listed = "\n".join(
@@ -37,9 +34,3 @@ def _platform(cars: int) -> Task:
         OnePlatform(3),
         max_steps=8,
     )
-
-
-@pytest.fixture(scope="session")
-def platform_task() -> Callable[[int], Task]:
-    """Return a function that gives a small task for a number of cars from 1 to 8."""
-    return _platform

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.rules.compiled import compiled
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kinds import CarField, Kind
 
 AIR = int(Kind.AIR)
 GROUND = int(Kind.GROUND)

@@ -1,0 +1,121 @@
+"""From a word to a task: the paper's six, tasks that were registered, files, and factories in Python modules."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from craftsim.discrete.errors import CraftsimError, InputError, suggestion
+from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
+from craftsim.discrete.tasks.task_files import read_task
+
+_REGISTERED: Final[dict[str, Task]] = {}
+_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+def register_task(task: Task) -> Task:
+    """Make a task known by its name, in this process, wherever a task's name is asked for; return it.
+
+    Registering a task again replaces it. Raises InputError for a name of the paper's six, and for one that is not made
+    of letters, digits, ``_`` and ``-``.
+    """
+    if not isinstance(task, Task):
+        raise InputError(f"only a Task can be registered, not {type(task).__name__}")
+    if task.name in TASK_NAMES:
+        raise InputError(f"'{task.name}' is one of the paper's six tasks; give yours another name")
+    if not _NAME.fullmatch(task.name):
+        raise InputError(f"a task's name is made of letters, digits, _ and -, not '{task.name}'")
+    _REGISTERED[task.name] = task
+    return task
+
+
+def task_names() -> list[str]:
+    """Return the names of all tasks that are known by name."""
+    return [*TASK_NAMES, *_REGISTERED]
+
+
+def as_task(task: Task | str) -> Task:
+    """Return a task as it is, or the one that a text stands for, see :func:`task_of`; InputError for anything else."""
+    if isinstance(task, Task):
+        return task
+    if isinstance(task, str):
+        return task_of(task)
+    raise InputError(f"a task is a Task or a text that stands for one, not {task!r}")
+
+
+def task_of(
+    text: str, reward: RewardName = "paper", n_cars: int | None = None, n_blocks: int | None = None
+) -> Task:
+    """Return the task that a text stands for.
+
+    Args:
+        text: a name (one of the paper's six, or registered), a file (a blueprint or a task file, ``.yaml``), or
+            ``module:factory``, a callable without arguments that returns a Task; the module may lie in the working
+            folder.
+        reward: how a named task or a blueprint rewards; a registered task and a factory have their own.
+        n_cars: other than the start file's number of cars; those that it does not list are drawn at random.
+        n_blocks: the same for blocks.
+
+    Raises InputError for a text that stands for nothing, a file that is wrong, a factory that raises, and counts for a
+    registered task or a factory, which have their own.
+    """
+    if text in TASK_NAMES:
+        return make_task(text, reward, n_cars=n_cars, n_blocks=n_blocks)
+    own = text in _REGISTERED or (":" in text and not Path(text).is_file())
+    if own and (n_cars is not None or n_blocks is not None):
+        raise InputError(f"task '{text}' has its own numbers of cars and blocks; they cannot be given")
+    if text in _REGISTERED:
+        return _REGISTERED[text]
+    if own:
+        return _made(text)
+    if Path(text).is_file() or text.endswith((".yaml", ".yml")):
+        return read_task(text, reward, n_cars, n_blocks)
+    names = task_names()
+    raise InputError(
+        f"unknown task '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, "
+        "a file .yaml, or module:factory"
+    )
+
+
+def _made(text: str) -> Task:
+    """Return the task that ``module:factory`` makes."""
+    name, _, attribute = text.partition(":")
+    dotted = name.split(".") + attribute.split(".")
+    if not all(part.isidentifier() for part in dotted):
+        raise InputError(f"task '{text}': must be module:factory, such as mypackage.tasks:corner")
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)
+    try:
+        found: Any = importlib.import_module(name)
+    except Exception as error:
+        raise InputError(
+            f"task '{text}': module '{name}' cannot be imported: {type(error).__name__}: {error}"
+        ) from error
+    for part in attribute.split("."):
+        if not hasattr(found, part):
+            hint = suggestion(part, [word for word in dir(found) if not word.startswith("_")])
+            raise InputError(f"task '{text}': '{name}' has no '{attribute}'{hint}")
+        found = getattr(found, part)
+    if isinstance(found, Task):
+        return found
+    if not callable(found):
+        raise InputError(
+            f"task '{text}': '{attribute}' is neither a Task nor callable, but {type(found).__name__}"
+        )
+    task = _called(text, found)
+    if not isinstance(task, Task):
+        raise InputError(f"task '{text}': returned {type(task).__name__}; it must return a Task")
+    return task
+
+
+def _called(text: str, factory: Callable[[], object]) -> object:
+    try:
+        return factory()
+    except CraftsimError:
+        raise
+    except Exception as error:
+        raise InputError(f"task '{text}': the factory raised {type(error).__name__}: {error}") from error

@@ -1,0 +1,161 @@
+"""How an environment works, on top of its task: every option with the values that it takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+
+from craftsim.discrete.errors import InputError, suggestion
+from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import Task
+from craftsim.envs.backend import Backend
+from craftsim.envs.grid_backend import GridBackend
+from craftsim.envs.observe import Observe
+
+if TYPE_CHECKING:
+    from craftsim.models.config import SimulationConfig
+    from craftsim.models.noise import SensorNoise
+    from craftsim.models.parameters import Machines
+    from craftsim.models.randomization import DomainRandomization
+    from craftsim.models.site import Site
+    from craftsim.skills.gains import Gains
+
+BackendName = Literal["physics", "grid"]
+RenderMode = Literal["rgb_array", "rgb_array_list", "human", "ansi"]
+RENDER_MODES: Final[tuple[str, ...]] = get_args(RenderMode)
+RENDER_FPS: Final = 2
+"""Pictures a second in films of one picture a tick, which is about what a move takes."""
+MOTION_FPS: Final = 10
+"""Pictures a simulated second of the motion between two ticks (``rgb_array_list`` in physics)."""
+
+_PHYSICS_KINDS: Final = {
+    "noise": ("craftsim.models.noise", "SensorNoise"),
+    "randomization": ("craftsim.models.randomization", "DomainRandomization"),
+    "config": ("craftsim.models.config", "SimulationConfig"),
+    "gains": ("craftsim.skills.gains", "Gains"),
+    "machines": ("craftsim.models.parameters", "Machines"),
+}
+_PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "render_camera", "render_size")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How an environment works, on top of its task; docs/envs.md explains each. Raises InputError for a bad value."""
+
+    backend: BackendName = "physics"
+    rule_set: RuleSet = "physical"
+    helper_depth: int | None = None
+    """Search depth of the action helper; None is without it."""
+    time_weight: float = 0.0
+    """What a simulated second costs."""
+    render_mode: RenderMode | None = None
+    render_camera: str | None = None
+    """Name of one of the world's cameras, ``overview`` unless given; physics only."""
+    render_size: tuple[int, int] | None = None
+    """Width and height of a picture in pixels, 640 x 480 unless given; physics only."""
+    noise: SensorNoise | None = None
+    """Noise of the cars' sensors and motors; physics only."""
+    randomization: DomainRandomization | None = None
+    """How far the physics of each episode is drawn from the nominal one; physics only."""
+    config: SimulationConfig | None = None
+    """How the physics is computed; physics only."""
+    gains: Gains | None = None
+    """Of the controllers, the shipped ones unless given; physics only."""
+    machines: Machines | None = None
+    """The parameters of cars, blocks and slopes, the nominal ones unless given; physics only."""
+    check_contacts: bool = False
+    """Whether the judge logs contacts, 8 % of the time; what is unsafe then ends at once. Physics only."""
+    observers: tuple[Callable[[Site], None], ...] = ()
+    """Called with the Site after every control period; they may look, but not change it. Physics only."""
+    observe: Observe | None = None
+    """What cars observe instead of the rows of all entities; PettingZoo forms only."""
+
+    def __post_init__(self) -> None:
+        choices = {"backend": get_args(BackendName), "render_mode": (None, *RENDER_MODES)}
+        for name, allowed in choices.items():
+            value = getattr(self, name)
+            if value not in allowed:
+                words = [str(word) for word in allowed]
+                raise InputError(
+                    f"unknown {name} '{value}'{suggestion(str(value), words)}; there are {', '.join(words)}"
+                )
+        depth, weight, size = self.helper_depth, self.time_weight, self.render_size
+        if depth is not None and not (isinstance(depth, int) and depth >= 0):
+            raise InputError(f"helper_depth is {depth!r}; allowed: None, or 0 and more")
+        if not (isinstance(weight, int | float) and 0 <= weight < math.inf):
+            raise InputError(f"time_weight is {weight!r}; allowed: 0 and more, and finite")
+        for name in _PHYSICS_ONLY:
+            if self.backend == "grid" and getattr(self, name) is not None:
+                raise InputError(
+                    f"the grid backend knows no '{name}'; leave it out, or take backend='physics'"
+                )
+        if size is not None and not (
+            isinstance(size, tuple) and len(size) == 2 and all(isinstance(n, int) and n > 0 for n in size)
+        ):
+            raise InputError(f"render_size is {size!r}; allowed: (width, height) in pixels, 1 and more")
+        self._check_callables()
+
+    def _check_callables(self) -> None:
+        if not isinstance(self.observers, list | tuple) or not all(map(callable, self.observers)):
+            raise InputError(f"observers is {self.observers!r}; allowed: a sequence of functions of a Site")
+        if self.observers and self.backend == "grid":
+            raise InputError(
+                "the grid backend has no control periods to observe; leave 'observers' out, or take backend='physics'"
+            )
+        if self.observe is not None and not isinstance(self.observe, Observe):
+            raise InputError(f"the option 'observe' must be an Observe, not {self.observe!r}")
+
+    @classmethod
+    def named(cls, **options: Any) -> Options:
+        """Return options given by name; raises InputError for a name that is none of them."""
+        known = [field.name for field in fields(cls)]
+        for name in options:
+            if name not in known:
+                raise InputError(
+                    f"unknown option '{name}'{suggestion(name, known)}; there are {', '.join(known)}"
+                )
+        return cls(**options)
+
+    @property
+    def render_fps(self) -> int:
+        """Pictures a second at which a film of this environment plays."""
+        return MOTION_FPS if self._shows_motion else RENDER_FPS
+
+    @property
+    def _shows_motion(self) -> bool:
+        return self.render_mode == "rgb_array_list" and self.backend == "physics"
+
+    def make_backend(self, task: Task) -> Backend:
+        """Return the backend; only here does the physics get imported."""
+        if self.backend == "grid":
+            return GridBackend()
+        if self.render_mode in ("rgb_array", "rgb_array_list"):
+            from craftsim.rendering.backend import choose_backend
+
+            choose_backend()
+        from craftsim.checking.settings import Setup, nominal_gains
+        from craftsim.envs.physics_backend import PhysicsBackend
+        from craftsim.envs.pictures import Pictures
+        from craftsim.models.config import SimulationConfig
+        from craftsim.models.noise import EXACT
+        from craftsim.models.parameters import NOMINAL
+
+        for name, (module, kind) in _PHYSICS_KINDS.items():
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, getattr(import_module(module), kind)):
+                raise InputError(f"the option '{name}' must be a {kind}, not {value!r}")
+        setup = Setup(
+            rules=self.rule_set,
+            noise=self.noise or EXACT,
+            randomization=self.randomization,
+            simulation=self.config or SimulationConfig(),
+            gains=self.gains or nominal_gains(),
+            machines=self.machines or NOMINAL,
+        )
+        pictures = Pictures(self.render_camera, self.render_size, self._shows_motion)
+        return PhysicsBackend(
+            setup, self.helper_depth, task.goal_cells, self.observers, self.check_contacts, pictures
+        )

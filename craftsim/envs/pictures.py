@@ -1,0 +1,99 @@
+"""What a person sees of a Site: pictures through a camera, the motion between two ticks, and MuJoCo's viewer."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.errors import InputError, suggestion
+from craftsim.envs.options import MOTION_FPS
+from craftsim.rendering.renderer import make_renderer
+
+if TYPE_CHECKING:
+    import mujoco
+    from mujoco.viewer import Handle
+
+    from craftsim.models.site import Site
+
+Picture = NDArray[np.uint8]
+"""Shape (height, width, 3), red green blue."""
+
+CAMERA: Final = "overview"
+SIZE: Final = (640, 480)
+"""Width and height in pixels."""
+
+
+class Pictures:
+    """Looks at one Site after the other; call :meth:`watch` after every control period."""
+
+    def __init__(
+        self, camera: str | None = None, size: tuple[int, int] | None = None, motion: bool = False
+    ) -> None:
+        """Prepare for a camera and size, the defaults unless given; ``motion`` keeps the pictures between ticks."""
+        self.camera, self.size, self.motion = camera or CAMERA, size or SIZE, motion
+        self._site: Site | None = None
+        self._kept: list[Picture] = []
+        self._due_s = 0.0
+        self._renderer: mujoco.Renderer | None = None
+        self._viewer: Handle | None = None
+
+    def begin(self, site: Site) -> None:
+        """Look at a Site from now on, at the start of an episode; raises InputError for a camera that it lacks."""
+        if site is not self._site:
+            self.close()
+            names = [site.model.camera(i).name for i in range(site.model.ncam)]
+            if self.camera not in names:
+                raise InputError(
+                    f"unknown render_camera '{self.camera}'{suggestion(self.camera, names)}; "
+                    f"there are {', '.join(names)}"
+                )
+            self._site = site
+        self._kept.clear()
+        self._due_s = site.time_s
+
+    def watch(self, site: Site) -> None:
+        """Keep the viewer up to date, and a picture where its moment has come."""
+        if self._viewer is not None:
+            self._viewer.sync()
+        # The allowance is for sums of time steps that end a rounding error before a picture's moment.
+        if self.motion and site.time_s >= self._due_s - 1e-6:
+            self._kept.append(self.picture())
+            self._due_s += 1 / MOTION_FPS
+
+    def picture(self) -> Picture:
+        """Return what the camera sees now."""
+        assert self._site is not None, "begin() comes first"
+        if self._renderer is None:
+            self._renderer = make_renderer(self._site.model, self.size)
+        self._renderer.update_scene(self._site.data, self.camera)
+        taken: Picture = self._renderer.render()
+        return taken
+
+    def taken(self) -> list[Picture]:
+        """Return the pictures of the motion since the last call, or one of now where nothing has moved since."""
+        kept, self._kept = self._kept or [self.picture()], []
+        return kept
+
+    def show(self) -> None:
+        """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
+        assert self._site is not None, "begin() comes first"
+        if self._viewer is None:
+            if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+                raise InputError(
+                    "render_mode 'human' needs a display, and there is none here; try 'rgb_array' or 'ansi'"
+                )
+            import mujoco.viewer
+
+            self._viewer = mujoco.viewer.launch_passive(self._site.model, self._site.data)
+        self._viewer.sync()
+
+    def close(self) -> None:
+        """Close the viewer and the renderer."""
+        if self._viewer is not None:
+            self._viewer.close()
+        if self._renderer is not None:
+            self._renderer.close()
+        self._viewer = self._renderer = None

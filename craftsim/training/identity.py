@@ -1,0 +1,86 @@
+"""Which task a policy was trained for: told apart by what its worlds are made of, and not by its name alone."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from enum import Enum
+from typing import Any, Final
+
+from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.starts import StoredStarts
+
+_NO_PART: Final = {"path", "line", "notes"}
+"""Where something was read from changes nothing in the world."""
+
+
+@dataclass(frozen=True)
+class TaskIdentity:
+    """What a task is, in digests (SHA-256, hexadecimal) that can be stored and compared."""
+
+    name: str
+    world: str
+    """Of the start files' contents and of whether observations show the flag."""
+    design: str
+    """Of the cells to be built; empty for a task without a design."""
+    rules: RuleSet
+
+    @classmethod
+    def of(cls, task: Task, rules: RuleSet = "physical") -> TaskIdentity:
+        """Return the identity of a task under a rule set; rewards, lengths and stored starts are no part of it."""
+        world = _digest([task.shows_flag, *map(_content, task.starts)])
+        design = "" if task.design is None else _digest(_content(task.design))
+        return cls(task.name, world, design, rules)
+
+    @property
+    def digest(self) -> str:
+        """One digest of all but the name."""
+        return _digest([self.world, self.design, self.rules])
+
+    def difference(self, task: Task, rules: RuleSet | None = None) -> str:
+        """Return in words in what another task differs, or nothing where it is the same.
+
+        Designs are compared where both have one, rule sets where one is given.
+        """
+        other = TaskIdentity.of(task, rules or self.rules)
+        if self.world != other.world:
+            return "its worlds start otherwise"
+        if self.design and other.design and self.design != other.design:
+            return "its design is another"
+        if self.rules != other.rules:
+            return f"its rule set is {other.rules}, not {self.rules}"
+        return ""
+
+    def as_dict(self) -> dict[str, str]:
+        """Return the fields by name."""
+        return asdict(self)
+
+
+def starts_digest(task: Task) -> str:
+    """Return a digest of the stored worlds that a task's episodes start with; empty where it has none."""
+    if not isinstance(task, StoredStarts):
+        return ""
+    digest = hashlib.sha256()
+    for grid in task.grids:
+        for field in fields(grid):
+            array = getattr(grid, field.name)
+            digest.update(f"{field.name} {array.dtype} {array.shape}".encode())
+            digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def _content(value: Any) -> Any:
+    """Return a value as JSON knows it, without what says where it was read."""
+    if isinstance(value, Enum):
+        return value.name
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _content(getattr(value, f.name)) for f in fields(value) if f.name not in _NO_PART}
+    if isinstance(value, list | tuple):
+        return [_content(item) for item in value]
+    return value

@@ -1,0 +1,99 @@
+"""Rules.explain names the rule that forbids an action, and agrees with the compiled rules."""
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.rules import RULE_FLAGS, Rules
+from craftsim.discrete.rules.explain import CORRECTIONS
+
+from .worldgen import play, random_world
+
+BLOCK, WALL, FSLOPE, BODY = Kind.BLOCK, Kind.WALL, Kind.FSLOPE, Kind.BODY
+
+
+def _dense_world(rng):
+    """Return a small world crowded with ramps, slopes, blocks and loaded cars, many of them where no game leads."""
+    grid = random_world(rng)
+    for _ in range(int(rng.integers(4, 16))):
+        cell = tuple(int(rng.integers(low, n)) for low, n in zip((0, 0, 1), grid.kind.shape, strict=True))
+        grid.kind[cell] = rng.choice(
+            [Kind.BLOCK, Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT, Kind.WALL, Kind.FLAG]
+        )
+        grid.yaw[cell] = rng.integers(4) if grid.kind[cell] in (5, 6, 7, 8) else 0
+    for row in grid.cars:
+        row[2] = rng.integers(1, grid.kind.shape[2] + 1)
+        row[4] = rng.choice([Kind.AIR, Kind.BLOCK, Kind.FSLOPE])
+        row[5] = (row[3] + 2) % 4 if row[4] == Kind.FSLOPE else 0
+        row[6] = rng.choice([0, 0, 1, 2])
+    grid.derive_marks()
+    return grid
+
+
+def _worlds(rules, rng):
+    yield _dense_world(rng)
+    yield from (grid for _, grid in play(rules, random_world(rng), rng, 12))
+
+
+@pytest.mark.parametrize("rule_set", ["published", "physical"])
+def test_every_forbidden_action_has_a_reason_and_every_legal_one_is_said_to_be_legal(rule_set):
+    rules, rng = Rules(rule_set), np.random.default_rng(5)
+    seen = {True: 0, False: 0}
+    for _ in range(60):
+        for grid in _worlds(rules, rng):
+            mask = rules.mask(grid)
+            for car in range(grid.n_cars):
+                for action in Action:
+                    told = rules.explain(grid, car, action)
+                    assert told.legal == mask[car, action] == (not told.reason), (action, told)
+                    assert told.legal or (all(len(cell) == 3 for cell in told.cells) and told.cells)
+                    seen[told.legal] += 1
+    assert min(seen.values()) > 500
+
+
+def test_without_the_flag_that_is_named_the_action_is_legal_or_has_another_reason():
+    rules, rng = Rules("physical"), np.random.default_rng(7)
+    named = dict.fromkeys(CORRECTIONS, 0)
+    for _ in range(3000):
+        grid = _dense_world(rng)
+        legal = Rules("published", RULE_FLAGS["physical"]._replace(**dict.fromkeys(CORRECTIONS, False))).mask(
+            grid
+        )
+        for car, action in np.argwhere(legal & ~rules.mask(grid)):
+            told = rules.explain(grid, int(car), Action(action))
+            assert told.flag is not None
+            named[told.flag] += 1
+            other = Rules("physical", RULE_FLAGS["physical"]._replace(**{told.flag: False}))
+            assert other.explain(grid, int(car), Action(action)).reason != told.reason
+        if min(named.values()) > 2:
+            break
+    assert min(named.values()) > 0, named
+
+
+def test_the_flags_that_are_explained_are_those_of_the_physical_rules_that_forbid():
+    effects = {"derived_marks", "second_ramp", "lasting_gears"}
+    assert set(CORRECTIONS) == set(RULE_FLAGS["physical"]._fields) - effects
+
+
+def test_reasons_name_the_cells(scene, car):
+    rules = Rules("physical")
+    stacked = scene([(BLOCK, (3, 2, 1)), (BLOCK, (3, 2, 2))], [car(3, 2)])
+    assert str(rules.explain(stacked, 0, Action.LIFT)) == (
+        "LIFT is forbidden: something stands on (3, 2, 1): a block"
+    )
+    walled = scene([(WALL, (4, 2, 1))], [car(3, 2)])
+    assert (
+        str(rules.explain(walled, 0, Action.MOVE_RIGHT)) == "MOVE_RIGHT is forbidden: a wall is in (4, 2, 1)"
+    )
+    assert rules.explain(walled, 0, Action.MOVE_RIGHT).cells == ((4, 2, 1),)
+    assert str(rules.explain(walled, 0, Action.STOP)) == "STOP is legal"
+    flap = scene([(FSLOPE, (4, 3, 1), 2), (BLOCK, (2, 3, 1))], [car(4, 3)])
+    told = rules.explain(flap, 0, Action.UNFOLD)
+    assert told.flag == "swinging_flap"
+    assert told.cells == ((2, 3, 1),)
+    assert str(told) == (
+        "UNFOLD is forbidden: the flap would meet something on its way: a block is in (2, 3, 1) "
+        "(swinging_flap, docs/rules.md#flap)"
+    )
+    assert Rules("published").explain(flap, 0, Action.UNFOLD).legal

@@ -1,0 +1,189 @@
+"""Tasks that users bring: registered, from files, from factories, with other numbers of cars and blocks."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import BlueprintError, InputError, PlanError
+from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.files.plan import read_plan, write_plan
+from craftsim.discrete.files.saving import write_blueprint
+from craftsim.discrete.files.shipped import shipped_names
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task, task_of
+from craftsim.discrete.tasks.measures import FlagAtGoal, OnePlatform
+from craftsim.discrete.tasks.rewards import Reward
+
+START = """\
+area_length: 5
+area_width: 4
+area_height: 2
+block_num: 2
+slope_num: 0
+smartcar_num: 1
+"""
+GOAL = "block: [{id: 0, x: 1, y: 1, z: 1}]\n"
+MODULE = """\
+from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.rewards import Reward
+
+def corner():
+    start = parse_blueprint('''START''', "corner")
+    return Task("corner", (start,), Reward(lambda grid: 0.0), lambda grid: False)
+
+def broken():
+    return 1 / 0
+
+wrong = dict
+nothing = 3
+""".replace("START", START)
+
+
+def own(name="corner"):
+    start = parse_blueprint(START, "corner")
+    return Task(name, (start,), Reward(lambda grid: 0.0), lambda grid: False)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "mine.yaml").write_text(START)
+    (tmp_path / "own_tasks_module.py").write_text(MODULE)
+    yield tmp_path
+    sys.modules.pop("own_tasks_module", None)
+
+
+def test_a_registered_task_is_found_by_its_name(monkeypatch):
+    monkeypatch.setattr("craftsim.discrete.tasks.registry._REGISTERED", {})
+    task = own()
+    assert register_task(task) is as_task("corner") is task_of("corner") is task
+    again = own()
+    assert register_task(again) is task_of("corner") is again
+    for wrong, message in (
+        (own("strip"), "one of the paper's six"),
+        (own("a/b"), "letters, digits"),
+        (own(""), "letters, digits"),
+        ("corner", "only a Task"),
+    ):
+        with pytest.raises(InputError, match=message):
+            register_task(wrong)
+    with pytest.raises(InputError, match="its own numbers of cars"):
+        task_of("corner", n_cars=2)
+    with pytest.raises(
+        InputError, match=r"unknown task 'korner'; did you mean 'corner'\?; there are strip, .*corner"
+    ):
+        task_of("korner")
+
+
+def test_a_blueprint_is_a_task_with_the_goal_file_beside_it(folder):
+    bare = task_of("mine.yaml")
+    assert (bare.name, bare.design) == ("mine", None)
+    assert not bare.has_goal
+    (folder / "platform.yaml").write_text("start: mine.yaml\ngoal: platform\n")
+    assert isinstance(task_of("platform.yaml").success, OnePlatform)
+    (folder / "mine_goal.yaml").write_text(GOAL)
+    assert [target.cell for target in task_of(str(folder / "mine.yaml")).design.targets] == [(1, 1, 1)]
+    (folder / "flag.yaml").write_text(START + "flag: [{x: 0, y: 0, z: 1}]\ngoal: [{x: 3, y: 3, z: 1}]\n")
+    assert isinstance(task_of("flag.yaml").success, FlagAtGoal)
+    assert task_of("flag.yaml").shows_flag
+    with pytest.raises(BlueprintError, match=r"nothere\.yaml: no such file"):
+        task_of("nothere.yaml")
+
+
+def test_a_task_file_names_starts_goal_reward_and_counts(folder):
+    (folder / "goal.yaml").write_text(GOAL)
+    (folder / "task.yaml").write_text(
+        "start: [mine.yaml, mine.yaml]\ngoal: goal.yaml\nreward: complexity\nmax_steps: 30\ncars: 3\nblocks: 4\n"
+    )
+    task = task_of("task.yaml")
+    assert (task.name, task.max_steps, len(task.starts)) == ("task", 30, 2)
+    grid = task.draw(np.random.default_rng(0))
+    assert (grid.n_cars, int((grid.kind == Kind.BLOCK).sum())) == (3, 4)
+    assert task.design is not None
+    (folder / "task.yaml").write_text("start: strip\ngoal: strip_goal\n")
+    assert task_of("task.yaml").design == make_task("strip").design
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("start: strop\n", "strop: no such file; did you mean 'strip'"),
+        ("start: mine.yaml\nreward: papr\n", ":2: unknown value of 'reward' 'papr'; did you mean 'paper'"),
+        ("start: mine.yaml\nblock_num: 3\n", ":2: unknown key 'block_num'"),
+        ("start: mine.yaml\nmax_steps: -1\n", ":2: key 'max_steps': -1 is out of range"),
+        ("start: {}\n", "'start': must be a file"),
+        ("start: []\n", ":1: key .start.: needs at least one start file"),
+    ],
+)
+def test_a_wrong_task_file_is_told_with_what_is_allowed(folder, text, message):
+    (folder / "task.yaml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        task_of("task.yaml")
+
+
+def test_a_factory_makes_a_task(folder):
+    assert task_of("own_tasks_module:corner").name == "corner"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (":corner", "must be module:factory"),
+        ("own_tasks_module:", "must be module:factory"),
+        (".own_tasks_module:corner", "must be module:factory"),
+        ("own_tasks_module:corner()", "must be module:factory"),
+        ("nowhere_at_all:corner", "module 'nowhere_at_all' cannot be imported: ModuleNotFoundError"),
+        ("own_tasks_module:korner", "has no 'korner'; did you mean 'corner'"),
+        ("own_tasks_module:nothing", "neither a Task nor callable, but int"),
+        ("own_tasks_module:wrong", "returned dict; it must return a Task"),
+        ("own_tasks_module:broken", "the factory raised ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_wrong_factory_is_told_by_name(folder, text, message):
+    with pytest.raises(InputError, match=f"task '{text.replace('(', '[(]').replace(')', '[)]')}'.*{message}"):
+        task_of(text)
+
+
+def test_other_numbers_of_cars_and_blocks_are_drawn_at_random():
+    task = make_task("free_building", n_cars=4, n_blocks=12)
+    grid = task.draw(np.random.default_rng(0))
+    assert (grid.n_cars, int((grid.kind == Kind.BLOCK).sum())) == (4, 12)
+    assert task.layout.n_cars == 4
+    listed = len(read_blueprint("strip").cars)
+    with pytest.raises(InputError, match=f"0 cars asked for; it lists {listed}, allowed: {listed} to 256"):
+        make_task("strip", n_cars=0)
+
+
+def test_shipped_files_are_read_by_name_and_missing_names_are_listed():
+    assert shipped_names("blueprints") == sorted(TASK_NAMES)
+    assert read_blueprint("strip").n_cars == make_task("strip").starts[0].n_cars
+    assert read_plan("strip", 2).ticks
+    with pytest.raises(
+        BlueprintError, match=r"nothere: no such file; shipped blueprints are block, breaking_barrier"
+    ):
+        read_blueprint("nothere")
+    with pytest.raises(
+        PlanError, match=r"strop: no such file; did you mean 'strip'\?; shipped plans are block"
+    ):
+        read_plan("strop", 2)
+
+
+def test_worlds_and_plans_are_written_whole_and_read_back(tmp_path):
+    grid = make_task("simple_two_story").draw(np.random.default_rng(0))
+    write_blueprint(grid, tmp_path / "mine.yaml")
+    assert read_blueprint(tmp_path / "mine.yaml").grid(np.random.default_rng(1)).same_visible(grid)
+    plan = read_plan("simple_two_story", grid.n_cars)
+    write_plan(plan, tmp_path / "mine.plan")
+    assert read_plan(tmp_path / "mine.plan", grid.n_cars).ticks == plan.ticks
+    write_plan([[(0, Action.STOP)], [], [(0, Action.MOVE_LEFT)]], tmp_path / "mine.plan")
+    assert read_plan(tmp_path / "mine.plan", 1).ticks == (((0, Action.STOP),), (), ((0, Action.MOVE_LEFT),))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.plan", "mine.yaml"]
+    for write in (lambda path: write_blueprint(grid, path), lambda path: write_plan(plan, path)):
+        with pytest.raises(InputError, match="cannot be written"):
+            write(tmp_path / "nowhere" / "file")
+    with pytest.raises(InputError, match="no actions"):
+        write_plan([], tmp_path / "empty.plan")

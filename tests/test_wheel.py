@@ -39,10 +39,13 @@ def _run(*words: object, **options: object) -> str:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Build the wheel from a copy, so that nothing left in the checkout slips in."""
+    """Build the wheel from a copy of what a checkout holds after use, caches included."""
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"
-    shutil.copytree(PACKAGE, source / "craftsim", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(PACKAGE, source / "craftsim")
+    for part in ("data", "mjcf"):
+        (source / "craftsim" / part / "__pycache__").mkdir(exist_ok=True)
+        (source / "craftsim" / part / "__pycache__" / "left.pyc").touch()
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")

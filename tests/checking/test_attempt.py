@@ -3,13 +3,15 @@
 import json
 from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 
-from craftsim.checking.attempt import Attempt, Result, attempt_of, result_of
+from craftsim.checking import checked_site
+from craftsim.checking.attempt import Attempt, Result, judge, result_of
 from craftsim.checking.contact_log import Contact
-from craftsim.checking.recipe import set_up
 from craftsim.checking.safety import Hazard, impact_limit_n
-from craftsim.checking.settings import Thresholds
+from craftsim.checking.settings import Setup, Thresholds
+from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules.table import ACTIONS
@@ -28,56 +30,71 @@ def _unfolding(blocked: bool):
     if blocked:
         grid.kind[0, 1, 1] = Kind.BLOCK
     grid.derive_marks()
-    return set_up(grid, rules="published")
+    return set_up(grid, Setup("published"))
+
+
+def _evidence(checked, *action, **options):
+    """Perform an action, and return its evidence, the verdict on it and the attempt that they make."""
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checked_site, "judge", lambda *given: seen.append(given) or judge(*given))
+        attempt = checked.perform(*action, **options)
+    evidence, verdict, _ = seen[0]
+    return evidence, verdict, attempt
 
 
 @pytest.fixture(scope="module")
 def good():
-    return _unfolding(False).perform(3, 0, Action.UNFOLD)
+    return _evidence(_unfolding(False), 0, Action.UNFOLD, tick=3)
 
 
 @pytest.fixture(scope="module")
 def shoved():
-    return _unfolding(True).perform(0, 0, Action.UNFOLD)
+    return _evidence(_unfolding(True), 0, Action.UNFOLD)
 
 
 def test_what_goes_as_predicted_needs_no_reason(good):
-    attempt = attempt_of(good, LIMITS)
+    evidence, _, attempt = good
     assert (attempt.result, attempt.finding, attempt.reason) == ("as predicted", "agrees", "")
     assert (attempt.tick, attempt.car, attempt.action, attempt.verb) == (3, 0, "UNFOLD", "UNFOLD")
     assert (attempt.level, attempt.load, attempt.slope, attempt.legal) == (1, "none", False, True)
     assert attempt.skill == "succeeded"
     assert attempt.duration_s > 5
-    assert good.own == ("car 0", "slope 0")
+    assert attempt.performed
+    assert attempt.agrees
+    assert evidence.own == ("car 0", "slope 0")
 
 
 def test_a_bystander_that_is_shoved_is_a_side_effect_and_named(shoved):
-    attempt = attempt_of(shoved, LIMITS)
+    evidence, _, attempt = shoved
     assert attempt.result == Result.SIDE_EFFECT
-    assert attempt.bystander_displacement_m > 2 * LIMITS.others_m
+    assert not attempt.agrees
+    assert attempt.bystander_displacement_m > 2 * LIMITS.bystander_m
     assert "block 0 touched slope 0" in attempt.reason
     assert "block 0 was moved by" in attempt.reason
-    assert [(c.first, c.second) for c in shoved.touched] == [("block 0", "slope 0")]
+    assert [(c.first, c.second) for c in evidence.contacts] == [("block 0", "slope 0")]
 
 
 def test_an_attempt_is_json(shoved):
-    attempt = attempt_of(shoved, LIMITS)
+    attempt = shoved[2]
     fields = json.loads(json.dumps(asdict(attempt), allow_nan=False))
-    assert Attempt(**{**fields, "differences": tuple(fields["differences"])}) == attempt
+    assert Attempt.of(fields) == attempt
 
 
-def _spoilt(good, **changes):
-    return result_of(replace(good, **changes), LIMITS)
+def _spoilt(good, verdict=None, **changes):
+    evidence, agreed, _ = good
+    return result_of(replace(evidence, **changes), verdict or agreed, LIMITS)
 
 
 @pytest.mark.parametrize(
     ("changes", "result"),
     [
         ({"outcome": Outcome(Reason.TIMEOUT, 1.0)}, Result.FAILED),
-        ({"effect": False}, Result.FAILED),
+        ({"differences": ("car 0: predicted a, read b",)}, Result.FAILED),
+        ({"outcome": None}, Result.FAILED),
         ({"car_error_m": 0.0011}, Result.FAILED),
-        ({"car_heading_error_rad": -0.0031}, Result.FAILED),
-        ({"car_height_error_m": -0.0021}, Result.FAILED),
+        ({"heading_error_rad": 0.0031}, Result.FAILED),
+        ({"height_error_m": 0.0021}, Result.FAILED),
         ({"placed_error_m": 0.0021}, Result.FAILED),
         ({"bystander_displacement_m": 0.0011}, Result.SIDE_EFFECT),
         ({"bystander_displacement_m": 0.0009}, Result.AS_PREDICTED),
@@ -99,63 +116,66 @@ def test_the_result_follows_from_effect_errors_and_verdict(good, changes, result
 
 def test_hazards_come_first_then_contacts_of_its_own_then_what_the_skill_says(good):
     contact = Contact("block 1", "block 2", 1.0, 90.0, False), Contact("car 0", "block 1", 1.0, 20.0, False)
-    record = replace(
-        good,
+    evidence, verdict, _ = good
+    other = replace(
+        evidence,
         hazards=(Hazard(("block 1",), "block 1 fell (0.8 m/s)"),),
-        touched=contact,
+        contacts=contact,
         outcome=Outcome(Reason.BLOCKED, 1.0, "41 mm behind the path"),
-        verdict=Verdict(Finding.UNSAFE, ("block 1 fell (0.8 m/s)",)),
     )
-    assert attempt_of(record, LIMITS).reason == (
+    unsafe = Verdict(Finding.UNSAFE, ("block 1 fell (0.8 m/s)",))
+    assert judge(other, unsafe, LIMITS).reason == (
         "block 1 fell (0.8 m/s); car 0 touched block 1 (20 N); block 1 touched block 2 (90 N); "
         "blocked: 41 mm behind the path"
     )
-    alone = replace(good, car_error_m=0.0034)
-    assert attempt_of(alone, LIMITS).reason == "the car is 3.4 mm off (allowed 1.0)"
+    alone = replace(evidence, car_error_m=0.0034)
+    assert judge(alone, verdict, LIMITS).reason == "the car is 3.4 mm off (allowed 1.0)"
 
 
-def test_what_the_rules_forbid_is_not_performed_and_says_so():
+def test_what_the_rules_forbid_is_not_performed_and_says_which_rule():
     checked = _unfolding(False)
-    attempt = attempt_of(checked.perform(0, 0, Action.DROP), LIMITS)
+    before = checked.site.data.qpos.copy()
+    attempt = checked.perform(0, Action.DROP)
     assert (attempt.result, attempt.skill, attempt.legal) == ("failed", "not performed", False)
-    assert attempt.reason == "the rules forbid DROP to car 0 here"
+    assert (attempt.performed, attempt.agrees, attempt.duration_s) == (False, False, 0.0)
+    assert attempt.finding == Finding.NOT_EXECUTED
+    assert attempt.reason == f"the rules forbid it: {checked.rules.explain(checked.grid, 0, Action.DROP)}"
+    np.testing.assert_array_equal(checked.site.data.qpos, before)
 
 
 def test_what_the_rules_forbid_is_performed_where_it_is_said_what_it_should_lead_to():
     checked = _unfolding(False)
-    intended = checked.reading.grid.copy()
+    intended = checked.grid.copy()
     intended.cars[0, 0] = 3
-    record = checked.perform(0, 0, Action.MOVE_RIGHT, intended)
-    assert record.legal
-    before = checked.reading.grid
+    assert checked.perform(0, Action.MOVE_RIGHT, intended).legal
+    before = checked.grid
     assert not checked.rules.legal(before, 0, Action.DROP)
-    stays = checked.perform(1, 0, Action.DROP, before.copy())
-    assert (stays.legal, stays.outcome.succeeded, stays.verdict.agrees) == (False, True, True)
-    assert attempt_of(stays, LIMITS).result == Result.AS_PREDICTED
+    stays = checked.perform(0, Action.DROP, before.copy(), tick=1)
+    assert (stays.legal, stays.performed, stays.skill) == (False, True, "succeeded")
+    assert (stays.finding, stays.result, stays.tick) == (Finding.AGREES, Result.AS_PREDICTED, 1)
 
 
-def test_many_cars_at_once_get_a_record_each():
+def test_many_cars_at_once_get_an_attempt_each():
     grid = Grid.empty((4, 3, 2), 3)
     grid.cars[:, :4] = [[0, 0, 1, 0], [0, 2, 1, 0], [3, 1, 1, 0]]
     grid.derive_marks()
-    checked = set_up(grid)
+    checked = set_up(grid, Setup())
     checked.site.model.actuator_forcerange[checked.site.cars[1].wheel_actuators] = 0.0
     acts = [(0, Action.MOVE_RIGHT), (1, Action.MOVE_RIGHT), (2, Action.LIFT)]
-    records = checked.perform_together(4, acts)
-    attempts = [attempt_of(record, LIMITS) for record in records]
+    attempts = checked.perform_tick(acts, tick=4)
     assert [(a.tick, a.car, a.legal) for a in attempts] == [(4, 0, True), (4, 1, True), (4, 2, False)]
     assert [a.result for a in attempts] == ["as predicted", "failed", "failed"]
     assert attempts[1].skill.startswith("blocked")
-    assert attempts[2].reason == "the rules forbid LIFT to car 2 here"
+    assert attempts[2].reason.startswith("the rules forbid it: ")
 
 
 def test_a_simulation_that_breaks_down_has_diverged():
     checked = _unfolding(False)
     site = checked.site
     checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((1, 2), 1e30))
-    record = checked.perform(0, 0, Action.UNFOLD)
-    assert record.verdict.finding is Finding.DIVERGED
-    assert attempt_of(record, LIMITS).result == Result.FAILED
+    attempt = checked.perform(0, Action.UNFOLD)
+    assert (attempt.finding, attempt.result) == (Finding.DIVERGED, Result.FAILED)
+    assert "the simulation broke down" in checked.problems
     site.reset()
     assert not site.diverged
 
@@ -169,9 +189,9 @@ def test_what_still_moves_when_all_motors_rest_is_unsettled():
         site.data.xfrc_applied[site.blocks[0].body, 2] = 5.4
 
     checked.executor.observers.append(hand)
-    record = checked.perform(0, 0, Action.STOP)
-    assert record.verdict.finding is Finding.UNSETTLED
-    assert "still moves with" in record.verdict.differences[0]
+    attempt = checked.perform(0, Action.STOP)
+    assert attempt.finding == Finding.UNSETTLED
+    assert "still moves with" in attempt.differences[0]
 
 
 def test_the_impact_limit_is_above_what_a_loaded_car_and_its_motors_do():

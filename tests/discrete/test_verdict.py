@@ -11,7 +11,7 @@ from craftsim.discrete.verdict import (
     compare,
     describe_car,
     describe_differences,
-    has_effect,
+    own_differences,
 )
 
 
@@ -139,11 +139,11 @@ def test_a_car_is_described_in_brief(row, text):
 def test_an_action_has_its_effect_whatever_else_happened():
     dropped = _changed(STEP, cells=[((1, 0, 1), Kind.BLOCK)])
     pushed = _changed(dropped, cars=[(1, CarField.Y, 2)], cells=[((1, 2, 1), Kind.AIR)])
-    assert has_effect(BEFORE, dropped, dropped, car=0)
-    assert has_effect(BEFORE, dropped, pushed, car=0)
+    assert own_differences(BEFORE, dropped, dropped, car=0) == []
+    assert own_differences(BEFORE, dropped, pushed, car=0) == []
 
 
 @pytest.mark.parametrize("read", [BEFORE, STEP, _changed(BEFORE, cells=[((1, 0, 1), Kind.BLOCK)])])
 def test_an_action_whose_car_or_cell_is_not_as_predicted_has_not_its_effect(read):
     dropped = _changed(STEP, cells=[((1, 0, 1), Kind.BLOCK)])
-    assert not has_effect(BEFORE, dropped, read, car=0)
+    assert own_differences(BEFORE, dropped, read, car=0)

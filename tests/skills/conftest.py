@@ -5,11 +5,11 @@ from collections.abc import Callable
 import pytest
 from drawn import draw
 
-from craftsim.checking.checked_run import CheckedSite
-from craftsim.discrete.rules import Rules
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.settings import Setup
+from craftsim.checking.world import set_up
 from craftsim.models.config import SimulationConfig
 from craftsim.models.site import Site
-from craftsim.skills.executor import Executor
 
 
 def _site(size, cars, objects=(), config: SimulationConfig | None = None) -> Site:
@@ -17,8 +17,7 @@ def _site(size, cars, objects=(), config: SimulationConfig | None = None) -> Sit
 
 
 def _checked(size, cars, objects=(), config: SimulationConfig | None = None) -> CheckedSite:
-    site = _site(size, cars, objects, config)
-    checked = CheckedSite(site, Rules("physical"), Executor(site))
+    checked = set_up(draw(size, objects, cars), Setup(simulation=config or SimulationConfig()))
     assert checked.reading.problems == ()
     assert checked.reading.grid.same_visible(draw(size, objects, cars)), "the world is not what was drawn"
     return checked

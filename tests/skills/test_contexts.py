@@ -21,18 +21,18 @@ LOADS = [Kind.BLOCK, Kind.FLAG, Kind.FSLOPE]
 def _perform(checked, actions, car=0):
     """Perform actions one by one and hold each against the bands."""
     for action in actions:
-        record = checked.perform(0, car, action)
-        what = f"{action.name}: {record}"
-        assert record.legal, what
-        assert record.outcome.succeeded, what
-        assert record.verdict.agrees, what
-        assert record.car_error_m <= CAR_M, what
-        assert abs(record.car_heading_error_rad) <= HEADING_RAD, what
-        assert record.others_moved_m <= OTHERS_M, what
+        attempt = checked.perform(car, action)
+        what = f"{action.name}: {attempt}"
+        assert attempt.legal, what
+        assert attempt.skill == "succeeded", what
+        assert attempt.agrees, what
+        assert attempt.car_error_m <= CAR_M, what
+        assert attempt.heading_error_rad <= HEADING_RAD, what
+        assert attempt.bystander_displacement_m <= OTHERS_M, what
         if action in (DROP, FOLD, UNFOLD):
-            assert record.placed_error_m is not None, what
-        if record.placed_error_m is not None:
-            assert record.placed_error_m <= PLACED_M, what
+            assert attempt.placed_error_m is not None, what
+        if attempt.placed_error_m is not None:
+            assert attempt.placed_error_m <= PLACED_M, what
 
 
 def _loaded(cell, yaw, load):

@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from craftsim.checking.checked_run import CheckedSite
 
+from craftsim.checking.settings import setup_of
+from craftsim.checking.world import Seed, set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.rules import Rules
 from craftsim.models.noise import NOISY, SensorNoise
 from craftsim.models.parameters import NOMINAL
-from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.sensing import CarMeasurement, Sensors, measure
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
@@ -180,15 +179,10 @@ PLANS = (
 
 @pytest.mark.parametrize("seed", range(12))
 def test_under_noise_and_randomised_physics_actions_succeed_within_three_deviations(seed):
-    site = Site(_yard())
-    physics, sensors = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    RandomizedSite(site).draw(DomainRandomization(), physics)
-    checked = CheckedSite(site, Rules("physical"), Executor(site, sensors=Sensors(site, NOISY, sensors)))
-    for tick, action in enumerate(PLANS[seed % 3]):
-        record = checked.perform(tick, 0, action)
-        assert record.legal
-        assert record.outcome.succeeded, f"{action.name}: {record.outcome}"
-        assert record.verdict.agrees, f"{action.name}: {record.verdict}"
-        assert record.car_error_m < 3e-3
-        assert abs(record.car_heading_error_rad) < 9e-3
-        assert (record.placed_error_m or 0.0) < 5e-3
+    checked = set_up(_yard(), setup_of("strong"), Seed((seed,)))
+    for action in PLANS[seed % 3]:
+        attempt = checked.perform(0, action)
+        assert attempt.agrees, attempt
+        assert attempt.car_error_m < 3e-3
+        assert attempt.heading_error_rad < 9e-3
+        assert (attempt.placed_error_m or 0.0) < 5e-3

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from craftsim.checking.checked_run import CheckedSite
 from drawn import draw
 
+from craftsim.checking.checked_site import CheckedSite
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Kind
@@ -34,12 +34,11 @@ DOCKED = (5, 5, 2), [(Kind.FSLOPE, (1, 2, 1), 0)], [(1, 2, 1, 2)]
 
 def _durations(machines: Machines, gains, actions: list[Action]) -> list[float]:
     checked_site = Site(draw(*DOCKED), machines=machines)
-    checked = CheckedSite(checked_site, Rules("physical"), Executor(checked_site, gains))
-    records = [checked.perform(tick, 0, action) for tick, action in enumerate(actions)]
-    for record in records:
-        assert record.outcome.succeeded, f"{record.action.name}: {record.outcome}"
-        assert record.verdict.agrees, f"{record.action.name}: {record.verdict}"
-    return [record.outcome.duration_s for record in records]
+    checked = CheckedSite(Executor(checked_site, gains), Rules("physical"))
+    attempts = [checked.perform(0, action) for action in actions]
+    for attempt in attempts:
+        assert attempt.agrees, attempt
+    return [attempt.duration_s for attempt in attempts]
 
 
 def test_machines_and_gains_of_one_file_lift_carry_and_unfold_faster(tmp_path):
@@ -76,9 +75,7 @@ def test_a_car_with_weak_motors_drives_slower_and_arrives():
     """At 10 rad/s and 1.4 Nm the nominal path of 0.84 m/s is out of reach; it is laid within what the motors give."""
     weak = Machines(cars=(SmartcarParameters(wheel_speed_rad_s=10.0, wheel_torque_nm=1.4),))
     outcomes = [
-        Executor(Site(draw((2, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)).run({0: Action.MOVE_RIGHT})[
-            0
-        ]
+        Executor(Site(draw((2, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)).run({0: Action.MOVE_RIGHT})[0]
         for machines in (weak, NOMINAL)
     ]
     assert all(outcome.succeeded for outcome in outcomes), outcomes

@@ -22,6 +22,15 @@ def register_task(task: Task) -> Task:
 
     Registering a task again replaces it. Raises InputError for a name of the paper's six, and for one that is not made
     of letters, digits, ``_`` and ``-``.
+
+    Example:
+        >>> import craftsim
+        >>> from dataclasses import replace
+        >>> mine = replace(craftsim.make_task("strip"), name="long_strip", max_steps=100)
+        >>> craftsim.register_task(mine).name
+        'long_strip'
+        >>> craftsim.parallel_env("long_strip", "grid").possible_agents
+        ['car_0', 'car_1']
     """
     if not isinstance(task, Task):
         raise InputError(f"only a Task can be registered, not {type(task).__name__}")

@@ -1,0 +1,174 @@
+"""A CheckedSite predicts, performs, reads and judges each action, and says when any of these went apart."""
+
+import numpy as np
+import pytest
+from disturbances import push
+
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.settings import Setup, Thresholds
+from craftsim.checking.world import set_up
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.verdict import Finding
+from craftsim.skills.outcome import Reason
+
+SIZE = (4, 1, 2)
+RIGHT = Action.MOVE_RIGHT
+
+
+def _checked(
+    *, block_at: int | None = None, load: Kind = Kind.AIR, setup: Setup | None = None
+) -> CheckedSite:
+    """Return a corridor with a car in each of its end cells; the first may carry something."""
+    grid = Grid.empty(SIZE, 2)
+    grid.cars[0, :5] = 0, 0, 1, 0, load
+    grid.cars[1, :4] = 3, 0, 1, 2
+    if block_at is not None:
+        grid.kind[block_at, 0, 1] = Kind.BLOCK
+    grid.derive_marks()
+    return set_up(grid, setup or Setup())
+
+
+def _weaken(site) -> None:
+    site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+
+
+def test_an_attempt_says_what_was_asked_predicted_done_and_read():
+    checked = _checked()
+    began_s = checked.site.time_s
+    attempt = checked.perform(0, RIGHT, tick=5)
+    assert (attempt.tick, attempt.car, attempt.action, attempt.legal) == (5, 0, "MOVE_RIGHT", True)
+    assert (attempt.predicted, attempt.read) == ("1,0,1 +x", "1,0,1 +x")
+    assert attempt.skill == "succeeded"
+    assert attempt.finding == Finding.AGREES
+    assert attempt.placed_error_m is None
+    assert attempt.start_s == pytest.approx(began_s)
+
+
+def test_a_car_that_does_not_get_away_is_not_executed():
+    checked = _checked()
+    _weaken(checked.site)
+    attempt = checked.perform(0, RIGHT)
+    assert attempt.skill.startswith(Reason.BLOCKED)
+    assert attempt.finding == Finding.NOT_EXECUTED
+    assert (attempt.predicted, attempt.read) == ("1,0,1 +x", "0,0,1 +x")
+
+
+def test_the_judge_does_not_believe_the_skill():
+    checked = _checked()
+    begin = checked.executor.begin
+    checked.executor.begin = lambda car, action, terrain: begin(car, Action.STOP, terrain)
+    attempt = checked.perform(0, RIGHT)
+    assert attempt.skill == "succeeded"
+    assert attempt.finding == Finding.NOT_EXECUTED
+    assert attempt.differences == ("car 0: predicted 1,0,1 +x, read 0,0,1 +x",)
+    assert not attempt.agrees
+
+
+def test_a_thing_that_somebody_else_moves_is_a_side_effect_and_measured():
+    checked = _checked(block_at=2)
+    checked.executor.observers.append(push(0, 0.3))
+    attempt = checked.perform(0, RIGHT)
+    assert attempt.finding in (Finding.SIDE_EFFECT, Finding.UNREADABLE)
+    assert attempt.bystander_displacement_m > 0.025
+
+
+def test_a_bystander_that_moves_too_far_disagrees_though_the_grid_that_is_read_is_the_predicted_one():
+    checked = _checked(block_at=2)
+    checked.executor.observers.append(push(0, 0.004))
+    attempt = checked.perform(0, RIGHT)
+    assert 0.001 < attempt.bystander_displacement_m < 0.025
+    assert attempt.finding == Finding.AGREES
+    assert (attempt.result, attempt.agrees) == ("side effect", False)
+    assert attempt.reason.startswith("block 0 was moved by")
+
+
+@pytest.mark.parametrize("field", ["car_m", "heading_rad", "height_m"])
+def test_an_error_over_its_limit_disagrees_though_the_grid_that_is_read_is_the_predicted_one(field):
+    checked = _checked(setup=Setup(thresholds=Thresholds(**{field: 1e-9})))
+    attempt = checked.perform(0, RIGHT)
+    assert attempt.finding == Finding.AGREES
+    assert (attempt.result, attempt.agrees) == ("failed", False)
+    assert "(allowed 0.0)" in attempt.reason
+
+
+def test_what_a_car_carries_is_no_bystander_and_what_it_drops_is_measured():
+    checked = _checked(load=Kind.BLOCK)
+    moved = checked.perform(0, RIGHT)
+    assert moved.bystander_displacement_m < 1e-3
+    dropped = checked.perform(0, Action.DROP)
+    assert dropped.placed_error_m == pytest.approx(checked.reading.objects[0].offset_m)
+    assert checked.grid.kind[1, 0, 1] == Kind.BLOCK
+
+
+def _queue(fault=lambda site: None) -> CheckedSite:
+    """Return three cars in a row, the first under a block at the row's end."""
+    grid = Grid.empty((4, 2, 2), 3)
+    grid.cars[:, :4] = [(2, 0, 1, 0), (1, 0, 1, 0), (0, 0, 1, 0)]
+    grid.kind[2, 0, 1] = Kind.BLOCK
+    grid.derive_marks()
+    checked = set_up(grid, Setup())
+    fault(checked.site)
+    return checked
+
+
+def test_cars_that_follow_each_other_all_move_in_one_tick_and_later_ticks_start_from_the_reading():
+    checked = _queue()
+    predicted, _ = checked.rules.tick(checked.grid, [(0, RIGHT), (1, RIGHT), (2, RIGHT)])
+    began_s = checked.site.time_s
+    attempts = checked.perform_tick([(0, RIGHT), (1, RIGHT), (2, RIGHT)])
+    assert [(a.car, a.agrees) for a in attempts] == [(0, True), (1, True), (2, True)]
+    assert checked.grid.same_visible(predicted)
+    took_s = checked.site.time_s - began_s
+    assert took_s > max(a.duration_s for a in attempts), "cars wait for each other"
+    assert checked.perform(1, Action.LIFT).agrees, "car 1 is under the block now"
+
+
+def test_what_the_rules_forbid_in_the_given_order_is_not_performed():
+    checked = _queue()
+    attempts = checked.perform_tick([(2, RIGHT), (1, RIGHT), (0, RIGHT)])
+    assert [(a.car, a.legal, a.performed, a.agrees) for a in attempts] == [
+        (2, False, False, False),
+        (1, False, False, False),
+        (0, True, True, True),
+    ]
+    np.testing.assert_array_equal(checked.grid.cars[:, 0], [3, 1, 0])
+
+
+def test_a_failed_action_shows_as_what_really_happened_and_what_waits_for_it_never_starts():
+    checked = _queue(_weaken)
+    failed, waiting = checked.perform_tick([(0, RIGHT), (1, RIGHT)])
+    assert failed.legal
+    assert not failed.agrees
+    assert failed.skill.startswith(Reason.BLOCKED)
+    assert failed.differences == ("car 0: predicted 3,0,1 +x, read 2,0,1 +x",)
+    assert (waiting.legal, waiting.performed, waiting.agrees) == (True, False, False)
+    assert waiting.reason == "car 1 waits for an action that failed"
+    np.testing.assert_array_equal(checked.grid.cars[:, 0], [2, 1, 0])
+
+
+def test_a_side_effect_that_is_nobodys_is_held_against_all():
+    checked = _queue()
+    checked.executor.observers.append(push(0, 0.06))
+    attempts = checked.perform_tick([(1, Action.ROTATE_LEFT), (2, Action.ROTATE_LEFT)])
+    assert [a.agrees for a in attempts] == [False, False]
+    assert all("block 0 was moved by" in a.reason for a in attempts)
+
+
+def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
+    """A car drives off a block, which the rules forbid: it tips long before it is where it was to go."""
+    grid = Grid.empty((3, 1, 3), 2)
+    grid.cars[0, :4], grid.cars[1, :4] = (0, 0, 2, 0), (2, 0, 1, 0)
+    grid.kind[0, 0, 1] = Kind.BLOCK
+    grid.derive_marks()
+    checked = set_up(grid, Setup())
+    site = checked.site
+    goal = grid.copy()
+    goal.cars[0, 0] = 1
+    attempt = checked.perform(0, RIGHT, intended=goal)
+    assert (attempt.finding, attempt.result) == (Finding.UNSAFE, "unsafe")
+    assert attempt.skill.startswith(Reason.STOPPED)
+    assert attempt.duration_s == pytest.approx(site.time_s - site.config.settle_s)
+    assert 0.45 < checked.log.tilt_rad < 0.8 or 0.45 < checked.log.fall_m_s < 0.9
+    assert not site.data.ctrl.any()
+    assert not checked.executor.busy

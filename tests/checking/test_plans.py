@@ -1,0 +1,127 @@
+"""A plan as one schedule in physics: what runs when, and what happens when a car fails."""
+
+import numpy as np
+import pytest
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.settings import Setup
+from craftsim.checking.world import set_up
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Grid, Kind
+
+RIGHT = Action.MOVE_RIGHT
+
+PLAN = [
+    [(0, RIGHT), (1, RIGHT), (2, Action.LIFT)],
+    [(0, RIGHT), (1, Action.ROTATE_LEFT), (2, RIGHT)],
+    [(2, Action.DROP)],
+]
+STEPS_OF = {0: [0, 3], 1: [1, 4], 2: [2, 5, 6]}
+
+
+def _yard() -> Grid:
+    """Return a yard in which car 0 makes way for car 1, and car 2 carries a block about far away."""
+    grid = Grid.empty((5, 4, 2), 3)
+    grid.cars[:, :4] = [(1, 0, 1, 0), (0, 0, 1, 0), (1, 3, 1, 0)]
+    grid.kind[1, 3, 1] = Kind.BLOCK
+    grid.derive_marks()
+    return grid
+
+
+def _run(disable=lambda site: None, order="concurrent", plan=PLAN) -> tuple[CheckedSite, tuple[Attempt, ...]]:
+    checked = set_up(_yard(), Setup())
+    disable(checked.site)
+    return checked, checked.perform_plan(plan, order)
+
+
+def _not_performed(attempts) -> list[int]:
+    return [index for index, attempt in enumerate(attempts) if not attempt.performed]
+
+
+def _unpower(car):
+    """Return a fault: the wheel motors of a car give no torque."""
+
+    def fault(site):
+        site.model.actuator_forcerange[site.cars[car].wheel_actuators] = 0.0
+
+    return fault
+
+
+def _polish(car):
+    """Return a fault: the rollers of a car and the ground under it have next to no friction."""
+
+    def fault(site):
+        own = site.model.geom_bodyid
+        of_car = site.model.body_rootid[own] == site.cars[car].base.body
+        site.model.geom_friction[of_car] = 1e-4
+        site.model.geom_priority[of_car] = 1
+
+    return fault
+
+
+def test_with_all_cars_sound_everything_runs_and_attempts_are_in_the_order_of_the_plan():
+    _, attempts = _run()
+    assert all(attempt.agrees for attempt in attempts)
+    asked = [(tick, car, action.name) for tick, joint in enumerate(PLAN) for car, action in joint]
+    assert [(a.tick, a.car, a.action) for a in attempts] == asked
+
+
+@pytest.mark.parametrize("fault", [_unpower, _polish])
+def test_a_car_that_fails_stops_with_all_that_depends_on_it_and_the_others_finish(fault):
+    checked, attempts = _run(fault(0))
+    assert attempts[0].skill.startswith(("blocked", "slipped"))
+    assert attempts[0].differences
+    assert _not_performed(attempts) == [1, 3, 4]
+    assert all(attempts[index].reason.endswith("waits for an action that failed") for index in (1, 3, 4))
+    for index in STEPS_OF[2]:
+        assert attempts[index].agrees, attempts[index]
+    assert not any(attempts[index].agrees for car in (0, 1) for index in STEPS_OF[car])
+    assert checked.problems == ()
+    assert checked.grid.kind[2, 3, 1] == Kind.BLOCK
+    np.testing.assert_array_equal(checked.grid.cars[:2], _yard().cars[:2])
+
+
+def test_the_failure_of_a_car_that_nobody_waits_for_concerns_nobody_else():
+    _, attempts = _run(_unpower(1))
+    assert _not_performed(attempts) == [4]
+    assert {index for index, attempt in enumerate(attempts) if attempt.agrees} == {0, 2, 3, 5, 6}
+
+
+def test_one_by_one_a_failure_ends_everything():
+    _, attempts = _run(_unpower(0), "sequential")
+    assert _not_performed(attempts) == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_plan_goes_on_past_what_the_rules_forbid():
+    _, attempts = _run(plan=[[(0, Action.LIFT)], [(0, RIGHT)]])
+    assert [(a.tick, a.legal, a.performed, a.agrees) for a in attempts] == [
+        (0, False, False, False),
+        (1, True, True, True),
+    ]
+
+
+def test_two_runs_are_equal_bit_for_bit():
+    (one, first), (two, second) = _run(), _run()
+    np.testing.assert_array_equal(one.site.data.qpos, two.site.data.qpos)
+    np.testing.assert_array_equal(one.site.data.qvel, two.site.data.qvel)
+    assert first == second
+
+
+def test_an_empty_plan_takes_no_time():
+    checked = set_up(_yard(), Setup())
+    before = checked.site.data.qpos.copy()
+    assert checked.perform_plan([], "concurrent") == ()
+    np.testing.assert_array_equal(checked.site.data.qpos, before)
+
+
+def test_the_listener_hears_every_change_of_what_runs():
+    checked = set_up(_yard(), Setup())
+    heard = []
+    checked.on_change = lambda running: heard.append({car: step.action for car, step in running.items()})
+    checked.perform_plan([[(0, RIGHT), (1, RIGHT)]], "concurrent")
+    assert [one for one, last in zip(heard, [None, *heard], strict=False) if one != last] == [
+        {0: RIGHT},
+        {1: RIGHT},
+        {},
+    ]

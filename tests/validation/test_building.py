@@ -1,0 +1,203 @@
+"""The shipped plans build the paper's six tasks: on the grid under both rule sets, and in physics in any order."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise, permutations
+
+import numpy as np
+import pytest
+
+from craftsim.checking import world
+from craftsim.checking.settings import Setup, setup_of
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.grid import CarField, Grid, Kind, beside
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import make_schedule
+from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.validation.building import Building, read_building
+
+RULE_SETS = ("published", "physical")
+COMPLEX = "complex_two_story"
+ORDERS = pytest.mark.parametrize("order", ["sequential", "concurrent"])
+
+read = cache(read_building)
+
+
+def _start(building: Building) -> Grid:
+    return building.task.draw(np.random.default_rng(0))
+
+
+def _grids(building: Building, rules: Rules) -> list[Grid]:
+    """Return the world before each tick and the last one; every action must be legal when its turn comes."""
+    grids = [_start(building)]
+    for tick, joint in enumerate(building.plan.ticks):
+        after, applied = rules.tick(grids[-1], joint)
+        assert applied.all(), f"tick {tick}: {joint}, applied {applied}"
+        grids.append(after)
+    return grids
+
+
+@pytest.mark.parametrize("rule_set", RULE_SETS)
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_every_action_is_legal_and_the_goal_is_reached_with_nothing_left_in_the_air(name, rule_set):
+    building = read(name)
+    assert not building.task.succeeded(_start(building))
+    last = _grids(building, Rules(rule_set))[-1]
+    assert building.task.succeeded(last)
+    assert (last.cars[:, CarField.LOAD] == Kind.AIR).all()
+
+
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_every_car_works_and_the_plan_fits_into_a_published_episode(name):
+    building, task = read(name), make_task(name)
+    working = {car for joint in building.plan.ticks for car, _ in joint}
+    assert working == set(range(building.task.layout.n_cars))
+    assert len(building.plan.ticks) <= task.max_steps + 2
+
+
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_the_actions_of_a_tick_do_not_depend_on_their_order(name):
+    building, rules = read(name), Rules("physical")
+    grids = _grids(building, rules)
+    for tick, joint in enumerate(building.plan.ticks):
+        for order in permutations(joint):
+            after, applied = rules.tick(grids[tick], order)
+            assert applied.all(), f"tick {tick}: {order}"
+            assert after.same_visible(grids[tick + 1]), f"tick {tick}: {order}"
+
+
+@pytest.mark.parametrize("name", ["simple_two_story", COMPLEX])
+def test_no_block_and_no_load_is_near_where_a_flap_comes_down(name):
+    building = read(name)
+    grids = _grids(building, Rules("physical"))
+    unfolds = [
+        (tick, car)
+        for tick, joint in enumerate(building.plan.ticks)
+        for car, action in joint
+        if action is Action.UNFOLD
+    ]
+    assert unfolds
+    for tick, car in unfolds:
+        for grid in grids[tick : tick + 2]:
+            x, y, z, yaw = (int(v) for v in grid.cars[car, : CarField.YAW + 1])
+            foot = beside((x, y, z), yaw + 2)
+            beyond = beside(foot, yaw + 2)
+            assert grid.kind[beyond] == Kind.AIR
+            for other in grid.cars:
+                near = tuple(other[:3]) in (foot, beyond)
+                assert not (near and other[CarField.LOAD] != Kind.AIR), f"tick {tick}"
+
+
+class _Built:
+    """A building with the world that it ends in."""
+
+    def __init__(self, building: Building, order="sequential", setup=None, seed=0):
+        worlds = []
+        self.building = building.run(setup or Setup(), seed, order, worlds.append, lambda agrees: None)
+        self.reading = worlds[0].reading
+
+
+@cache
+def _built(name: str, order="sequential") -> _Built:
+    return _Built(read(name), order)
+
+
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_in_physics_every_action_does_what_the_rules_predict(name):
+    built = _built(name)
+    assert built.building.n_agree == built.building.n_actions
+    assert built.building.reached is True
+    assert built.building.good
+    assert built.reading.problems == ()
+    assert built.reading.grid.same_visible(_grids(built.building, Rules("physical"))[-1])
+
+
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_in_physics_every_action_keeps_the_bands(name):
+    built = _built(name)
+    for attempt in built.building.attempts:
+        where = f"tick {attempt.tick}, car {attempt.car} {attempt.action}"
+        assert attempt.skill == "succeeded", f"{where}: {attempt.skill}"
+        assert attempt.car_error_m <= 1e-3, where
+        assert attempt.heading_error_rad <= 3e-3, where
+        assert (attempt.placed_error_m or 0.0) <= 2e-3, where
+        assert attempt.bystander_displacement_m <= 1e-3, where
+    assert max(placed.offset_m for placed in built.reading.objects) <= 2e-3
+
+
+def test_the_complex_building_is_built_by_many_cars_at_once_into_the_same_world():
+    one_by_one, at_once = _built(COMPLEX), _built(COMPLEX, "concurrent")
+    assert at_once.building.good, [a for a in at_once.building.attempts if not a.agrees]
+    assert all(attempt.performed for attempt in at_once.building.attempts)
+    assert at_once.reading.grid.same_visible(one_by_one.reading.grid)
+
+
+def test_many_cars_at_once_take_at_most_60_percent_of_the_time():
+    one_by_one, at_once = (_built(COMPLEX, order).building.episode for order in ("sequential", "concurrent"))
+    assert 0.0 < at_once.makespan_s <= 0.60 * one_by_one.makespan_s
+
+
+@ORDERS
+def test_no_step_starts_before_all_that_it_waits_for_have_ended_and_cars_do_one_thing_at_a_time(order):
+    building = _built(COMPLEX, order).building
+    schedule = make_schedule(_start(building), building.plan.ticks, Rules("physical"), order)
+    times = [(a.start_s, a.start_s + a.duration_s) for a in building.attempts]
+    assert len(times) == len(schedule.steps)
+    for index, step in enumerate(schedule.steps):
+        for earlier in step.waits_for:
+            assert times[earlier][1] <= times[index][0] + 1e-6
+    first = min(start for start, _ in times)
+    moments = np.arange(first, first + building.episode.makespan_s, 0.1)
+    busy = [sum(start <= t < end for start, end in times) for t in moments]
+    assert max(busy) == (1 if order == "sequential" else 3)
+    for car in range(4):
+        own = sorted(times[i] for i, step in enumerate(schedule.steps) if step.car == car)
+        assert all(end <= start + 1e-6 for (_, end), (start, _) in pairwise(own))
+
+
+@pytest.mark.parametrize("name", ["strip", "simple_two_story"])
+def test_a_task_reaches_its_goal_with_noisy_sensors_and_random_physics(name):
+    building = _Built(read(name), "concurrent", setup_of("strong"), seed=11).building
+    assert building.good, [a for a in building.attempts if not a.agrees]
+    figures = building.figures
+    # Three standard deviations of one localisation.
+    assert figures["max_car_error_mm"] < 3.0
+    assert figures["max_car_heading_error_mrad"] < 9.0
+    assert figures["max_placed_error_mm"] < 5.0
+
+
+def test_without_noise_the_seed_changes_nothing_but_the_order_does():
+    one, other = (_Built(read("strip"), "concurrent", seed=seed).building for seed in (0, 1))
+    assert one.figures == other.figures
+    assert one.episode.makespan_s < _built("strip").building.episode.makespan_s
+
+
+def test_a_plan_that_does_not_build_the_goal_does_not_reach_it():
+    short = read("strip")
+    short = replace(short, plan=replace(short.plan, ticks=short.plan.ticks[:1]))
+    building = _Built(short, "concurrent").building
+    assert building.reached is False
+    assert not building.good
+    assert building.n_agree == building.n_actions
+
+
+def test_a_car_that_fails_is_named_with_the_steps_that_never_ran(monkeypatch):
+    class Weak(world.Executor):
+        def __init__(self, site, *args, **kwargs):
+            super().__init__(site, *args, **kwargs)
+            site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+
+    monkeypatch.setattr(world, "Executor", Weak)
+    building = _Built(read("strip"), "concurrent").building
+    assert building.reached is False
+    own = [attempt for attempt in building.attempts if attempt.car == 0]
+    assert own[0].action.startswith("MOVE")
+    assert own[0].skill.startswith("blocked")
+    assert not own[-1].performed
+    assert own[-1].reason == "car 0 waits for an action that failed"
+
+
+def test_a_blueprint_or_a_task_of_ones_own_has_no_shipped_plan(tmp_path):
+    with pytest.raises(InputError, match=r"no shipped plan for .*own\.yaml; give one with --plan"):
+        read_building("strip", blueprint=tmp_path / "own.yaml")

@@ -29,10 +29,13 @@ print(craftsim.__file__)
 """
 
 
-def _run(*words: object, **options: object) -> str:
-    done = subprocess.run(
-        [str(word) for word in words], capture_output=True, text=True, check=False, **options
-    )
+OUTSIDE = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+"""The environment without a trace of the checkout; pip would take a craftsim on PYTHONPATH for an installed one."""
+
+
+def _run(*words: object, cwd: Path | None = None) -> str:
+    command = [str(word) for word in words]
+    done = subprocess.run(command, cwd=cwd, env=OUTSIDE, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -70,11 +73,10 @@ def installed(wheel, tmp_path_factory):
 
 @pytest.fixture
 def run(installed, tmp_path):
-    """Run a program of the environment in an empty folder, without a trace of the checkout."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    """Run a program of the environment in an empty folder."""
 
     def program(name: str, *words: str) -> str:
-        return _run(installed / name, *words, cwd=tmp_path, env=environment)
+        return _run(installed / name, *words, cwd=tmp_path)
 
     return program
 

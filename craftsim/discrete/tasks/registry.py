@@ -53,7 +53,7 @@ def as_task(task: Task | str) -> Task:
         return task
     if isinstance(task, str):
         return task_of(task)
-    raise InputError(f"a task is a Task or a text that stands for one, not {task!r}")
+    raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
 
 
 def task_of(

@@ -116,9 +116,7 @@ def test_parameters_become_options_and_the_result_the_status(command):
     assert cli.main(["probe", "--count", "3", "--no-video"]) == -3
 
 
-@pytest.mark.parametrize(
-    "name", ["demo", "validate", "audit", "trials", "tasks", "episodes", "train", "show", "bench"]
-)
+@pytest.mark.parametrize("name", ["demo", "validate", "audit", "train", "show", "bench"])
 def test_a_negative_seed_is_refused_before_anything_is_done(name, capsys, tmp_path):
     words = {"show": ["strip"], "bench": ["rules"]}.get(name, [])
     assert cli.main([name, *words, "--seed", "-1", "--out", str(tmp_path / "out")]) == 2

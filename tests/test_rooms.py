@@ -14,11 +14,13 @@ ALLOWED = {
     "mjcf": {"discrete.geometry", "models.parameters", "models.figures", "models.config"},
     "models": {"discrete", "mjcf"},
     "skills": {"models", "discrete"},
-    "checking": {"skills", "models", "discrete"},
-    "validation": {"checking", "skills", "models", "discrete", "report", "envs", "training.policy"},
+    "checking": {"skills", "models", "discrete", "report"},
+    "validation": {
+        *("checking", "envs", "rendering", "skills", "models", "discrete", "report", "training.policy"),
+    },
     "envs": {"checking", "skills", "models", "discrete", "rendering"},
     "training": {"discrete", "envs", "report"},
-    "rendering": {"skills", "models", "discrete"},
+    "rendering": {"checking", "skills", "models", "discrete"},
     "testing": {"envs", "discrete"},
     "report": {"discrete.errors"},
     "cli": {"commands", "discrete"},
@@ -75,6 +77,39 @@ def test_a_module_imports_only_what_its_room_may(path):
         )
         return
     assert _violations(_module(path), path.read_text(encoding="utf-8")) == []
+
+
+def _calls(path: Path) -> set[str]:
+    """Return the names of all that a file calls."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    found = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    return {node.id for node in found if isinstance(node, ast.Name)}
+
+
+def test_a_world_in_physics_is_set_up_in_one_place():
+    joined = [path for path in FILES if {"Executor", "Sensors"} <= _calls(path)]
+    judging = [path for path in FILES if "CheckedSite" in _calls(path)]
+    assert joined == judging == [PACKAGE / "checking" / "world.py"]
+
+
+def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
+    places: dict[str, list[str]] = {}
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef | ast.FunctionDef):
+                places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
+    assert places["Attempt"] == places["Evidence"] == places["result_of"] == ["checking/attempt.py"]
+    assert places["Episode"] == ["checking/episode.py", "discrete/tasks/episodes.py"], "physics, and the grid"
+    assert places["CheckedSite"] == ["checking/checked_site.py"]
+    gone = {"ActionRecord", "CheckedRun", "ScheduledRun", "StepRecord", "JointStep", "CarStep", "JointSite"}
+    gone |= {"EpisodeRecord", "JobRecord", "JobResult", "TrialSettings", "attempt_of"}
+    assert not gone & set(places)
+
+
+def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
+    assert [path for path in FILES if {"compare", "own_differences"} & _calls(path)] == [
+        PACKAGE / "checking" / "checked_site.py"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ REASONS = {
 }
 
 
-def attempt(result=Result.AS_PREDICTED, *, legal=True, verb="MOVE", **changes):
+def attempt(result=Result.AS_PREDICTED, *, legal=True, performed=True, verb="MOVE", **changes):
     """Return an attempt with figures that are easy to recognise."""
     return {
         "tick": 0,
@@ -24,16 +24,20 @@ def attempt(result=Result.AS_PREDICTED, *, legal=True, verb="MOVE", **changes):
         "load": "none",
         "slope": False,
         "legal": legal,
+        "performed": performed,
         "result": str(result),
         "finding": "agrees" if result == Result.AS_PREDICTED else "wrong place",
         "skill": "succeeded",
         "reason": REASONS.get(result, ""),
         "differences": [] if result == Result.AS_PREDICTED else ["car 0: predicted 1,1,1 +x, read 0,1,1 +x"],
+        "predicted": "1,1,1 +x",
+        "read": "1,1,1 +x" if result == Result.AS_PREDICTED else "0,1,1 +x",
         "car_error_m": 0.0002,
         "heading_error_rad": 0.001,
         "height_error_m": 0.0001,
         "placed_error_m": None,
         "bystander_displacement_m": 0.0,
+        "start_s": 0.3,
         "duration_s": 1.0,
         "peak_force_n": 20.0,
         **changes,

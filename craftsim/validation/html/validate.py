@@ -75,8 +75,9 @@ def _headline(figures: Figures, records: Sequence[Record]) -> Headline:
     lost += f" {count(asked, 'run')} asked for what the rules forbid, which was not tried." if asked else ""
     if not missed:
         return Headline("Forbidden by the rules", Tone.CAUTION, "All that was tried did as predicted." + lost)
+    refused = sum(any(a["legal"] and not as_predicted(a) for a in record["attempts"]) for record in records)
     sentence = (
-        f"In {runs.trials - runs.successes:,} of {count(runs.trials, 'run')} physics disagrees with the rules; "
+        f"In {refused:,} of {count(runs.trials, 'run')} physics disagrees with the rules; "
         f"of {count(actions.trials, 'action')} that the rules allow, {missed:,} did not do what they predict."
     )
     return Headline("Disagrees", Tone.BAD, sentence + lost)

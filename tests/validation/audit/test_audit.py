@@ -5,7 +5,8 @@ import json
 import pytest
 
 from craftsim import cli
-from craftsim.checking.settings import MILDLY
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.settings import setup_of
 from craftsim.validation.audit.corrections import corrections
 from craftsim.validation.audit.results import Results
 from craftsim.validation.audit.rows import audit_plan
@@ -27,13 +28,17 @@ CONSERVATIVE = "MOVE-back/level=2+/ground=high-up/own=air/load=none/next=air/roo
 AT_ONCE = "MOVE+MOVE/scene=unloaded at a right angle/order=at-once"
 
 
+def _items(plan):
+    return items_of(plan, 2, 0, setup_of("mild", "published"))
+
+
 @pytest.fixture(scope="module")
 def records(tmp_path_factory):
     """What a small audit of the published rules records, with one and with two workers."""
     wanted = {*UNSOUND, CONSERVATIVE, AT_ONCE, "STOP/level=1/ground=flat/own=air/load=none/room=free"}
     plan = [row for row in audit_plan("published") if row.name in wanted]
     assert {row.name for row in plan} == wanted
-    items = items_of(plan, 2, 0, "published", MILDLY)
+    items = _items(plan)
     return [
         run_campaign(
             items, try_it, tmp_path_factory.mktemp("audit"), Header("audit", 0, {}), workers=n, batch=BATCH
@@ -45,6 +50,15 @@ def records(tmp_path_factory):
 def test_records_are_equal_at_one_and_at_two_workers(records):
     assert records[0] == records[1]
     assert all(record["error"] is None for record in records[0])
+
+
+def test_a_trial_alone_is_the_trial_of_the_campaign(records):
+    (row,) = [row for row in audit_plan("published") if row.name == CONSERVATIVE]
+    for item in _items([row]):
+        done = try_it(item.job)
+        (recorded,) = [record for record in records[0] if record["key"] == item.key]
+        assert recorded["agrees"] == done.agrees
+        assert tuple(map(Attempt.of, recorded["attempts"])) == done.attempts
 
 
 def test_known_unsound_rules_are_found_unsound_with_a_reason(records):

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from craftsim.checking.settings import NOMINAL
+from craftsim.checking.settings import setup_of
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.rules import Rules
@@ -56,7 +56,7 @@ def test_physical_allows_nothing_that_published_forbids():
 
 @BOTH
 def test_a_full_audit_tries_each_row_often_and_each_context_and_stays_within_its_time(rules):
-    items = items_of(PLAN[rules], 20, 0, rules, NOMINAL)
+    items = items_of(PLAN[rules], 20, 0, setup_of("none", rules))
     assert len({item.key for item in items}) == len(items) < 25_000
     tried = Counter(item.group for item in items if item.job is not None)
     assert min(tried.values()) >= 20

@@ -99,8 +99,11 @@ def test_a_finished_campaign_gives_way_to_another_with_all_that_it_left(begun):
     with (begun / "trials.jsonl").open("a") as file:
         file.writelines(json.dumps(_record(i)) + "\n" for i in (1, 3))
     (begun / "report.json").write_text("{}")
-    (begun / "bundles").mkdir()
-    (begun / "bundles" / "old").touch()
+    for name in ("report.html", "durations.csv"):
+        (begun / name).touch()
+    for name in ("bundles", "films"):
+        (begun / name).mkdir()
+        (begun / name / "old").touch()
     (begun / "mine.txt").touch()
     Store(begun, HEADER, ITEMS, resume=False).close()
     assert sorted(path.name for path in begun.iterdir()) == ["campaign.json", "mine.txt", "trials.jsonl"]

@@ -8,23 +8,25 @@ import pytest
 from synthetic import attempt, audit, episodes, record
 
 from craftsim.checking.attempt import Result
-from craftsim.validation.html import films as films_module
+from craftsim.checking.settings import Setup
+from craftsim.validation.audit.audit import Audit
+from craftsim.validation.audit.results import Results, judged_by_rules
+from craftsim.validation.html import film_links
 from craftsim.validation.html.audit import audit_page
-from craftsim.validation.html.page import Column, Table
-from craftsim.validation.html.run_description import RunDescription
 from craftsim.validation.html.validate import validate_page
 from craftsim.validation.html.writing import write_html
-from craftsim.validation.statistics.audit_rows import audit_rows
 from craftsim.validation.statistics.figures import campaign_figures
+from craftsim.validation.validation import Validation
 
 HOSTILE = '</td><script>alert("x")</script><img src=http://a.b/c onerror=go()>{{ 7 * 7 }}$a_b$'
-PROVENANCE = RunDescription(
-    "craftsim validate",
-    7,
-    {"trials": 60, "noise": {"pose_m": 0.001}},
-    {"car_m": 0.001},
-    {"craftsim": "0.1.0"},
-)
+CONFIG = {
+    "worlds": {"strip": "shipped"},
+    "by": {"planner": "shipped"},
+    "trials": 60,
+    "noise": {"pose_m": 0.001},
+    "rules": "published",
+    "setup": Setup(),
+}
 
 
 class Reader(HTMLParser):
@@ -63,17 +65,15 @@ class Reader(HTMLParser):
         return "".join(self.words)
 
 
-def validate_html(out, records):
-    figures = campaign_figures(records, seed=0)
-    return write_html(out, validate_page(records, figures, PROVENANCE, "strip.yaml")).read_text(
-        encoding="utf-8"
-    )
+def validate_html(out, records, config=CONFIG, command="craftsim validate strip"):
+    result = Validation(records, campaign_figures(records, seed=0), config, 7, ())
+    return write_html(out, validate_page(result, command)).read_text(encoding="utf-8")
 
 
-def audit_html(out, records, **changes):
-    figures = campaign_figures(records, seed=0)
-    page = audit_page(audit_rows(records), records, figures, PROVENANCE, "published", **changes)
-    return write_html(out, page).read_text(encoding="utf-8")
+def audit_html(out, records):
+    figures = campaign_figures(judged_by_rules(records), seed=0)
+    result = Audit(records, Results.of(records), figures, CONFIG, 7, {}, None)
+    return write_html(out, audit_page(result, "craftsim audit")).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_the_verdict_comes_first_then_the_matrix_then_the_disagreements(pages):
 
 def test_the_page_tells_what_decides_it(pages):
     text = Reader(pages["validate"]).text
-    for word in ("car_m", "noise.pose_m", "craftsim validate", "0.1.0", "mean maximum rank violation"):
+    for word in ("car_m", "noise.pose_m", "craftsim validate strip", "mujoco", "mean maximum rank violation"):
         assert word in text
 
 
@@ -122,18 +122,13 @@ def test_text_from_files_and_policies_is_escaped(tmp_path):
         record(HOSTILE, bad, group=HOSTILE + str(i), bundle="b'; rm -rf ~; '", extra=extra) for i in range(3)
     ]
     records.append(record("late", error=HOSTILE, agrees=False))
-    figures = campaign_figures(records, seed=0)
-    provenance = RunDescription(HOSTILE, 0, {HOSTILE: HOSTILE}, {HOSTILE: 1}, {HOSTILE: HOSTILE})
-    page = write_html(tmp_path, validate_page(records, figures, provenance, HOSTILE)).read_text(
-        encoding="utf-8"
-    )
-    reader = Reader(page)
+    config = CONFIG | {"worlds": {HOSTILE: HOSTILE}, "by": {HOSTILE: HOSTILE}, HOSTILE: HOSTILE}
+    reader = Reader(validate_html(tmp_path, records, config, HOSTILE))
     assert not {"script", "img"} & set(reader.tags)
     assert reader.text.count(HOSTILE) > 10
     assert """craftsim replay 'b'"'"'; rm -rf ~; '"'"''""" in reader.text
 
-    suspects = Table((Column(HOSTILE, tip=HOSTILE),), ((HOSTILE,),), caption=HOSTILE, folded=True)
-    reader = Reader(audit_html(tmp_path, records, suspects=suspects))
+    reader = Reader(audit_html(tmp_path, records))
     assert not {"script", "img"} & set(reader.tags)
 
 
@@ -147,7 +142,7 @@ def _with_films(out, sizes):
 
 
 def test_films_are_within_the_page_while_there_is_room_and_then_beside_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(films_module.Films.__init__, "__defaults__", (5000,))
+    monkeypatch.setattr(film_links.Films.__init__, "__defaults__", (5000,))
     records = _with_films(tmp_path, {"bundles/a": 3000, "bundles/big #1 b": 3000, "bundles/c": 300})
     addresses = Reader(validate_html(tmp_path, records)).addresses
     films = [a for a in addresses if not a.startswith("#")]
@@ -175,6 +170,30 @@ def test_a_film_outside_of_the_page_s_folder_is_not_taken_in(tmp_path):
 )
 def test_the_badge_of_a_validation(tmp_path, records, badge):
     assert f'<span class="verdict">{badge}</span>' in validate_html(tmp_path, records)
+
+
+FORBIDDEN = {"legal": False, "performed": False, "reason": "the rules forbid it: no block in the cell"}
+
+
+def test_what_the_rules_forbid_and_was_not_tried_is_no_disagreement_of_physics(tmp_path):
+    records = [record("a", attempt(), attempt(Result.FAILED, verb="LIFT", **FORBIDDEN))]
+    page = validate_html(tmp_path, records)
+    assert '<span class="verdict">Forbidden by the rules</span>' in page
+    text = Reader(page).text
+    assert "physics disagrees" not in text
+    assert "1 run asked for what the rules forbid, which was not tried." in text
+    assert "tried on purpose" not in text
+    assert FORBIDDEN["reason"] in text
+
+
+def test_what_the_rules_forbid_does_not_hide_where_physics_disagrees(tmp_path):
+    records = [
+        record("a", attempt(Result.FAILED, verb="LIFT", **FORBIDDEN)),
+        record("b", attempt(Result.FAILED)),
+    ]
+    text = Reader(validate_html(tmp_path, records)).text
+    assert "In 1 of 2 runs physics disagrees with the rules" in text
+    assert "1 run asked for what the rules forbid" in text
 
 
 @pytest.mark.parametrize(

@@ -11,17 +11,17 @@ import av
 import mujoco
 import numpy as np
 import pytest
-from craftsim.validation.contexts.trials import Trial, recipe_of, run_trial
 
 from craftsim import cli
-from craftsim.checking.recipe import Recipe, Seed, Step, perform, prepare
-from craftsim.checking.settings import NOMINAL, WITH_NOISE
+from craftsim.checking.recipe import Recipe, Step, do, run_up
+from craftsim.checking.settings import Setup, setup_of
+from craftsim.checking.world import Seed, compile_world
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
+from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.randomization import RandomizedSite
-from craftsim.validation.contexts.context import Verb
-from craftsim.validation.contexts.survey import survey
+from craftsim.validation.audit.rows import audit_plan
+from craftsim.validation.audit.trial import Trial, recipe_of, try_it
 from craftsim.validation.replays import replay as replaying
 from craftsim.validation.replays.bundle import (
     AFTER,
@@ -45,15 +45,22 @@ def _world() -> Grid:
     return grid
 
 
-def _recipe(settings=NOMINAL) -> Recipe:
+CALM, NOISY = Setup("published"), setup_of("strong", "published")
+
+
+def _recipe(setup=CALM) -> Recipe:
     """Return what goes wrong: a turn of the second car, a tick of both, and then the slope unfolds onto a car."""
     steps = (
         Step.single(0, 1, Action.ROTATE_LEFT),
         Step.joint(1, [(0, Action.STOP), (1, Action.ROTATE_RIGHT)]),
         Step.single(2, 0, Action.UNFOLD),
     )
-    recipe = Recipe.of(_world(), steps, settings)
-    return replace(recipe, rules="published", physics=Seed((5, 1), (1,)), sensors=Seed((5, 1), (2,)))
+    return Recipe(blueprint_text(_world()), steps, setup, Seed((5, 1)))
+
+
+def _perform(recipe, reuse=None):
+    """Re-run a recipe, and return what came of its last step."""
+    return do(run_up(recipe, reuse), recipe.steps[-1])
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +75,7 @@ def calm(tmp_path_factory) -> Path:
 def noisy(tmp_path_factory) -> Path:
     """The same under noise and randomised physics."""
     folder = tmp_path_factory.mktemp("noisy") / "unfold"
-    write_bundle(folder, "unfold onto a car", _recipe(WITH_NOISE))
+    write_bundle(folder, "unfold onto a car", _recipe(NOISY))
     return folder
 
 
@@ -130,21 +137,17 @@ def test_what_comes_out_otherwise_gets_no_bundle(calm, tmp_path):
 
 
 def test_the_recipe_of_a_trial_is_the_trial():
-    context = next(c for c in survey().contexts if c.verb is Verb.LIFT)
-    for settings in (NOMINAL, WITH_NOISE):
-        record = run_trial(Trial(3, context), 7, settings)
-        (attempt,) = perform(recipe_of(Trial(3, context), 7, settings)).attempts
-        assert attempt.car_error_m == record.car_error_m
-        assert attempt.heading_error_rad == record.heading_error_rad
-        assert attempt.duration_s == record.duration_s
+    row = next(row for row in audit_plan("physical") if row.legal and row.name.startswith("LIFT/"))
+    for randomize in ("none", "strong"):
+        trial = Trial(row.members[0], True, 3, 7, setup_of(randomize))
+        assert _perform(recipe_of(trial)) == try_it(trial).attempts
 
 
 def test_a_site_used_again_gives_the_numbers_of_a_fresh_one():
-    noisy, calm = _recipe(WITH_NOISE), _recipe()
-    varied = RandomizedSite(prepare(calm).site)
-    again = [perform(recipe, varied) for recipe in (noisy, calm, noisy)]
-    fresh = [perform(recipe) for recipe in (noisy, calm, noisy)]
-    assert [p.attempts for p in again] == [p.attempts for p in fresh]
+    noisy, calm = _recipe(NOISY), _recipe()
+    world = compile_world(_world(), CALM)
+    again = [_perform(recipe, world) for recipe in (noisy, calm, noisy)]
+    assert again == [_perform(recipe) for recipe in (noisy, calm, noisy)]
 
 
 def test_another_version_is_said_and_compared_with_a_tolerance(calm, tmp_path, capsys, monkeypatch):
@@ -198,12 +201,12 @@ def _edit(folder: Path, *keys: str | int, value: object) -> None:
     [
         (["schema_version"], 99, "schema_version is 99"),
         (["recipe", "steps"], [], "recipe.steps is empty"),
-        (["recipe", "steps", 2, "acts", 0, "action"], "UNFLOD", "did you mean 'UNFOLD'"),
-        (["recipe", "steps", 2, "acts", 0, "car"], 7, "there is no car 7"),
-        (["recipe", "steps", 2, "acts"], [], "has one action, not 0"),
-        (["recipe", "settings", "noise", "position_m"], "much", "recipe.settings.noise.position_m"),
-        (["recipe", "settings", "simulation", "timestep_s"], -1.0, "timestep_s"),
-        (["recipe", "rules"], "mine", "recipe.rules"),
+        (["recipe", "steps", 2, "ticks", 0, 0, "action"], "UNFLOD", "did you mean 'UNFOLD'"),
+        (["recipe", "steps", 2, "ticks", 0, 0, "car"], 7, "there is no car 7"),
+        (["recipe", "steps", 2, "ticks"], [], "has one action, not 0"),
+        (["recipe", "setup", "noise", "position_m"], "much", "recipe.setup.noise.position_m"),
+        (["recipe", "setup", "simulation", "timestep_s"], -1.0, "timestep_s"),
+        (["recipe", "setup", "rules"], "mine", "recipe.setup.rules"),
         (["recipe", "world"], "area_length: 3", "area_width"),
         (["recipe", "world"], "block: &a [*a]", "anchors"),
         (["attempts"], None, "attempts"),

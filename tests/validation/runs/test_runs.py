@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from craftsim.checking.settings import NOMINAL
+from craftsim.checking.settings import Setup
 from craftsim.models.site import Site
 from craftsim.validation.replays.bundle import read_bundle
 from craftsim.validation.runs.choice import items_of, policy_pilot, subjects_of
@@ -17,8 +17,8 @@ def run_of(tmp_path):
 
     def make(place, policy):
         subjects = subjects_of([place])
-        terms = Terms(3, NOMINAL, "physical", tmp_path)
-        (item,) = items_of(subjects, [policy_pilot(policy, subjects)], 1, terms)
+        terms = Terms(3, Setup(), tmp_path)
+        (item,) = items_of(subjects, [policy_pilot(policy, subjects, "ticks")], 1, terms)
         return item.job
 
     return make
@@ -47,8 +47,8 @@ def test_a_simulation_that_breaks_down_ends_its_run_and_can_be_replayed(run_of, 
 def test_a_policy_sees_the_same_in_both_worlds_as_long_as_they_agree(run_of, monkeypatch):
     seen = []
 
-    def watch(name, seed):
-        policy = make_policy(name, seed)
+    def watch(name, seed, task):
+        policy = make_policy(name, seed, task)
 
         def act(observations):
             seen.append({agent: value["observation"].copy() for agent, value in observations.items()})

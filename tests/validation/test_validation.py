@@ -1,0 +1,176 @@
+"""The Python call ``craftsim.validate``: what it runs and returns, and when the world agrees."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from disturbances import pushed
+from drawn import draw
+
+from craftsim.checking import settings, world
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.settings import Thresholds
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.files.plan import Plan
+from craftsim.discrete.grid import Kind
+from craftsim.envs import parallel_env
+from craftsim.validation.validation import validate
+
+RIGHT = Action.MOVE_RIGHT
+GRID = draw((4, 2, 2), [(Kind.BLOCK, (3, 1, 1))], [(0, 0, 1, 0), (0, 1, 1, 0)])
+
+
+def _plan(*ticks) -> Plan:
+    return Plan(Path("own.plan"), ticks)
+
+
+MOVES = _plan(((0, RIGHT), (1, RIGHT)), ((0, RIGHT),))
+
+
+def test_a_plan_in_a_world_of_ones_own_agrees_and_every_action_is_a_row():
+    result = validate(GRID, plan=MOVES)
+    assert result.agrees
+    assert repr(result) == "Validation(1 of 1 runs agree, 3 of 3 actions as predicted)"
+    frame = result.to_frame()
+    assert list(frame[["world", "by", "tick", "car", "action", "result"]].itertuples(index=False)) == [
+        ("grid", "own", 0, 0, "MOVE_RIGHT", "as predicted"),
+        ("grid", "own", 0, 1, "MOVE_RIGHT", "as predicted"),
+        ("grid", "own", 1, 0, "MOVE_RIGHT", "as predicted"),
+    ]
+    assert all(isinstance(attempt, Attempt) and attempt.agrees for attempt in result.attempts)
+    assert "3 of 3 actions as predicted" in result._repr_html_()
+
+
+def test_a_function_plays_as_a_policy():
+    def stay(observations):
+        return {agent: int(Action.STOP) for agent in observations}
+
+    result = validate("strip", policy=stay, trials=2)
+    assert result.agrees
+    assert [record["group"] for record in result.records] == ["stay", "stay"]
+    assert {attempt.action for attempt in result.attempts} == {"STOP"}
+    assert not any(record["extra"]["physics_success"] for record in result.records)
+
+
+@pytest.mark.parametrize("order", ["sequential", "ticks", "concurrent"])
+def test_every_order_of_a_plan_leads_to_the_same_attempts_and_only_concurrency_saves_time(order):
+    (record,) = validate(GRID, plan=MOVES, order=order).records
+    assert record["agrees"]
+    assert [(a["tick"], a["car"]) for a in record["attempts"]] == [(0, 0), (0, 1), (1, 0)]
+    starts = [a["start_s"] for a in record["attempts"]]
+    assert (starts[0] == starts[1]) is (order != "sequential")
+    alone = validate(GRID, plan=MOVES, order="sequential").records[0]["extra"]["makespan_s"]
+    assert (record["extra"]["makespan_s"] < 0.8 * alone) is (order != "sequential")
+
+
+def test_a_bystander_that_moves_too_far_disagrees_whoever_asks(monkeypatch):
+    monkeypatch.setattr(world, "Executor", pushed(0, 0.004))
+    result = validate(GRID, plan=_plan(((0, RIGHT),)))
+    (attempt,) = result.attempts
+    assert 0.001 < attempt.bystander_displacement_m < 0.025
+    assert attempt.finding == "agrees", "the grid that is read is the predicted one"
+    assert (attempt.result, attempt.agrees, result.agrees) == ("side effect", False, False)
+    assert result.figures.matrix.legal.side_effect == 1
+
+    env = parallel_env("strip", "physics")
+    env.reset(seed=0)
+    infos = env.step({"car_0": int(Action.STOP), "car_1": int(Action.MOVE_LEFT)})[4]
+    told = infos["car_1"]
+    assert (told["result"], told["finding"]) == ("side effect", "agrees")
+    assert told["reason"].startswith("block 0 was moved by")
+    assert 0.001 < told["bystander_displacement_m"] < 0.025
+
+
+def test_a_car_beyond_its_limit_disagrees(monkeypatch):
+    strict = (Thresholds(car_m=1e-9), *settings.RANDOMIZE["none"][1:])
+    monkeypatch.setitem(settings.RANDOMIZE, "none", strict)
+    result = validate(GRID, plan=_plan(((0, RIGHT),)))
+    (attempt,) = result.attempts
+    assert (attempt.result, attempt.finding, result.agrees) == ("failed", "agrees", False)
+    assert attempt.reason.startswith("the car is ")
+
+
+def test_what_the_rules_forbid_is_not_tried_and_named_with_rule_and_cells():
+    result = validate(GRID, plan=_plan(((0, Action.LIFT),)))
+    (attempt,) = result.attempts
+    assert not result.agrees
+    assert (attempt.legal, attempt.performed, attempt.result) == (False, False, "failed")
+    assert attempt.reason.startswith("the rules forbid it: ")
+    assert "(0, 0, 1)" in attempt.reason
+    matrix = result.figures.matrix
+    assert (matrix.legal.trials, matrix.forbidden.trials) == (0, 0)
+
+
+def test_a_failing_car_stops_what_depends_on_it_and_nothing_else(monkeypatch):
+    class Weak(world.Executor):
+        def __init__(self, site, *args, **kwargs):
+            super().__init__(site, *args, **kwargs)
+            site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+
+    monkeypatch.setattr(world, "Executor", Weak)
+    result = validate(GRID, plan=MOVES, order="concurrent")
+    first, other, last = result.attempts
+    assert (first.performed, first.agrees) == (True, False)
+    assert other.agrees
+    assert (last.performed, last.reason) == (False, "car 0 waits for an action that failed")
+
+
+def test_gains_and_machines_of_ones_own_decide_and_are_part_of_the_configuration():
+    from craftsim.models.parameters import Machines, SmartcarParameters
+    from craftsim.skills.gains import load_gains
+
+    gains = load_gains()
+    slow = replace(gains, drive=replace(gains.drive, max_speed=gains.drive.max_speed / 2))
+    heavy = Machines((SmartcarParameters(chassis_mass_kg=2.0),))
+    plain, slower, heavier = (
+        validate(GRID, plan=MOVES, **options) for options in ({}, {"gains": slow}, {"machines": heavy})
+    )
+    assert slower.attempts[0].duration_s > plain.attempts[0].duration_s
+    digests = [result.config["digests"] for result in (plain, slower, heavier)]
+    assert digests[0]["gains"] != digests[1]["gains"]
+    assert digests[0]["machines"] == digests[1]["machines"] != digests[2]["machines"]
+    assert heavier.attempts != plain.attempts
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_records_in_a_folder_are_those_without_one(tmp_path, workers):
+    here = validate(GRID, plan=MOVES, randomize="strong", trials=2, seed=3)
+    there = validate(
+        GRID, plan=MOVES, randomize="strong", trials=2, seed=3, out=tmp_path / "out", workers=workers
+    )
+    assert there.attempts == here.attempts
+    one, other = (record["attempts"] for record in here.records)
+    assert one != other
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"trials": 0}, "at least 1"),
+        ({"plan": MOVES, "policy": "random"}, "plan and policy exclude each other"),
+        ({"workers": 2}, "need the folder 'out'"),
+        ({}, "there is no shipped plan for grid"),
+    ],
+)
+def test_wrong_arguments_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        validate(GRID, **options)
+
+
+def test_two_worlds_of_one_name_are_refused():
+    with pytest.raises(InputError, match="two worlds are called 'grid'"):
+        validate([GRID, GRID], policy="random")
+
+
+def test_a_plan_is_for_one_world():
+    with pytest.raises(InputError, match="plan needs the one world"):
+        validate(["strip", "block"], plan=MOVES)
+
+
+def test_the_start_is_not_changed():
+    before = GRID.copy()
+    validate(GRID, plan=MOVES)
+    assert GRID.same_visible(before)
+    np.testing.assert_array_equal(GRID.cars, before.cars)

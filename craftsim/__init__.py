@@ -1,5 +1,8 @@
-"""craftsim: cooperative construction with smartcars, blocks and foldable slopes in contact physics."""
+"""craftsim: cooperative construction with smartcars, blocks and foldable slopes in contact physics.
 
-from importlib.metadata import version
+The public names stand in ``__init__.pyi``; each is imported at its first use, so that importing craftsim is quick.
+"""
 
-__version__ = version("craftsim")
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import math
 import os
@@ -95,11 +94,6 @@ def write_report(
     partial.write_text(text, encoding="utf-8")
     partial.replace(path)
     return path
-
-
-def digest(value: Any) -> str:
-    """Return the SHA-256 of a value as a report would hold it, in hexadecimal: the same for equal values."""
-    return hashlib.sha256(json.dumps(plain(value), sort_keys=True).encode()).hexdigest()
 
 
 def plain(value: Any) -> Any:

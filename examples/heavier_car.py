@@ -1,6 +1,6 @@
 """Does the building still stand with a heavier car? Build it with the shipped machines and with my own.
 
-The same from a shell:  craftsim demo --parameters heavier_car.yaml --gains heavier_car.yaml
+The same from a shell:  craftsim demo --parameters heavier_car.yaml
 """
 
 from pathlib import Path
@@ -9,13 +9,11 @@ import craftsim
 
 FILE = Path(__file__).parent / "heavier_car.yaml"
 
-machines, gains = craftsim.load_machines(FILE), craftsim.load_gains(FILE)
-print(
-    f"the car weighs {machines.car(0).mass_kg:.2f} kg instead of {craftsim.SmartcarParameters().mass_kg:.2f} kg"
-)
+mass = craftsim.load_machines(FILE).car(0).mass_kg
+print(f"the car weighs {mass:.2f} kg instead of {craftsim.SmartcarParameters().mass_kg:.2f} kg")
 
-for name, mine in {"shipped": {}, "heavier": {"machines": machines, "gains": gains}}.items():
-    result = craftsim.validate("simple_two_story", **mine)
+for name, machines in {"shipped": None, "heavier": FILE}.items():
+    result = craftsim.validate("simple_two_story", machines=machines)
     actions = result.to_frame()
     print(
         f"{name}: {(actions.result == 'as predicted').sum()} of {len(actions)} actions as predicted, "

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import craftsim
 
-mine = craftsim.load_gains(Path(__file__).parent / "my_gains.yaml")
+MINE = Path(__file__).parent / "my_gains.yaml"
 
-for name, gains in {"shipped gains": None, "my gains": mine}.items():
+for name, gains in {"shipped gains": None, "my gains": MINE}.items():
     result = craftsim.validate("strip", gains=gains)
     moves = result.to_frame().query("verb == 'MOVE'")
     print(

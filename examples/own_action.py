@@ -4,8 +4,7 @@ docs/extending.md shows how to add an action of your own, a block that is pushed
 """
 
 import craftsim
-from craftsim import Action
-from craftsim.discrete.grid import Kind
+from craftsim import Action, Kind
 
 grid = craftsim.Grid.empty((3, 1, 2), n_cars=1)  # one car at (0, 0), two free cells ahead
 grid.kind[1, 0, 1] = Kind.BLOCK

@@ -10,7 +10,6 @@ import numpy as np
 
 import craftsim
 from craftsim.cli import main
-from craftsim.discrete.grid import Kind
 from craftsim.discrete.tasks.rewards import Reward
 
 HERE = Path(__file__).parent
@@ -18,7 +17,7 @@ HERE = Path(__file__).parent
 
 def blocks_in_the_corner(grid: craftsim.Grid) -> float:
     """Return how many blocks stand in the four cells of the corner; each tick rewards the change of this potential."""
-    return float(np.sum(grid.kind[:2, :2, 1] == Kind.BLOCK))
+    return float(np.sum(grid.kind[:2, :2, 1] == craftsim.Kind.BLOCK))
 
 
 def corner() -> craftsim.Task:

@@ -1,4 +1,4 @@
-"""Choose the rendering backend before a test module imports MuJoCo; tests of physics do not need one."""
+"""Find out once whether anything renders here; tests of physics do not need it."""
 
 import pytest
 

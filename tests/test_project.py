@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from test_rooms import ALLOWED
 
 from craftsim.rendering.backend import DEBIAN_PACKAGES
 
@@ -55,3 +56,11 @@ def test_the_hooks_are_the_checks_of_make_lint():
     assert {"ruff", "mypy", "pre-commit"} <= {
         re.split(r"[>=!<]", name)[0] for name in PROJECT["optional-dependencies"]["dev"]
     }
+
+
+def test_contributing_draws_the_rooms_as_they_are():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([\w.]+?)(?:/|\.py)` \| .* \| (.*) \|$", text, re.MULTILINE)
+    drawn = {room: set(re.findall(r"`([\w.]+)`", imports)) for room, imports in rows}
+    assert drawn.pop("__init__") == set()
+    assert drawn == {room: ALLOWED[room] for room in ALLOWED if room not in ("cli", "__main__")}

@@ -11,7 +11,7 @@ PACKAGE = Path(craftsim.__file__).parent
 
 ALLOWED = {
     "discrete": set(),
-    "mjcf": {"discrete.geometry", "models.parameters", "models.config"},
+    "mjcf": {"discrete.geometry", "models.parameters", "models.figures", "models.config"},
     "models": {"discrete", "mjcf"},
     "skills": {"models", "discrete"},
     "checking": {"skills", "models", "discrete", "report"},

@@ -29,20 +29,26 @@ print(craftsim.__file__)
 """
 
 
-def _run(*words: object, **options: object) -> str:
-    done = subprocess.run(
-        [str(word) for word in words], capture_output=True, text=True, check=False, **options
-    )
+OUTSIDE = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+"""The environment without a trace of the checkout; pip would take a craftsim on PYTHONPATH for an installed one."""
+
+
+def _run(*words: object, cwd: Path | None = None) -> str:
+    command = [str(word) for word in words]
+    done = subprocess.run(command, cwd=cwd, env=OUTSIDE, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Build the wheel from a copy, so that nothing left in the checkout slips in."""
+    """Build the wheel from a copy of what a checkout holds after use, caches included."""
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"
-    shutil.copytree(PACKAGE, source / "craftsim", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(PACKAGE, source / "craftsim")
+    for part in ("data", "mjcf"):
+        (source / "craftsim" / part / "__pycache__").mkdir(exist_ok=True)
+        (source / "craftsim" / part / "__pycache__" / "left.pyc").touch()
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
@@ -67,11 +73,10 @@ def installed(wheel, tmp_path_factory):
 
 @pytest.fixture
 def run(installed, tmp_path):
-    """Run a program of the environment in an empty folder, without a trace of the checkout."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    """Run a program of the environment in an empty folder."""
 
     def program(name: str, *words: str) -> str:
-        return _run(installed / name, *words, cwd=tmp_path, env=environment)
+        return _run(installed / name, *words, cwd=tmp_path)
 
     return program
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.checking.contact_log import Contact
 from craftsim.checking.safety import Hazard
@@ -15,6 +16,9 @@ from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.discrete.verdict import Finding, Verdict, describe_car
 from craftsim.skills.outcome import Outcome
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _SHOWN: Final = 2
 """How many hazards, and how many contacts, a reason names."""
@@ -32,9 +36,19 @@ class Result(StrEnum):
     """Something tipped, fell, or hit harder than it may."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Attempt:
-    """One action tried in physics; made of what JSON knows. Errors are those at the action's end."""
+    """One action tried in physics; made of what JSON knows. Errors are those at the action's end.
+
+    Example:
+        >>> import craftsim
+        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> attempt = craftsim.perform(site, 0, "LIFT")
+        >>> attempt.result, attempt.performed
+        ('failed', False)
+        >>> list(attempt.to_frame()["reason"])
+        ['the rules forbid it: LIFT is forbidden: there is nothing to lift in (0, 0, 1)']
+    """
 
     tick: int
     car: int
@@ -84,6 +98,25 @@ class Attempt:
     def of(cls, fields: Mapping[str, Any]) -> Attempt:
         """Return the attempt that was written as JSON."""
         return cls(**{**fields, "differences": tuple(fields["differences"])})
+
+    def to_frame(self) -> DataFrame:
+        """Return a table with one row: the fields."""
+        from pandas import DataFrame
+
+        return DataFrame([asdict(self)])
+
+    def __repr__(self) -> str:
+        errors = f"{1e3 * self.car_error_m:.2f} mm, {1e3 * self.heading_error_rad:.2f} mrad, {self.duration_s:.2f} s"
+        text = errors if self.agrees else self.reason
+        return f"Attempt(car {self.car} {self.action}: {self.result}; {text})"
+
+    def _repr_html_(self) -> str:
+        colour = "green" if self.agrees else "firebrick"
+        fields = "".join(
+            f"<tr><th>{name}<td>{html.escape(str(value))}" for name, value in asdict(self).items()
+        )
+        head = html.escape(f"car {self.car} {self.action}: {self.result}")
+        return f"<b style='color:{colour}'>{head}</b><table>{fields}</table>"
 
     @property
     def agrees(self) -> bool:

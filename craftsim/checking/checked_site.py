@@ -144,7 +144,10 @@ class CheckedSite:
                 one = running.pop(car)
                 evidence[one.index] = self._measure(one, outcome, legal)
         world = self._world_verdict(before, schedule.final, settled)
-        never = [*((step, True) for step in waiting.values()), *((step, False) for step in schedule.forbidden)]
+        never = [
+            *((step, True) for step in waiting.values()),
+            *((step, False) for step in schedule.forbidden),
+        ]
         found = [evidence[index] for index in sorted(evidence)]
         found += [self._measure(self._now(step), None, allowed) for step, allowed in never]
         attempts = [judge(one, self._verdict(one, world, found), self.thresholds) for one in found]

@@ -69,8 +69,8 @@ def train(
     learnt = as_task(task)
     if not learnt.has_goal:
         raise InputError(
-            f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, or name one "
-            "in a task file (docs/tasks.md)"
+            f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "
+            "or name one in a task file (docs/tasks.md)"
         )
     folder = output_directory(out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}"))
 
@@ -89,7 +89,7 @@ def train(
         return INTERRUPTED
     trainer.save(folder)
     asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
-    asked |= {"task_digest": trainer.identity.digest, "starts_digest": trainer.starts}
+    asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
     _report(trainer, console, folder, asked, time.perf_counter() - begun)
     return 0
 

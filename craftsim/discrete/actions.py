@@ -7,7 +7,13 @@ from typing import Final
 
 
 class Action(IntEnum):
-    """A primitive action; the numbers are CraftEnv's. Moves are map directions, whatever the car's yaw."""
+    """A primitive action; the numbers are CraftEnv's. Moves are map directions, whatever the car's yaw.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.Action.LIFT, craftsim.Action["MOVE_RIGHT"].value
+        (<Action.LIFT: 0>, 9)
+    """
 
     LIFT = 0
     DROP = 1

@@ -36,7 +36,7 @@ F_SLOPE = int(CarField.SLOPE)
 
 
 class RuleFlags(NamedTuple):
-    """The differences between the rule sets, each a switch that one place in the rules reads; off is as published."""
+    """The differences between the rule sets, each read in one place of the rules; off is as published."""
 
     derived_marks: bool = False
     """Marks follow from what is there instead of from past events."""

@@ -35,6 +35,14 @@ class Grid:
     """One world: what is in each cell, where the cars are, and the marks kept with each cell.
 
     Cells are (x, y, z) with 0 <= x < L, 0 <= y < W and 0 <= z <= H; z = 0 is the ground layer, 1 the floor.
+
+    Example:
+        >>> import craftsim
+        >>> grid = craftsim.Grid.empty((3, 2, 1), n_cars=1)  # the car at (0, 0, 1), heading +x
+        >>> grid.kind[1, 0, 1] = craftsim.Kind.BLOCK
+        >>> grid.derive_marks()
+        >>> grid.size, grid.n_cars
+        ((3, 2, 1), 1)
     """
 
     kind: NDArray[np.int8]

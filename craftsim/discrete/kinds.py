@@ -7,7 +7,13 @@ from typing import Final
 
 
 class Kind(IntEnum):
-    """What a cell holds, or what a car carries."""
+    """What a cell holds, or what a car carries.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.Kind.BLOCK.name, int(craftsim.Kind.BLOCK)
+        ('BLOCK', 3)
+    """
 
     AIR = 0
     GROUND = 1

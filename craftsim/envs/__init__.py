@@ -34,6 +34,13 @@ def parallel_env(task: Task | str, backend: BackendName = "physics", **options: 
 
     Raises:
         InputError: there is no such task, backend, option or option value.
+
+    Example:
+        >>> import craftsim
+        >>> env = craftsim.parallel_env("strip", "grid")
+        >>> observations, infos = env.reset(seed=0)
+        >>> observations["car_0"]["action_mask"].shape
+        (15,)
     """
     from craftsim.envs.options import Options
     from craftsim.envs.parallel import ParallelConstruction
@@ -42,7 +49,15 @@ def parallel_env(task: Task | str, backend: BackendName = "physics", **options: 
 
 
 def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> AECEnv[str, Any, Any]:
-    """Return the same as a PettingZoo environment whose agents take turns; a tick happens after the last one's."""
+    """Return the same as a PettingZoo environment whose agents take turns; a tick happens after the last one's.
+
+    Example:
+        >>> import craftsim
+        >>> env = craftsim.env("strip", "grid")
+        >>> env.reset(seed=0)
+        >>> env.agent_selection
+        'car_0'
+    """
     from pettingzoo.utils.conversions import parallel_to_aec
 
     return parallel_to_aec(parallel_env(task, backend, **options))
@@ -66,6 +81,13 @@ def vector_env(
 
     Raises:
         InputError: there is no such task, backend, option or option value.
+
+    Example:
+        >>> import craftsim
+        >>> envs = craftsim.vector_env("strip", 8)
+        >>> observations, infos = envs.reset(seed=0)
+        >>> observations["action_mask"].shape
+        (8, 2, 15)
     """
     from craftsim.envs.options import Options
     from craftsim.envs.vector import GridVectorEnv

@@ -149,7 +149,7 @@ class Core:
         tick = self.backend.tick(self.worlds, chosen, order)
         arrays = self.worlds.arrays
         after = self._potential if tick.problems else self.task.reward.measure.of_worlds(arrays)
-        reward, self._paid = self.task.reward.pay(self._potential, after, self._t, self._paid)
+        reward, self._paid = self.task.reward.of_tick(self._potential, after, self._t, self._paid)
         success = not tick.problems and bool(self._success.of_worlds(arrays)[0])
         over = bool(self.task.over(self._t, np.array([success]))[0])
         self._potential, self._t = after, self._t + 1

@@ -11,7 +11,6 @@ the meshes are then made in memory.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import fields
@@ -19,6 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+from craftsim.models.figures import digest_of
 from craftsim.models.parameters import BlockParameters, SlopeParameters, SmartcarParameters
 
 Figures = SmartcarParameters | BlockParameters | SlopeParameters
@@ -34,9 +34,13 @@ FOLDER: Final = Path(__file__).parent / "meshes"
 RECORD: Final = Path(__file__).parent / "meshes.json"
 
 
+def _kind(figures: Figures) -> type:
+    return next(kind for kind in NAMES if isinstance(figures, kind))
+
+
 def lengths(figures: Figures) -> dict[str, float]:
     """Return the figures that shape a machine, by name: its lengths."""
-    return {f.name: getattr(figures, f.name) for f in fields(figures) if f.name.endswith("_m")}
+    return {f.name: getattr(figures, f.name) for f in fields(_kind(figures)) if f.name.endswith("_m")}
 
 
 @lru_cache(maxsize=1)
@@ -47,15 +51,14 @@ def _recorded() -> dict[str, dict[str, float]]:
 
 def shipped(figures: Figures) -> bool:
     """Return whether the files in ``meshes`` were made from these lengths."""
-    return _recorded().get(type(figures).__name__) == lengths(figures)
+    return _recorded().get(_kind(figures).__name__) == lengths(figures)
 
 
 def mesh_file(figures: Figures, name: str) -> str:
     """Return the file name of a mesh, relative to the MJCF; other lengths than those of the files give another name."""
     if shipped(figures):
         return f"meshes/{name}.stl"
-    digest = hashlib.sha256(json.dumps(lengths(figures), sort_keys=True).encode()).hexdigest()
-    return f"meshes/{name}-{digest[:8]}.stl"
+    return f"meshes/{name}-{digest_of(dict(lengths(figures)))[:8]}.stl"
 
 
 @lru_cache(maxsize=64)
@@ -63,7 +66,7 @@ def mesh_bytes(figures: Figures) -> dict[str, bytes]:
     """Return the binary STL of every mesh of a machine by its file name: read if the files are of it, else made."""
     if shipped(figures):
         return {
-            mesh_file(figures, name): (FOLDER / f"{name}.stl").read_bytes() for name in NAMES[type(figures)]
+            mesh_file(figures, name): (FOLDER / f"{name}.stl").read_bytes() for name in NAMES[_kind(figures)]
         }
     return {mesh_file(figures, name): data for name, data in make_meshes(figures).items()}
 
@@ -77,8 +80,8 @@ def mesh_parts(figures: Figures) -> dict[str, Any]:
         BlockParameters: block_meshes,
         SlopeParameters: slope_meshes,
     }
-    makers: dict[str, Callable[[Figures], Any]] = vars(modules[type(figures)])
-    return {name: makers[name](figures) for name in NAMES[type(figures)]}
+    makers: dict[str, Callable[[Figures], Any]] = vars(modules[_kind(figures)])
+    return {name: makers[name](figures) for name in NAMES[_kind(figures)]}
 
 
 def make_meshes(figures: Figures) -> dict[str, bytes]:

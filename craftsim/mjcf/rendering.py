@@ -88,8 +88,8 @@ def render(
         **_surfaces(machines.contact),
         **_shapes(part, machines, car or machines.cars[0]),
     }
-    name = "table" if part in ("block", "flag", "wall") else part
-    return _environment().get_template(f"{name}.xml").render(context)
+    templates = {"block": "table", "flag": "table", "wall": "table", "smartcar": context["car"].template}
+    return _environment().get_template(f"{templates.get(part, part)}.xml").render(context)
 
 
 def _surfaces(contact: ContactParameters) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def hub_inertia(car: SmartcarParameters) -> Point:
 
 
 def table(block: BlockParameters, car: SmartcarParameters) -> dict[str, Box]:
-    """Return deck and frame of a block by name, its deck's mass spread by volume."""
+    """Return deck and frame of a block by name, its deck's mass shared by volume."""
     half, pocket = block.side_m / 2, block.pocket_side_m / 2
     low, high = block.underside_m, block.underside_m + block.pocket_depth_m
     relief = block.frame_relief_m
@@ -127,7 +127,7 @@ class SlopeShape:
 
 
 def slope(p: SlopeParameters, car: SmartcarParameters) -> SlopeShape:
-    """Return a slope's shapes, the mass of its base spread by volume."""
+    """Return a slope's shapes, the mass of its base shared by volume."""
     half, rise = p.side_m / 2, p.hinge_z_m / (2 * p.hinge_x_m)
     inner, skin = half - p.wall_thickness_m, p.skin_m / math.cos(p.incline_rad)
     back, front = (p.hinge_z_m - rise * (x - p.hinge_x_m) for x in (-half, half))

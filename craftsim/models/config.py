@@ -19,6 +19,11 @@ class SimulationConfig:
     rear axle and shakes its load along the board (tests/models/test_kinematics.py, tests/models/test_load.py).
 
     Raises InputError, naming the field, for a value that cannot work.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.SimulationConfig(timestep_s=0.002).steps_per_period
+        10
     """
 
     timestep_s: float = 0.004

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from dataclasses import dataclass, field, fields
 from typing import Any, Final, Literal
@@ -59,6 +61,19 @@ def assumed(value: float, note: str, allowed: Allowed = ANY) -> Any:
 def provenance(parameters: object) -> dict[str, Provenance]:
     """Return the provenance of every figure of a parameter dataclass or instance, by field name."""
     return {f.name: f.metadata["provenance"] for f in fields(parameters)}  # type: ignore[arg-type]
+
+
+def digest_of(figures: dict[str, Any]) -> str:
+    """Return the SHA-256, in hexadecimal, of nested figures by name; an integer counts as the number that it equals."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(item) for item in value]
+        return float(value)
+
+    return hashlib.sha256(json.dumps(plain(figures), sort_keys=True).encode()).hexdigest()
 
 
 def check(parameters: object) -> None:

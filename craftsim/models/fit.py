@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _CLEARANCE_M: Final = 0.0005
 """What must be left between chassis and slope."""
+_PLATE_GAP_M: Final = 0.0002
+"""What must be left between the wheels and the plate of a lowered board."""
 _HEAD_ROOM_M: Final = 0.001
 """What must be left between a lowered board and what it drives under."""
 _ROOM_BESIDE_M: Final = 0.010
@@ -45,11 +47,11 @@ def check_car(car: SmartcarParameters) -> None:
         "chassis_chamfer_m",
         f"must be below {room:g}, not {car.chassis_chamfer_m:g}",
     )
-    plate = car.board_top_m - car.board_thickness_m
+    under = max(car.chassis_top_m, radius + _PLATE_GAP_M) + car.board_thickness_m
     _require(
-        plate >= car.chassis_top_m - 1e-9,
+        car.board_top_m >= under - 1e-9,
         "board_top_m",
-        f"must leave the plate above the chassis' top, at least {car.chassis_top_m + car.board_thickness_m:g}",
+        f"is {car.board_top_m:g}; at least {under:.4f} keeps the plate above chassis and wheels",
     )
     _require(
         car.roller_radius_m < radius / 2, "roller_radius_m", f"must be below half the wheel's, {radius / 2:g}"
@@ -59,6 +61,11 @@ def check_car(car: SmartcarParameters) -> None:
         rollers < 0.5 * car.wheel_mass_kg,
         "wheel_mass_kg",
         f"must be above {2 * rollers:g}, twice its rollers'",
+    )
+    _require(
+        car.wheel_torque_nm > car.gear_friction_nm,
+        "wheel_torque_nm",
+        f"is {car.wheel_torque_nm:g} and must be above gear_friction_nm, {car.gear_friction_nm:g}, to turn the wheel",
     )
     _check_slope(car)
 
@@ -91,13 +98,17 @@ def check_machines(machines: Machines) -> None:
     """Raise InputError, naming the figure, for a car that does not fit under the loads or cannot lift them."""
     for car in machines.cars:
         _check_room(car, machines.block)
-        low = min(machines.block.underside_m, machines.slope.underside_m)
+        slope = machines.slope
+        low = min(machines.block.underside_m, slope.underside_m)
         high = max(machines.block.underside_m, machines.slope.underside_m)
         rest = car.board_rest_m
+        # The boss passes below a slope's back bar.
+        room = min(low, slope.underside_m + slope.stop_back_rise_m - car.boss_height_m) - _HEAD_ROOM_M
         _require(
-            rest <= low - _HEAD_ROOM_M,
+            rest <= room + 1e-9,
             "board_top_m",
-            f"puts the lowered board {rest:.4f} over the floor; at most {low - _HEAD_ROOM_M:.4f} drives under a slope",
+            f"and wheel_radius_m put the lowered board {rest:.4f} over the floor; "
+            f"at most {room:.4f} drives under a slope",
         )
         least = high - rest + LIFT_RANGE_M[0] + _LIFT_MARGIN_M
         most = low - rest + LIFT_RANGE_M[1] - _LIFT_MARGIN_M

@@ -13,6 +13,11 @@ class SensorNoise:
 
     They concern localisation (at the control rate of 50 Hz), wheel encoders and wheel motors. Pitch and roll, board and
     hinge are read as they are: good inclinometers and encoders err far less than localisation does.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.SensorNoise(position_m=0.001, heading_rad=0.003).silent
+        False
     """
 
     position_m: float = 0.0
@@ -20,7 +25,7 @@ class SensorNoise:
     heading_rad: float = 0.0
     """Standard deviation of the heading of one localisation, white."""
     min_delay_s: float = 0.0
-    """Least age of a localisation; each car's own delay is drawn once, evenly up to ``max_delay_s``."""
+    """Least age of a localisation; each car's own delay is drawn once, uniformly up to ``max_delay_s``."""
     max_delay_s: float = 0.0
     encoder_lag_s: float = 0.0
     """Time constant of the wheel speeds' low-pass filter."""

@@ -74,6 +74,12 @@ def load_machines(path: Path | str) -> Machines:
 
     Raises InputError, naming the file, line and figure, for an unknown figure, one that cannot be changed, one out of
     range, and figures that do not fit together.
+
+    Example:
+        >>> import craftsim
+        >>> _ = (folder / "heavy.yaml").write_text("smartcar: {chassis_mass_kg: 2.0}")
+        >>> craftsim.load_machines(folder / "heavy.yaml").car(0).chassis_mass_kg
+        2.0
     """
     path = Path(path)
     source, given = read_keys(path, [*MACHINE_SECTIONS, "gains"])

@@ -12,16 +12,14 @@ cannot work.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Final
+from typing import ClassVar, Final
 
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
-from craftsim.models.figures import Allowed, assumed, check, derived, fixed, published
+from craftsim.models.figures import Allowed, assumed, check, derived, digest_of, fixed, published
 from craftsim.models.fit import check_car, check_machines
 
 _SEAT: Final = fixed("the pockets of blocks and the pads of slopes fit this board and its boss")
@@ -32,7 +30,18 @@ _FRICTION: Final = Allowed(most=3.0)
 
 @dataclass(frozen=True)
 class SmartcarParameters:
-    """The mecanum smartcar. Heights are above the axle line unless the name says floor."""
+    """The mecanum smartcar. Heights are above the axle line unless the name says floor.
+
+    A car with another drive is a subclass that names its own MJCF template.
+
+    Example:
+        >>> import craftsim
+        >>> round(craftsim.SmartcarParameters().mass_kg, 1)
+        10.3
+    """
+
+    template: ClassVar[str] = "smartcar"
+    """Name of the MJCF template in ``craftsim/mjcf/templates``."""
 
     wheel_radius_m: float = published(
         0.0496, "the mesh; the collision cylinder's 0.043 would ground the car on the crest of the slope"
@@ -139,7 +148,13 @@ class SmartcarParameters:
 
 @dataclass(frozen=True)
 class BlockParameters:
-    """The block: a table with a deck and four legs. Flag and wall have the same shape."""
+    """The block: a table with a deck and four legs. Flag and wall have the same shape.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.BlockParameters(deck_mass_kg=1.0).mass_kg
+        1.004
+    """
 
     side_m: float = published(0.32, allowed=_GRID)
     height_m: float = derived(
@@ -189,7 +204,13 @@ class BlockParameters:
 
 @dataclass(frozen=True)
 class SlopeParameters:
-    """The foldable slope: a hollow base wedge, and a flap on a motorised hinge."""
+    """The foldable slope: a hollow base wedge, and a flap on a motorised hinge.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.SlopeParameters(hinge_speed_rad_s=1.0).hinge_speed_rad_s
+        1.0
+    """
 
     side_m: float = published(
         0.32, "the visual mesh; the collision meshes' 0.34 overlap at the grid's pitch", _GRID
@@ -296,6 +317,13 @@ class Machines:
     """The figures of everything in a world: hashable, and written into every report.
 
     Raises InputError for cars that do not fit under the blocks and slopes, or cannot lift them.
+
+    Example:
+        >>> import craftsim
+        >>> light, heavy = craftsim.SmartcarParameters(), craftsim.SmartcarParameters(chassis_mass_kg=2.0)
+        >>> machines = craftsim.Machines(cars=(light, heavy))
+        >>> machines.car(1).chassis_mass_kg
+        2.0
     """
 
     cars: tuple[SmartcarParameters, ...] = (SmartcarParameters(),)
@@ -323,7 +351,7 @@ class Machines:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all figures, in hexadecimal: equal for equal figures."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        return digest_of(asdict(self))
 
     @cached_property
     def docking_reach_m(self) -> float:

@@ -1,4 +1,4 @@
-"""Randomised physics: how far a real machine may be from its nominal figures, drawn from a seed, applied in place."""
+"""Domain randomization: how far a real machine may be from its nominal figures, drawn from a seed, applied in place."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ from craftsim.models.site import Site, SiteState
 
 @dataclass(frozen=True)
 class DomainRandomization:
-    """Half-widths of the even distributions from which a Site's physics is drawn; hashable.
+    """Half-widths of the uniform distributions from which a Site's physics is drawn; hashable.
 
     All are fractions of the nominal figure but the tilt. Raises InputError for a figure outside [0, 1).
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.DomainRandomization(friction=0.1, tilt_rad=0.0).mass
+        0.2
     """
 
     friction: float = 0.30
@@ -29,7 +34,7 @@ class DomainRandomization:
     joint_friction: float = 0.50
     """Dry friction and damping of gears, rollers, boards and hinges, drawn for each joint."""
     tilt_rad: float = math.radians(0.5)
-    """Largest tilt of the floor, in a direction that is drawn evenly."""
+    """Largest tilt of the floor, in a direction that is drawn uniformly."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -41,7 +46,7 @@ class DomainRandomization:
 
 @dataclass(frozen=True)
 class Nominal:
-    """The figures of a compiled model that a variation changes, as they were compiled."""
+    """The figures of a compiled model that randomization changes, as they were compiled."""
 
     geom_friction: NDArray[np.float64]
     body_mass: NDArray[np.float64]

@@ -93,7 +93,16 @@ def _drive_force(site: Site, drive: Drive) -> float:
 
 
 class Sensors:
-    """The sensors of all cars of a Site; :meth:`observe` takes one set of readings each control period."""
+    """The sensors of all cars of a Site; :meth:`observe` takes one set of readings each control period.
+
+    Example:
+        >>> import craftsim
+        >>> import numpy as np
+        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> sensors = craftsim.Sensors(site, craftsim.SensorNoise(position_m=0.001), np.random.default_rng(0))
+        >>> abs(sensors.measure(0).x - craftsim.Sensors(site).measure(0).x) < 0.005
+        True
+    """
 
     def __init__(
         self, site: Site, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None

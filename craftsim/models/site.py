@@ -48,6 +48,14 @@ class Site:
     ``cars`` are in the order of car ids; ``blocks``, ``flags`` and ``slopes`` in the order of :func:`placements`.
     ``model`` and ``data`` are MuJoCo's own, to look at; commands go through :meth:`drive`, :meth:`move_board` and
     :meth:`turn_hinge`.
+
+    Example:
+        >>> import craftsim
+        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> site.drive(0, [5, 5, 5, 5])  # all wheels forward, rad/s
+        >>> site.advance()  # one control period
+        >>> round(site.time_s, 2)
+        0.32
     """
 
     def __init__(

@@ -33,6 +33,8 @@ def make_renderer(model: mujoco.MjModel, size: tuple[int, int]) -> mujoco.Render
     buffers.offwidth = max(buffers.offwidth, width)
     buffers.offheight = max(buffers.offheight, height)
     renderer = mujoco.Renderer(model, height, width)
+    # Shadows cost three and a half times a frame with a software renderer; who wants them switches them on.
+    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
     if not _OPEN:
         # Registered after the display's own clean-up, so that it runs before: what outlives the display complains.
         atexit.unregister(_close_all)

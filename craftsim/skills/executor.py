@@ -25,7 +25,15 @@ Guard = Callable[[], bool]
 
 
 class Executor:
-    """Performs actions on a Site: any number of cars act at the same time, each until its skill has ended."""
+    """Performs actions on a Site: any number of cars act at the same time, each until its skill has ended.
+
+    Example:
+        >>> import craftsim
+        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> outcome = craftsim.Executor(site).run({0: craftsim.Action.ROTATE_LEFT})[0]
+        >>> outcome.succeeded
+        True
+    """
 
     def __init__(
         self,

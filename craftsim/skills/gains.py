@@ -12,6 +12,7 @@ from typing import Final
 import yaml
 
 from craftsim.discrete.errors import InputError
+from craftsim.models.figures import digest_of
 from craftsim.models.parameter_files import MACHINE_SECTIONS, numbers, read_keys
 
 
@@ -156,7 +157,14 @@ class HealthGains:
 
 @dataclass(frozen=True)
 class Gains:
-    """The gains of all skills; hashable. Raises InputError for a gain that is not a positive finite number."""
+    """The gains of all skills; hashable. Raises InputError for a gain that is not a positive finite number.
+
+    Example:
+        >>> import craftsim
+        >>> gains = craftsim.load_gains()
+        >>> gains.source, gains.drive.max_speed > 0
+        ('nominal', True)
+    """
 
     drive: DriveGains
     board: BoardGains
@@ -166,6 +174,11 @@ class Gains:
     localisation: LocalisationGains
     health: HealthGains
     source: str = field(default="nominal", compare=False)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all gains, in hexadecimal: equal for equal gains, wherever they came from."""
+        return digest_of({section: asdict(getattr(self, section)) for section in SECTIONS})
 
     def __post_init__(self) -> None:
         for section in SECTIONS:
@@ -194,6 +207,12 @@ def load_gains(path: Path | str | None = None) -> Gains:
     (:func:`craftsim.models.parameter_files.load_machines`).
 
     Raises InputError, naming the file and key, for what is not a known gain.
+
+    Example:
+        >>> import craftsim
+        >>> _ = (folder / "slow.yaml").write_text("drive: {max_speed: 0.4}")
+        >>> craftsim.load_gains(folder / "slow.yaml").drive.max_speed
+        0.4
     """
     nominal = _nominal()
     if path is None:

@@ -8,6 +8,7 @@ from typing import Final
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.errors import InputError
+from craftsim.discrete.rules.table import check_complete
 from craftsim.skills.driving import Move, Rotate
 from craftsim.skills.folding import Fold, Unfold
 from craftsim.skills.lifting import Drop, Lift
@@ -25,6 +26,9 @@ SKILLS: Final[dict[Action, Callable[[SkillSetup], Skill]]] = {
     Action.STOP: Stop,
 }
 """What performs each action; the four diagonal moves are never legal, and no skill performs them."""
+
+
+check_complete(SKILLS, "skill", "craftsim/skills/library.py")
 
 
 def make_skill(action: Action, setup: SkillSetup) -> Skill:

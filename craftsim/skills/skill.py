@@ -44,7 +44,7 @@ class SkillSetup:
 
 @dataclass(frozen=True)
 class Command:
-    """What a car tells its motors for one control period."""
+    """What a car commands its motors for one control period."""
 
     wheels: PerWheel = (0.0, 0.0, 0.0, 0.0)
     """In rad/s."""

@@ -83,6 +83,13 @@ def load_policy(path: str | Path) -> TrainedPolicy:
 
     Raises:
         InputError: the extra ``train`` is not installed, or the file is not a policy.
+
+    Example:
+        >>> import craftsim
+        >>> policy = craftsim.load_policy(trained)  # what `craftsim train --out` wrote
+        >>> env = craftsim.parallel_env("strip", "grid")
+        >>> sorted(policy(env.reset(seed=0)[0]))
+        ['car_0', 'car_1']
     """
     need_torch()
     from craftsim.training.checkpoint import POLICY_FILE, read_policy

@@ -47,7 +47,16 @@ COMMAND: Final = "validate"
 
 @dataclass(frozen=True, repr=False)
 class Validation:
-    """What came of a validation."""
+    """What came of a validation.
+
+    Example:
+        >>> import craftsim
+        >>> result = craftsim.validate("strip")
+        >>> result
+        Validation(1 of 1 runs agree, 22 of 22 actions as predicted)
+        >>> int((result.to_frame()["verb"] == "LIFT").sum())
+        4
+    """
 
     records: list[TrialRecord]
     """One for each run, as in ``trials.jsonl``."""
@@ -149,6 +158,11 @@ def validate(
 
     Raises:
         InputError: an argument, or a file that it names, is not as it should be.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.validate("strip", policy="random", randomize="mild", seed=3).agrees
+        True
     """
     started = time.perf_counter()
     if trials < 1 or workers < 1 or not timeout_s > 0:

@@ -101,7 +101,7 @@ def test_the_barrier_pays_steps_arrival_and_time_as_the_paper_says(rng):
     reward = episode.batch.task.reward
     assert isinstance(reward, PaperBarrier)
     assert reward.measure.of(grid) == -5
-    paid, _ = reward.pay(before, after, np.arange(4), np.zeros(4, bool))
+    paid, _ = reward.of_tick(before, after, np.arange(4), np.zeros(4, bool))
     assert paid.tolist() == [0, -1, 10, 9]
 
 
@@ -110,7 +110,7 @@ def test_the_code_pays_the_barrier_bonus_once_and_nothing_in_the_first_tick(rng)
     assert isinstance(reward, CodeBarrier)
     before = np.array([-5.0, -1.0, -1.0, -1.0, 0.0])
     after = np.array([-4.0, 0.0, 0.0, 0.0, 0.0])
-    paid, spent = reward.pay(
+    paid, spent = reward.of_tick(
         before, after, np.array([0, 7, 30, 7, 1]), np.array([False, False, False, True, False])
     )
     assert paid.tolist() == [0, 1 + 13, 1 - 10, 1, 19]

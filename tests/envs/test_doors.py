@@ -13,6 +13,7 @@ from craftsim.discrete.errors import InputError
 from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
 from craftsim.envs.observe import Observe
 from craftsim.envs.vector import GridVectorEnv
+from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.skills.gains import load_gains
 from craftsim.testing import check_api
 
@@ -40,6 +41,19 @@ def test_gains_of_ones_own_drive_the_cars_in_every_form():
     central = _central(backend="physics", gains=_slow_gains())
     central.reset(seed=0)
     assert central.step(BOTH)[4]["duration_s"] == slow_s
+
+
+def test_machines_of_ones_own_stand_in_the_world():
+    heavy = Machines(
+        cars=(replace(SmartcarParameters(), chassis_mass_kg=1.1 * SmartcarParameters().chassis_mass_kg),)
+    )
+    masses = []
+    for options in ({}, {"machines": heavy}):
+        world = parallel_env("strip", "physics", **options)
+        world.reset(seed=0)
+        masses.append(world.core.backend.checked.site.model.body_mass.sum())
+    assert masses[1] > masses[0]
+    assert world.core.backend.checked.site.machines == heavy
 
 
 @pytest.mark.parametrize("form", ["parallel", "turns", "central"])

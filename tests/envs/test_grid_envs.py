@@ -99,7 +99,7 @@ def test_rewards_observations_and_masks_are_those_of_an_episode_of_the_task():
             assert episode.grid.same_visible(before)
             tried = Episode(make_task("simple_two_story"), np.random.default_rng(0))
             tried.batch.worlds.put(0, before)
-            tried.batch.worth, tried.batch.t = episode.batch.worth, episode.batch.t
+            tried.batch.potential, tried.batch.t = episode.batch.potential, episode.batch.t
             step = tried.step(told, order)
             if tried.grid.same_visible(env.grid):
                 break

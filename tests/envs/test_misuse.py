@@ -19,7 +19,7 @@ STOP = int(Action.STOP)
     ("options", "words"),
     [
         ({"task": "strap"}, "did you mean 'strip'"),
-        ({"task": 3}, "the name of one"),
+        ({"task": 3}, "a task is a Task"),
         ({"backend": "grit"}, "there are physics, grid"),
         ({"rule_set": "pysical"}, "did you mean 'physical'"),
         ({"render_mode": "rgb"}, "rgb_array"),
@@ -34,6 +34,7 @@ STOP = int(Action.STOP)
         ({"backend": "physics", "config": {"sleep": False}}, "must be a SimulationConfig"),
         ({"backend": "physics", "gains": {"drive": 3}}, "must be a Gains"),
         ({"gains": object()}, "backend='physics'"),
+        ({"backend": "physics", "machines": "heavy.yaml"}, "must be a Machines"),
         ({"render_camera": "top"}, "backend='physics'"),
         ({"backend": "physics", "render_size": (640, 0)}, "width, height"),
         ({"backend": "physics", "observers": 3}, "functions of a Site"),

@@ -91,20 +91,20 @@ def test_noise_and_varied_physics_are_drawn_anew_for_every_episode_from_the_seed
     assert first[0][4]["car_0"]["car_error_m"] != second[0][4]["car_0"]["car_error_m"]
 
 
-def test_a_failed_skill_shows_as_what_happened_and_is_told():
+def test_a_failed_skill_shows_as_what_happened_and_in_the_infos():
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
     site = env.core.backend.checked.site
     site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
     before = env.grid
     observations, _, terminated, truncated, infos = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})
-    told = infos["car_0"]
-    assert told["outcome"].startswith(("blocked", "slipped"))
-    assert told["result"] == "failed"
-    assert told["reason"] == told["outcome"]
-    assert not told["illegal"]
-    assert told["finding"] != "agrees"
-    assert told["disagreement"] == ("car 0: predicted 0,1,1 +x, read 1,1,1 +x",)
+    info = infos["car_0"]
+    assert info["outcome"].startswith(("blocked", "slipped"))
+    assert info["result"] == "failed"
+    assert info["reason"] == info["outcome"]
+    assert not info["illegal"]
+    assert info["finding"] != "agrees"
+    assert info["disagreement"] == ("car 0: predicted 0,1,1 +x, read 1,1,1 +x",)
     assert env.grid.same_visible(before)
     assert observations["car_0"]["observation"][0] == 1
     other = infos["car_1"]

@@ -75,7 +75,7 @@ def test_equal_seeds_give_equal_readings_and_others_do_not(site):
     assert (first != other).all()
 
 
-def test_silent_senses_are_exact_and_need_no_generator(site):
+def test_silent_sensors_are_exact_and_need_no_generator(site):
     assert EXACT.silent
     assert SensorNoise(motor_lag_s=0.02).silent
     sensors = Sensors(site)
@@ -87,7 +87,7 @@ def test_silent_senses_are_exact_and_need_no_generator(site):
     assert now.position_std_m == now.heading_std_rad == 0.0
 
 
-def test_noisy_senses_without_a_generator_are_refused(site):
+def test_noisy_sensors_without_a_generator_are_refused(site):
     with pytest.raises(ValueError, match="random generator"):
         Sensors(site, NOISY)
 

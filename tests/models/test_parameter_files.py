@@ -36,6 +36,14 @@ def test_a_file_overrides_the_figures_that_it_gives(tmp_path):
     assert load_machines(_file(tmp_path, text)).digest == machines.digest != NOMINAL.digest
 
 
+def test_the_example_of_the_documentation_is_such_a_file(tmp_path):
+    docs = Path(__file__).parents[2] / "docs" / "physics.md"
+    (text,) = re.findall(r"```yaml\n(.*?)```", docs.read_text(encoding="utf-8"), re.DOTALL)
+    machines = load_machines(_file(tmp_path, text))
+    assert machines.car(1).chassis_mass_kg == 2.0
+    assert machines.slope.hinge_speed_rad_s == 1.0
+
+
 def test_single_cars_differ_from_the_others(tmp_path):
     text = "smartcar: {chassis_mass_kg: 1.1}\ncars: [{}, {wheel_torque_nm: 3.0, chassis_mass_kg: 1.2}]\n"
     machines = load_machines(_file(tmp_path, text))

@@ -27,7 +27,7 @@ SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
 OTHER = Machines(
     cars=(
         SmartcarParameters(
-            wheel_radius_m=0.0505,
+            wheel_radius_m=0.0492,
             wheel_width_m=0.040,
             wheel_x_m=0.062,
             wheel_y_m=0.085,
@@ -41,7 +41,7 @@ OTHER = Machines(
             chassis_chamfer_m=0.027,
             chassis_mass_kg=1.4,
             chassis_com_m=-0.02,
-            board_top_m=0.052,
+            board_top_m=0.0528,
             board_mass_kg=0.15,
             board_travel_m=0.044,
             board_speed_m_s=0.06,
@@ -278,6 +278,9 @@ def test_an_edited_length_is_seen_by_the_meshes_before_they_are_made_again():
 def test_the_digest_tells_figures_apart():
     assert Machines().digest == NOMINAL.digest
     assert OTHER.digest != NOMINAL.digest
+    whole, same = (Machines(cars=(SmartcarParameters(wheel_torque_nm=t),)) for t in (3, 3.0))
+    assert whole == same
+    assert whole.digest == same.digest
     assert replace(NOMINAL, slope=SlopeParameters(hinge_speed_rad_s=1.0)).digest != NOMINAL.digest
 
 
@@ -288,11 +291,16 @@ def test_the_digest_tells_figures_apart():
         (lambda: SmartcarParameters(wheel_torque_nm=0.0), "wheel_torque_nm must be above 0"),
         (lambda: SmartcarParameters(wheel_torque_nm=math.nan), "wheel_torque_nm must be a number, not nan"),
         (lambda: SmartcarParameters(wheel_torque_nm="strong"), "wheel_torque_nm must be a number"),
+        (lambda: SmartcarParameters(wheel_torque_nm=0.4), "must be above gear_friction_nm, 0.45"),
         (lambda: SmartcarParameters(boss_side_m=0.1), "boss_side_m cannot be changed from 0.11: the pockets"),
         (lambda: SmartcarParameters(wheel_radius_m=0.043), "ground on the crest of a slope"),
         (lambda: SmartcarParameters(wheel_x_m=0.07), "ground on the crest of a slope"),
         (lambda: SmartcarParameters(chassis_chamfer_m=0.002, chassis_length_m=0.25), "nose would run into"),
-        (lambda: SmartcarParameters(board_top_m=0.05), "board_top_m must leave the plate above"),
+        (
+            lambda: SmartcarParameters(board_top_m=0.05),
+            "at least 0.0530 keeps the plate above chassis and wheels",
+        ),
+        (lambda: SmartcarParameters(wheel_radius_m=0.0505), "at least 0.0537 keeps the plate above"),
         (lambda: SmartcarParameters(roller_mass_kg=0.2), "wheel_mass_kg must be above 4"),
         (lambda: BlockParameters(side_m=0.3), "side_m cannot be changed from 0.32: the grid's cells"),
         (lambda: SlopeParameters(hinge_z_m=0.1), "hinge_z_m cannot be changed from 0.0925"),
@@ -301,7 +309,10 @@ def test_the_digest_tells_figures_apart():
         (lambda: Machines(cars=()), "at least one car"),
         (lambda: Machines(cars=(SmartcarParameters(board_travel_m=0.02),)), "from 0.0309 to 0.0509 lifts"),
         (lambda: Machines(cars=(SmartcarParameters(board_travel_m=0.06),)), "board_travel_m is 0.06"),
-        (lambda: Machines(cars=(SmartcarParameters(board_top_m=0.056),)), "drives under a slope"),
+        (
+            lambda: Machines(cars=(SmartcarParameters(board_top_m=0.0535),)),
+            "at most 0.1027 drives under a slope",
+        ),
         (lambda: Machines(cars=(SmartcarParameters(wheel_y_m=0.11),)), "passes between a block's legs"),
         (lambda: Machines(cars=(SmartcarParameters(chassis_width_m=0.26),)), "passes between a block's legs"),
     ],

@@ -12,7 +12,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.site import Site
 
-SPREAD = DomainRandomization()
+RANDOMIZED = DomainRandomization()
 NONE = DomainRandomization(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -38,7 +38,7 @@ def varied() -> RandomizedSite:
     return RandomizedSite(Site(_grid()))
 
 
-def _ratios(varied: RandomizedSite, name: str, seeds=range(12), randomization=SPREAD) -> np.ndarray:
+def _ratios(varied: RandomizedSite, name: str, seeds=range(12), randomization=RANDOMIZED) -> np.ndarray:
     """Return (seeds, ...): the drawn figures over the nominal ones, where those are not 0."""
     nominal = getattr(varied.site.model, name).copy()
     drawn = []
@@ -51,14 +51,14 @@ def _ratios(varied: RandomizedSite, name: str, seeds=range(12), randomization=SP
 @pytest.mark.parametrize(
     ("name", "width"),
     [
-        ("geom_friction", SPREAD.friction),
-        ("body_mass", SPREAD.mass),
-        ("body_inertia", SPREAD.mass),
-        ("actuator_forcerange", SPREAD.motor),
-        ("actuator_gainprm", SPREAD.motor),
-        ("actuator_biasprm", SPREAD.motor),
-        ("dof_frictionloss", SPREAD.joint_friction),
-        ("dof_damping", SPREAD.joint_friction),
+        ("geom_friction", RANDOMIZED.friction),
+        ("body_mass", RANDOMIZED.mass),
+        ("body_inertia", RANDOMIZED.mass),
+        ("actuator_forcerange", RANDOMIZED.motor),
+        ("actuator_gainprm", RANDOMIZED.motor),
+        ("actuator_biasprm", RANDOMIZED.motor),
+        ("dof_frictionloss", RANDOMIZED.joint_friction),
+        ("dof_damping", RANDOMIZED.joint_friction),
     ],
 )
 def test_every_kind_of_figure_stays_within_its_range_and_uses_it(varied, name, width):
@@ -72,7 +72,7 @@ def test_one_material_of_one_machine_has_one_friction_and_others_have_their_own(
     model = varied.site.model
     nominal = model.geom_friction[:, 0].copy()
     machine = model.body_rootid[model.geom_bodyid]
-    varied.draw(SPREAD, np.random.default_rng(4))
+    varied.draw(RANDOMIZED, np.random.default_rng(4))
     factor = model.geom_friction[:, 0] / nominal
     materials = {(m, f): set() for m, f in zip(machine.tolist(), nominal.tolist(), strict=True)}
     for key, value in zip(zip(machine.tolist(), nominal.tolist(), strict=True), factor.tolist(), strict=True):
@@ -92,7 +92,7 @@ def _sliding(model) -> np.ndarray:
 def test_mass_and_inertia_of_all_parts_of_a_machine_scale_alike(varied):
     model = varied.site.model
     mass, inertia, whole = model.body_mass.copy(), model.body_inertia.copy(), model.body_subtreemass.copy()
-    varied.draw(SPREAD, np.random.default_rng(1))
+    varied.draw(RANDOMIZED, np.random.default_rng(1))
     heavy = mass > 0
     factor = model.body_mass[heavy] / mass[heavy]
     np.testing.assert_allclose(model.body_inertia[heavy], inertia[heavy] * factor[:, None], rtol=1e-12)
@@ -113,7 +113,7 @@ def test_gravity_keeps_its_length_and_the_floor_tilts_by_less_than_half_a_degree
     nominal = varied.site.model.opt.gravity.copy()
     tilts, directions = [], []
     for seed in range(40):
-        varied.draw(SPREAD, np.random.default_rng(seed))
+        varied.draw(RANDOMIZED, np.random.default_rng(seed))
         gravity = varied.site.model.opt.gravity
         assert np.linalg.norm(gravity) == pytest.approx(np.linalg.norm(nominal), rel=1e-12)
         tilts.append(math.degrees(math.atan2(np.hypot(gravity[0], gravity[1]), -gravity[2])))
@@ -122,7 +122,7 @@ def test_gravity_keeps_its_length_and_the_floor_tilts_by_less_than_half_a_degree
     assert set(directions) == {-2, -1, 0, 1}
 
 
-def test_a_spread_of_nothing_is_the_nominal_physics(varied):
+def test_randomization_of_zero_width_is_the_nominal_physics(varied):
     nominal = _figures(varied.site.model)
     varied.draw(NONE, np.random.default_rng(0))
     for name, value in _figures(varied.site.model).items():
@@ -132,7 +132,7 @@ def test_a_spread_of_nothing_is_the_nominal_physics(varied):
 def test_restoring_gives_back_every_figure_of_the_model_exactly(varied):
     site = varied.site
     before, state = _figures(site.model), site.data.qpos.copy()
-    varied.draw(SPREAD, np.random.default_rng(0))
+    varied.draw(RANDOMIZED, np.random.default_rng(0))
     changed = {
         name for name, value in _figures(site.model).items() if not np.array_equal(value, before[name])
     }
@@ -145,10 +145,10 @@ def test_restoring_gives_back_every_figure_of_the_model_exactly(varied):
 
 def test_draws_do_not_add_up(varied):
     model = varied.site.model
-    varied.draw(SPREAD, np.random.default_rng(3))
+    varied.draw(RANDOMIZED, np.random.default_rng(3))
     once = _figures(model)
     for seed in (8, 9, 3):
-        varied.draw(SPREAD, np.random.default_rng(seed))
+        varied.draw(RANDOMIZED, np.random.default_rng(seed))
     for name, value in _figures(model).items():
         np.testing.assert_array_equal(value, once[name], err_msg=name)
 
@@ -156,7 +156,7 @@ def test_draws_do_not_add_up(varied):
 def _after_a_second(seed) -> np.ndarray:
     varied = RandomizedSite(Site(_grid()))
     site, model, data = varied.site, varied.site.model, varied.site.data
-    varied.draw(SPREAD, np.random.default_rng(seed))
+    varied.draw(RANDOMIZED, np.random.default_rng(seed))
     assert site.model is model
     assert site.data is data
     site.drive(0, [3.0, 3.0, 3.0, 3.0])
@@ -177,7 +177,7 @@ def test_after_a_draw_everything_stands_where_it_was(varied):
     site = varied.site
     nominal = site.data.qpos.copy()
     for seed in range(4):
-        varied.draw(SPREAD, np.random.default_rng(seed))
+        varied.draw(RANDOMIZED, np.random.default_rng(seed))
         assert site.time_s == pytest.approx(site.config.settle_s)
         for body in (
             *(car.base for car in site.cars),
@@ -193,4 +193,4 @@ def test_after_a_draw_everything_stands_where_it_was(varied):
 @pytest.mark.parametrize("value", [-1e-9, 1.0, math.nan, math.inf])
 def test_a_width_that_cannot_be_is_refused_by_its_name(name, value):
     with pytest.raises(InputError, match=f"DomainRandomization.{name} must be"):
-        replace(SPREAD, **{name: value})
+        replace(RANDOMIZED, **{name: value})

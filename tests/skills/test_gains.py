@@ -56,6 +56,8 @@ def test_equal_gains_are_equal_and_hash_alike_wherever_they_came_from(tmp_path):
     path = _file(tmp_path, "drive: {position_gain: 10.0}\n")
     assert load_gains(path) == load_gains()
     assert hash(load_gains(path)) == hash(load_gains())
+    assert load_gains(path).digest == load_gains().digest
+    assert load_gains(_file(tmp_path, "drive: {position_gain: 9}")).digest != load_gains().digest
 
 
 def test_what_is_written_from_gains_can_be_read_again(tmp_path):

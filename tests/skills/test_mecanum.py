@@ -43,10 +43,10 @@ def test_wheels_that_fight_each_other_give_no_twist():
     np.testing.assert_allclose(CAR.body_twist([1, 1, -1, -1]), 0.0, atol=1e-12)
 
 
-def test_larger_wheels_turn_slower_and_a_wider_car_turns_its_wheels_further():
-    other = Mecanum(SmartcarParameters(wheel_radius_m=0.0504, wheel_y_m=0.09))
-    np.testing.assert_allclose(other.wheel_speeds((1, 0, 0)), np.ones(4) / 0.0504)
-    np.testing.assert_allclose(other.wheel_speeds((0, 0, 1)), 0.15 / 0.0504 * np.array([-1, 1, -1, 1]))
+def test_smaller_wheels_turn_faster_and_a_wider_car_turns_its_wheels_further():
+    other = Mecanum(SmartcarParameters(wheel_radius_m=0.0490, wheel_y_m=0.09))
+    np.testing.assert_allclose(other.wheel_speeds((1, 0, 0)), np.ones(4) / 0.0490)
+    np.testing.assert_allclose(other.wheel_speeds((0, 0, 1)), 0.15 / 0.0490 * np.array([-1, 1, -1, 1]))
 
 
 def test_the_lever_and_the_radius_are_those_of_the_car():

@@ -46,7 +46,14 @@ KEYS: Final = [
 
 
 class Blueprint(Listing):
-    """A checked start file."""
+    """A checked start file.
+
+    Example:
+        >>> import craftsim
+        >>> blueprint = craftsim.read_blueprint("strip")
+        >>> blueprint.size, blueprint.n_cars, blueprint.n_blocks
+        ((4, 4, 3), 2, 4)
+    """
 
     def grid(self, rng: np.random.Generator, placement: Placement = "sane") -> Grid:
         """Return a new world; unlisted objects and cars are drawn from ``rng``.
@@ -80,6 +87,13 @@ def read_blueprint(path: str | Path) -> Blueprint:
     """Read and check a start file, or a shipped one by its name, such as ``strip``.
 
     Raises BlueprintError with file, line and key for whatever is wrong.
+
+    Example:
+        >>> import craftsim
+        >>> import numpy as np
+        >>> grid = craftsim.read_blueprint("strip").grid(np.random.default_rng(0))
+        >>> grid.n_cars
+        2
     """
     found = find(path, "blueprints")
     return parse_blueprint(read_text(found), found)

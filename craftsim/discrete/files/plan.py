@@ -29,7 +29,14 @@ _NAMES: Final = [action.name for action in Action]
 
 @dataclass(frozen=True)
 class Plan:
-    """A checked plan."""
+    """A checked plan.
+
+    Example:
+        >>> import craftsim
+        >>> plan = craftsim.read_plan("strip", n_cars=2)
+        >>> [(car, action.name) for car, action in plan.ticks[0]]
+        [(0, 'MOVE_RIGHT'), (1, 'MOVE_RIGHT')]
+    """
 
     path: Path
     ticks: tuple[tuple[tuple[int, Action], ...], ...]
@@ -40,6 +47,11 @@ def read_plan(path: str | Path, n_cars: int) -> Plan:
     """Read and check a plan, or a shipped one by its name, for a world with ``n_cars`` cars.
 
     Raises PlanError with file and line.
+
+    Example:
+        >>> import craftsim
+        >>> len(craftsim.read_plan("strip", n_cars=2).ticks)
+        11
     """
     path = _found(path)
     ticks: list[list[tuple[int, Action]]] = []
@@ -87,6 +99,12 @@ def write_plan(ticks: Plan | Iterable[Iterable[tuple[int, Action]]], path: str |
     """Write a plan, or its ticks, into a file that :func:`read_plan` reads; the file is whole or not there.
 
     Raises InputError for a plan without any action, and if the file cannot be written.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.write_plan([[(0, craftsim.Action.MOVE_RIGHT)]], folder / "mine.plan")
+        >>> craftsim.read_plan(folder / "mine.plan", n_cars=1).ticks
+        (((0, <Action.MOVE_RIGHT: 9>),),)
     """
     text = plan_text(ticks.ticks if isinstance(ticks, Plan) else ticks)
     if not text:

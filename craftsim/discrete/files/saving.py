@@ -120,6 +120,12 @@ def write_blueprint(grid: Grid, path: str | Path, goal: Cell | None = None) -> N
     """Write a world into a blueprint file that reads back as the same world; it is whole or not there.
 
     Raises InputError if it cannot be written.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.write_blueprint(craftsim.Grid.empty((3, 3, 1), n_cars=1), folder / "mine.yaml")
+        >>> craftsim.read_blueprint(folder / "mine.yaml").size
+        (3, 3, 1)
     """
     write_whole(path, blueprint_text(grid, goal))
 

@@ -114,11 +114,11 @@ class Checker:
 
     def _is_corrected(self, joint: list[tuple[int, int]], before: Grid) -> bool:
         """Return whether a correction changes what is legal at the start of a tick, or what the tick leads to."""
-        told = []
+        both = []
         for rules in (self.rules, self.uncorrected):
             after, applied = rules.tick(before, joint)
-            told.append((rules.mask(before).tolist(), applied.tolist(), after))
-        (mask, applied, after), (plain_mask, plain_applied, plain_after) = told
+            both.append((rules.mask(before).tolist(), applied.tolist(), after))
+        (mask, applied, after), (plain_mask, plain_applied, plain_after) = both
         return not (mask == plain_mask and applied == plain_applied and after.same_visible(plain_after))
 
     def _compare(self, where: str, what: str, expected: Any, got: Any, before: Grid, **grids: Grid) -> bool:
@@ -202,9 +202,9 @@ def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, A
     if "goal" in record:
         x, y, z = record["goal"]
         reward = CodeBarrier(FlagNearness((x, y, z)))
-    worth = [reward.measure.of(grid) for grid in (before, after)]
-    paid = np.array([record.get("hit_before", False)])
-    got, _ = reward.pay(np.array(worth[:1]), np.array(worth[1:]), np.array([record["t"]]), paid)
+    potential = [reward.measure.of(grid) for grid in (before, after)]
+    given = np.array([record.get("hit_before", False)])
+    got, _ = reward.of_tick(np.array(potential[:1]), np.array(potential[1:]), np.array([record["t"]]), given)
     yield "reward", float(record["reward"]), float(got[0])
     limited = replace(task, max_steps=record["max_steps"])
     yield "done", record["done"], bool(limited.over(np.array(record["t"]), np.array(False)))

@@ -69,7 +69,8 @@ def why_lift(w: World, me: int, car: Pose, action: int) -> Reason | None:
     if car.load != Kind.AIR:
         return Reason(f"the car carries {NAMES[Kind(car.load)]}", (cell,))
     if kind_in(w, cell) not in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE):
-        return Reason(f"there is nothing to lift in {cell}: {named(w, cell)}", (cell,))
+        there = "" if kind_in(w, cell) == Kind.AIR else f": {named(w, cell)}"
+        return Reason(f"there is nothing to lift in {cell}{there}", (cell,))
     return on_top(w, me, cell) if top_at(w, *cell, me) != -1 else None
 
 

@@ -87,6 +87,15 @@ class Rules:
     """A rule set at work on single worlds; grids passed in are never changed.
 
     Methods raise ValueError for a car that a world does not have.
+
+    Example:
+        >>> import craftsim
+        >>> rules = craftsim.Rules("physical")
+        >>> grid = craftsim.Grid.empty((3, 1, 1), n_cars=1)
+        >>> rules.legal(grid, 0, craftsim.Action.MOVE_RIGHT), rules.legal(grid, 0, craftsim.Action.LIFT)
+        (True, False)
+        >>> rules.apply(grid, 0, craftsim.Action.MOVE_RIGHT).cars[0, :3].tolist()
+        [1, 0, 1]
     """
 
     def __init__(self, rule_set: RuleSet, flags: RuleFlags | None = None) -> None:

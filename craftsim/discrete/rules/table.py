@@ -32,13 +32,21 @@ from craftsim.discrete.rules.legality import (
 from craftsim.discrete.rules.moves import move_legal
 from craftsim.discrete.rules.reasons import Reason
 
-LIFT = int(Action.LIFT)
-DROP = int(Action.DROP)
-FOLD = int(Action.FOLD)
-UNFOLD = int(Action.UNFOLD)
-ROTATE_LEFT = int(Action.ROTATE_LEFT)
-ROTATE_RIGHT = int(Action.ROTATE_RIGHT)
-STOP = int(Action.STOP)
+
+def _number(name: str) -> int:
+    """Return the number of an action for the compiled rules; raise RuntimeError if it has none."""
+    if name not in Action.__members__:
+        raise RuntimeError(f"{name} has no number in craftsim/discrete/actions.py")
+    return int(Action[name])
+
+
+LIFT = _number("LIFT")
+DROP = _number("DROP")
+FOLD = _number("FOLD")
+UNFOLD = _number("UNFOLD")
+ROTATE_LEFT = _number("ROTATE_LEFT")
+ROTATE_RIGHT = _number("ROTATE_RIGHT")
+STOP = _number("STOP")
 
 
 @compiled
@@ -177,8 +185,7 @@ def _checked(rows: Mapping[str, ActionSpec]) -> dict[Action, ActionSpec]:
     """Return the rows by action; raise RuntimeError for what is missing, with the file that it belongs in."""
     here = "craftsim/discrete/rules/table.py"
     for name in rows:
-        if name not in Action.__members__:
-            raise RuntimeError(f"{name} has a row in {here}, but no number in craftsim/discrete/actions.py")
+        _number(name)
     for action in Action:
         if action.name not in rows:
             raise RuntimeError(
@@ -199,6 +206,21 @@ ACTIONS: Final[Mapping[Action, ActionSpec]] = _checked(_ROWS)
 
 VERBS: Final = tuple(dict.fromkeys(spec.verb for spec in ACTIONS.values()))
 """All verbs, in the order of the actions."""
+
+
+def check_complete(parts: Mapping[Action, object], what: str, where: str) -> None:
+    """Raise RuntimeError, with the action, if one that is performed has no part, or one has a part that is not.
+
+    Args:
+        parts: by action.
+        what: they are, such as ``skill``.
+        where: the file that lists them.
+    """
+    for action, spec in ACTIONS.items():
+        if spec.performed and action not in parts:
+            raise RuntimeError(f"{action.name} has no {what} in {where}")
+        if not spec.performed and action in parts:
+            raise RuntimeError(f"{action.name} has a {what} in {where}, but is never performed")
 
 
 def footprint(before: Grid, after: Grid, car: int, action: Action) -> Footprint:

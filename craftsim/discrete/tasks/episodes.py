@@ -53,9 +53,9 @@ class Episodes:
         self.layout = task.layout
         self.worlds = Worlds(Rules(rule_set), [task.draw(rng) for _ in range(n)], helper_depth)
         self.t = np.zeros(n, np.int64)
-        self.paid = np.zeros(n, np.bool_)
+        self.bonus_given = np.zeros(n, np.bool_)
         self.done = np.zeros(n, np.bool_)
-        self.worth = task.reward.measure.of_worlds(self.worlds.arrays)
+        self.potential = task.reward.measure.of_worlds(self.worlds.arrays)
 
     def reset(self, which: Sequence[int] | NDArray[np.integer] | None = None) -> None:
         """Start some episodes anew, or all."""
@@ -66,10 +66,10 @@ class Episodes:
             for i in rows:
                 self.worlds.put(int(i), self.task.draw(self.rng))
         self.t[rows] = 0
-        self.paid[rows] = False
+        self.bonus_given[rows] = False
         self.done[rows] = False
         if len(rows):
-            self.worth[rows] = self.task.reward.measure.of_worlds(self.worlds.arrays)[rows]
+            self.potential[rows] = self.task.reward.measure.of_worlds(self.worlds.arrays)[rows]
 
     def draw_order(self) -> NDArray[np.int64]:
         """Return (B, n): for each episode a fresh, uniform order of its cars."""
@@ -80,9 +80,9 @@ class Episodes:
         turns = self.draw_order() if order is None else np.asarray(order, np.int64)
         applied = self.worlds.tick(actions, turns)
         after = self.task.reward.measure.of_worlds(self.worlds.arrays)
-        reward, self.paid = self.task.reward.pay(self.worth, after, self.t, self.paid)
+        reward, self.bonus_given = self.task.reward.of_tick(self.potential, after, self.t, self.bonus_given)
         success = self.task.success_measure.of_worlds(self.worlds.arrays) != 0
-        self.worth = after
+        self.potential = after
         self.done = self.task.over(self.t, success)
         self.t = self.t + 1
         return Steps(reward, self.done, success, applied, turns)

@@ -26,10 +26,10 @@ from craftsim.discrete.tasks.scores import (
 )
 
 COMPLETION: Final = 4.0
-"""What a finished building is worth by the paper's table 1."""
+"""Extra potential of a finished building by the paper's table 1."""
 
 CODE_COMPLETION: Final = 8.0
-"""What a finished building is worth in CraftEnv's code."""
+"""Extra potential of a finished building in CraftEnv's code."""
 
 
 class Measure:
@@ -133,7 +133,7 @@ class PaperBuilding(Measure):
         self.upper_block = upper_block
 
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
-        """Return the worth of each building, shape (B,)."""
+        """Return the potential of each building, shape (B,)."""
         out = np.empty(len(worlds.kind))
         _paper_scores(worlds, self.targets, self.upper_block, COMPLETION, out)
         return out
@@ -146,7 +146,7 @@ class CodeBuilding(Measure):
         self.targets = target_array(design)
 
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
-        """Return the worth of each building, shape (B,)."""
+        """Return the potential of each building, shape (B,)."""
         out = np.empty(len(worlds.kind))
         _code_scores(worlds, self.targets, CODE_COMPLETION, out)
         return out

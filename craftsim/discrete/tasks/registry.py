@@ -23,6 +23,15 @@ def register_task(task: Task) -> Task:
 
     Registering a task again replaces it. Raises InputError for a name of the paper's six, and for one that is not made
     of letters, digits, ``_`` and ``-``.
+
+    Example:
+        >>> import craftsim
+        >>> from dataclasses import replace
+        >>> mine = replace(craftsim.make_task("strip"), name="long_strip", max_steps=100)
+        >>> craftsim.register_task(mine).name
+        'long_strip'
+        >>> craftsim.parallel_env("long_strip", "grid").possible_agents
+        ['car_0', 'car_1']
     """
     if not isinstance(task, Task):
         raise InputError(f"only a Task can be registered, not {type(task).__name__}")
@@ -45,7 +54,7 @@ def as_task(task: Task | str) -> Task:
         return task
     if isinstance(task, str):
         return task_of(task)
-    raise InputError(f"a task is a Task or a text that stands for one, not {task!r}")
+    raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
 
 
 def task_of(

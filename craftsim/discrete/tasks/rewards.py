@@ -1,4 +1,4 @@
-"""Rewards: what a tick pays, one number shared by all cars. docs/tasks.md shows how to write one's own."""
+"""Rewards: one number a tick, shared by all cars. docs/tasks.md shows how to write one's own."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks.measures import Custom, Measure
 
 ALPHA: Final = 10.0
-"""What a tick that ends with the flag on the goal pays, by the paper."""
+"""Reward of a tick that ends with the flag on the goal, by the paper."""
 
 BETA: Final = 1.0
 """What every tick of the barrier task costs, by the paper."""
@@ -20,52 +20,52 @@ BETA: Final = 1.0
 CODE_BONUS: Final = 20.0
 """From this CraftEnv's code subtracts the tick's number when the flag first reaches the goal."""
 
-Worths = NDArray[np.float64]
+Potentials = NDArray[np.float64]
 
 
 class Reward:
-    """Pays the change of a measure: over an episode this adds up to the end's worth less the start's."""
+    """The change of a potential: over an episode this adds up to that of the end less that of the start."""
 
     def __init__(self, measure: Measure | Callable[[Grid], float]) -> None:
         self.measure = measure if isinstance(measure, Measure) else Custom(measure)
 
-    def pay(
-        self, before: Worths, after: Worths, t: NDArray[np.int64], paid: NDArray[np.bool_]
-    ) -> tuple[Worths, NDArray[np.bool_]]:
-        """Return what tick t (from 0) pays, and whether a one-time bonus counts as paid from now on.
+    def of_tick(
+        self, before: Potentials, after: Potentials, t: NDArray[np.int64], given: NDArray[np.bool_]
+    ) -> tuple[Potentials, NDArray[np.bool_]]:
+        """Return the reward of tick t (from 0), and whether a one-time bonus counts as given from now on.
 
-        All arguments and results have one element a world: the measure before and after the tick, the tick's
-        number, and whether the bonus was paid in an earlier tick.
+        All arguments and results have one element a world: the potential before and after the tick, the tick's
+        number, and whether the bonus was given in an earlier tick.
         """
-        return after - before, paid
+        return after - before, given
 
 
 class CodeReward(Reward):
-    """Pays the change, but in the first tick all that the world is worth (docs/rules.md#first-tick)."""
+    """The change of the potential, but in the first tick the whole potential (docs/rules.md#first-tick)."""
 
-    def pay(
-        self, before: Worths, after: Worths, t: NDArray[np.int64], paid: NDArray[np.bool_]
-    ) -> tuple[Worths, NDArray[np.bool_]]:
-        """Return what tick t pays; there is no bonus."""
-        return np.where(t == 0, after, after - before), paid
+    def of_tick(
+        self, before: Potentials, after: Potentials, t: NDArray[np.int64], given: NDArray[np.bool_]
+    ) -> tuple[Potentials, NDArray[np.bool_]]:
+        """Return the reward of tick t; there is no bonus."""
+        return np.where(t == 0, after, after - before), given
 
 
 class PaperBarrier(Reward):
-    """Pays each step of the flag towards the goal, ALPHA while it is there, less BETA every tick."""
+    """Each step of the flag towards the goal, ALPHA while it is there, less BETA every tick."""
 
-    def pay(
-        self, before: Worths, after: Worths, t: NDArray[np.int64], paid: NDArray[np.bool_]
-    ) -> tuple[Worths, NDArray[np.bool_]]:
-        """Return what tick t pays; the bonus comes every tick, so nothing is remembered."""
-        return after - before + ALPHA * (after == 0) - BETA, paid
+    def of_tick(
+        self, before: Potentials, after: Potentials, t: NDArray[np.int64], given: NDArray[np.bool_]
+    ) -> tuple[Potentials, NDArray[np.bool_]]:
+        """Return the reward of tick t; the bonus comes every tick, so nothing is remembered."""
+        return after - before + ALPHA * (after == 0) - BETA, given
 
 
 class CodeBarrier(Reward):
-    """Pays not in the first tick, then each step of the flag, and one bonus (docs/rules.md#flag-bonus)."""
+    """Nothing in the first tick, then each step of the flag, and one bonus (docs/rules.md#flag-bonus)."""
 
-    def pay(
-        self, before: Worths, after: Worths, t: NDArray[np.int64], paid: NDArray[np.bool_]
-    ) -> tuple[Worths, NDArray[np.bool_]]:
-        """Return what tick t pays, and whether the bonus is spent."""
-        arrived = (t >= 1) & (after == 0) & ~paid
-        return np.where(t == 0, 0.0, after - before) + np.where(arrived, CODE_BONUS - t, 0.0), paid | arrived
+    def of_tick(
+        self, before: Potentials, after: Potentials, t: NDArray[np.int64], given: NDArray[np.bool_]
+    ) -> tuple[Potentials, NDArray[np.bool_]]:
+        """Return the reward of tick t, and whether the bonus is spent."""
+        arrived = (t >= 1) & (after == 0) & ~given
+        return np.where(t == 0, 0.0, after - before) + np.where(arrived, CODE_BONUS - t, 0.0), given | arrived

@@ -1,4 +1,4 @@
-"""What a world is worth, compiled: the numbers that rewards are made of. Carried things are in no cell."""
+"""Potentials of worlds, compiled: the numbers whose change is the reward. Carried things are in no cell."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ def finished(w: World, targets: NDArray[np.int64]) -> bool:
 
 @compiled
 def paper_score(w: World, targets: NDArray[np.int64], upper_block: float, completion: float) -> float:
-    """Return the worth of a building by the paper's table 1.
+    """Return the potential of a building by the paper's table 1.
 
     ``targets`` has rows (kind, x, y, z, yaw), yaw -1 where it does not matter. A block on the floor and a
-    folded slope are worth 1, a block higher up ``upper_block``, a slope 1 once its body and foot are both in
-    place; a finished building is worth ``completion`` more.
+    folded slope count 1, a block higher up ``upper_block``, a slope 1 once its body and foot are both in
+    place; a finished building counts ``completion`` more.
     """
     score = 0.0
     for i in range(targets.shape[0]):
@@ -70,7 +70,7 @@ def paper_score(w: World, targets: NDArray[np.int64], upper_block: float, comple
 
 @compiled
 def code_score(w: World, targets: NDArray[np.int64], completion: float) -> float:
-    """Return the worth of a building as CraftEnv's code computes it (docs/rules.md#goal-score)."""
+    """Return the potential of a building as CraftEnv's code computes it (docs/rules.md#goal-score)."""
     score = 0.0
     hits = 0
     for i in range(targets.shape[0]):

@@ -51,7 +51,14 @@ UPPER_BLOCK: Final = {"simple_two_story": 1.0, "complex_two_story": 3.0}
 
 @dataclass(frozen=True)
 class Task:
-    """Everything that makes a world an episode."""
+    """Everything that makes a world an episode.
+
+    Example:
+        >>> import craftsim
+        >>> task = craftsim.make_task("simple_two_story")
+        >>> task.layout.n_cars, task.max_steps, task.has_goal
+        (2, 18, True)
+    """
 
     name: str
     starts: tuple[Blueprint, ...]
@@ -159,6 +166,11 @@ def make_task(
     and the flag's row is shown in the barrier task only; otherwise it also ends with success.
     ``n_cars`` and ``n_blocks`` are other numbers than the published ones: what the start file does not list is drawn at
     random, so there cannot be fewer than it lists. Raises InputError.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.make_task("strip", max_steps=40).max_steps
+        40
     """
     if name not in TASK_NAMES:
         raise InputError(

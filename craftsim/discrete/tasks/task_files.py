@@ -27,8 +27,8 @@ def read_task(
     """Return the task of a blueprint or of a task file.
 
     A blueprint ``mine.yaml`` has the design in ``mine_goal.yaml`` beside it as its goal. Without one, the goal is to
-    bring its flag to its goal cell if it has both; else there is none, unless a task file says ``goal: platform``. What a task file says
-    of reward and counts goes before the arguments. Raises BlueprintError with file, line and key.
+    bring its flag to its goal cell if it has both; else there is none, unless a task file says ``goal: platform``. What
+    a task file says of reward and counts goes before the arguments. Raises BlueprintError with file, line and key.
     """
     path = Path(path)
     text = read_text(path)
@@ -56,7 +56,9 @@ def read_task(
         design = read_design(_place(source, keys.items["goal"], "goal", "goals"))
     if "reward" in keys.items:
         reward = source.word(keys.items["reward"], "reward", [*get_args(RewardName)])  # type: ignore[assignment]
-    return _task(path, starts, design, reward, whole("max_steps", None, MAX_STEPS) or DEFAULT_MAX_STEPS, platform)
+    return _task(
+        path, starts, design, reward, whole("max_steps", None, MAX_STEPS) or DEFAULT_MAX_STEPS, platform
+    )
 
 
 def _places(source: Source, node: Node) -> list[Path]:

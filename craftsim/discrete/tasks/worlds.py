@@ -140,13 +140,13 @@ class Worlds:
         a shape or an order is wrong.
         """
         turns: NDArray[np.int64] = np.ascontiguousarray(order, np.int64)
-        told: NDArray[np.int64] = np.asarray(actions, np.int64)
+        acts: NDArray[np.int64] = np.asarray(actions, np.int64)
         shape = (len(self), self.n_cars)
-        if told.shape != shape or turns.shape != shape:
-            raise ValueError(f"actions and order must have shape {shape}, not {told.shape} and {turns.shape}")
+        if acts.shape != shape or turns.shape != shape:
+            raise ValueError(f"actions and order must have shape {shape}, not {acts.shape} and {turns.shape}")
         if self.n_cars and (np.sort(turns, axis=1) != np.arange(self.n_cars)).any():
             raise ValueError(f"an order must name each of the cars 0 to {self.n_cars - 1} once")
-        acting = np.take_along_axis(told, turns, axis=1)
+        acting = np.take_along_axis(acts, turns, axis=1)
         in_order = np.empty(turns.shape, np.bool_)
         if self.depth is None:
             _tick(self.arrays, turns, acting, in_order)

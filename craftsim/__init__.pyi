@@ -1,0 +1,37 @@
+"""The public names of craftsim, and where they live: the one list of them, for people, type checkers and imports."""
+
+from .checking.attempt import Attempt as Attempt
+from .checking.perform import perform as perform
+from .discrete.actions import Action as Action
+from .discrete.files.blueprint import Blueprint as Blueprint
+from .discrete.files.blueprint import read_blueprint as read_blueprint
+from .discrete.files.plan import Plan as Plan
+from .discrete.files.plan import read_plan as read_plan
+from .discrete.files.plan import write_plan as write_plan
+from .discrete.files.saving import write_blueprint as write_blueprint
+from .discrete.grid import Grid as Grid
+from .discrete.grid import Kind as Kind
+from .discrete.rules.sets import Rules as Rules
+from .discrete.tasks.registry import register_task as register_task
+from .discrete.tasks.task import Task as Task
+from .discrete.tasks.task import make_task as make_task
+from .envs import env as env
+from .envs import parallel_env as parallel_env
+from .envs import vector_env as vector_env
+from .models.config import SimulationConfig as SimulationConfig
+from .models.noise import SensorNoise as SensorNoise
+from .models.parameter_files import load_machines as load_machines
+from .models.parameters import BlockParameters as BlockParameters
+from .models.parameters import Machines as Machines
+from .models.parameters import SlopeParameters as SlopeParameters
+from .models.parameters import SmartcarParameters as SmartcarParameters
+from .models.randomization import DomainRandomization as DomainRandomization
+from .models.sensing import Sensors as Sensors
+from .models.site import Site as Site
+from .skills.executor import Executor as Executor
+from .skills.gains import Gains as Gains
+from .skills.gains import load_gains as load_gains
+from .training.policy import load_policy as load_policy
+from .validation.validation import Validation as Validation
+from .validation.validation import validate as validate
+from .version import __version__ as __version__

@@ -1,0 +1,75 @@
+"""The public names: one list, each with a docstring, types and an example that runs; importing craftsim stays light."""
+
+import doctest
+import inspect
+
+import pytest
+
+import craftsim
+
+PUBLIC = sorted(set(craftsim.__all__) - {"__version__"})
+
+STABLE = """
+    Action Attempt BlockParameters Blueprint DomainRandomization Executor Gains Grid Kind Machines Plan Rules
+    SensorNoise Sensors SimulationConfig Site SlopeParameters SmartcarParameters Task Validation env load_gains
+    load_machines load_policy make_task parallel_env perform read_blueprint read_plan register_task validate vector_env
+    write_blueprint write_plan
+"""
+"""What tools outside the repository may use; a name goes only with a new minor version."""
+
+
+def test_the_public_names_are_those_that_are_promised():
+    assert STABLE.split() == PUBLIC
+    assert set(dir(craftsim)) >= set(PUBLIC)
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = craftsim.no_such_name
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_public_callable_has_types(name):
+    thing = getattr(craftsim, name)
+    function = thing.__init__ if inspect.isclass(thing) else thing
+    if inspect.isclass(thing) and thing.__name__ in ("Action", "Kind"):
+        return  # an enumeration
+    parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "self"]
+    assert all(p.annotation is not inspect.Parameter.empty for p in parameters)
+    if not inspect.isclass(thing):
+        assert inspect.signature(thing).return_annotation is not inspect.Signature.empty
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_the_example_of_a_public_name_runs(name, tmp_path, request):
+    examples = doctest.DocTestParser().get_examples(inspect.getdoc(getattr(craftsim, name)) or "")
+    assert examples, f"craftsim.{name} has no example in its docstring"
+    names = {"folder": tmp_path}
+    if name == "load_policy":
+        names["trained"] = request.getfixturevalue("trained")
+    test = doctest.DocTest(examples, names, name, None, None, None)
+    report: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert runner.run(test, out=report.append).failed == 0, "".join(report)
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory):
+    """A policy that was trained for a moment."""
+    pytest.importorskip("torchrl")
+    from craftsim import cli
+
+    out = tmp_path_factory.mktemp("trained")
+    words = ["--steps", "200", "--worlds", "20", "--episodes", "1", "--until", "0", "--out", str(out)]
+    assert cli.main(["train", "--task", "strip", *words]) == 0
+    return out
+
+
+def test_results_show_themselves_in_a_notebook():
+    site = craftsim.Site(craftsim.Grid.empty((2, 1, 1), n_cars=1))
+    attempt = craftsim.perform(site, 0, "MOVE_RIGHT")
+    assert "as predicted" in attempt._repr_html_()
+    assert attempt.to_frame().shape[0] == 1
+    result = craftsim.validate("strip")
+    assert "Validation(1 of 1 runs agree" in result._repr_html_()
+    assert result.attempts[0].agrees

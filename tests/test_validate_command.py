@@ -12,6 +12,9 @@ from disturbances import pushed
 from craftsim import cli
 from craftsim.checking import settings, world
 from craftsim.checking.settings import Thresholds
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.validation import validation
 from craftsim.validation.campaign import local
 from craftsim.validation.campaign.items import perform
 from craftsim.validation.runs import run
@@ -221,6 +224,29 @@ def test_a_killed_validation_goes_on_to_the_report_of_an_undisturbed_one(folder)
     assert results(folder / "killed") == results(folder / "whole")
 
 
+def test_worlds_that_each_run_draws_anew_differ_and_are_the_same_at_any_number_of_workers(folder):
+    words = ["random", "--cars", "2", "--max-steps", "3", "--trials", "2", "--randomize", "none"]
+    assert _validate(*words, out="one") == 0
+    assert _validate(*words, "--workers", "2", out="two") == 0
+    one, other = _records(folder / "one")
+    assert one["attempts"] != other["attempts"]
+    assert (one["context"], one["group"]) == ("random", "random")
+    assert _records(folder / "two") == [one, other]
+    assert _report(folder / "one") == _report(folder / "two")
+
+
+def test_without_worlds_the_six_tasks_of_the_paper_are_validated(monkeypatch):
+    asked = []
+
+    def validate(worlds, **options):
+        asked.append(tuple(worlds))
+        raise InputError("enough")
+
+    monkeypatch.setattr(validation, "validate", validate)
+    assert _validate() == 2
+    assert asked == [TASK_NAMES]
+
+
 def test_policies_that_raise_or_hang_or_talk_nonsense_are_errors_and_harm_no_other(folder):
     (folder / "own.py").write_text(
         "import time\n"
@@ -303,6 +329,12 @@ def test_against_refuses_what_cannot_be_paired_before_anything_is_tried(folder, 
         (["crowded.yaml", "crowded.yaml", "--policy", "random"], "two worlds are called 'crowded'"),
         (["crowded.yaml", "--policy", "own:nothing"], "own:nothing"),
         (["crowded.yaml", "--policy", "random", "--trials", "0"], "--trials"),
+        (["crowded.yaml", "--policy", "random", "--workers", "0"], "--workers"),
+        (["random", "--cars", "0"], "allowed: 1 to 12 cars"),
+        (["random", "--cars", "13"], "allowed: 1 to 12 cars"),
+        (["random", "--max-steps", "0"], "max_steps is 0"),
+        (["random", "--policy", "planner"], "no shipped plan for random"),
+        (["castle"], "castle"),
         (["crowded.yaml", "--policy", "random", "--timeout", "0"], "timeout_s"),
     ],
 )

@@ -60,8 +60,7 @@ def test_what_a_random_policy_does_is_legal_in_its_turn_and_each_car_acts_at_mos
 def test_noise_is_drawn_from_the_seed():
     family = RandomWorlds(n_cars=2, max_steps=3)
     noisy, again, exact = (
-        validate(family, seed=4, randomize=randomize).attempts
-        for randomize in ("strong", "strong", "none")
+        validate(family, seed=4, randomize=randomize).attempts for randomize in ("strong", "strong", "none")
     )
     assert noisy == again
     assert [a.car_error_m for a in noisy] != [a.car_error_m for a in exact]

@@ -60,7 +60,7 @@ def audit(
     campaign.check()
     console = Console()
     filming = video and rendering_works(console)
-    plan = _chosen(audit_plan(campaign.rules), actions, contexts, only)
+    plan = _chosen(audit_plan(campaign.rules, actions), contexts, only)
     trials = campaign.trials
     if quick:
         plan = [replace(row, members=row.members[:1]) for row in plan[:: 1 + len(plan) // QUICK_ROWS]]
@@ -95,25 +95,18 @@ def audit(
     return conclude(console, result)
 
 
-def _chosen(plan: list[Row], actions: tuple[ActionName, ...], contexts: str, only: str) -> list[Row]:
-    """Return the rows that are asked for, by the action's name before a direction and the row's name."""
+def _chosen(plan: list[Row], contexts: str, only: str) -> list[Row]:
+    """Return the rows that are asked for, by patterns of their names."""
     wanted = [
         row
         for row in plan
-        if (not actions or any(verb in row.name.split("/")[0].split("+") for verb in _verbs(actions)))
-        and fnmatchcase(row.name, contexts)
-        and only in ("all", "legal" if row.legal else "forbidden")
+        if fnmatchcase(row.name, contexts) and only in ("all", "legal" if row.legal else "forbidden")
     ]
     if not wanted:
         raise InputError(
             f"no row matches '{contexts}' with these actions; a row's name is such as '{plan[0].name}'"
         )
     return wanted
-
-
-def _verbs(actions: tuple[ActionName, ...]) -> list[str]:
-    moves = [f"MOVE-{way}" for way in ("forward", "left", "back", "right")]
-    return [*actions, *(moves if "MOVE" in actions else [])]
 
 
 def _words(

@@ -54,15 +54,15 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         extensions=["jinja2.ext.do"],
     )
-    environment.filters |= {
-        "breakable": _breakable,
-        "css_percent": lambda share: f"{100 * share:.2f}%",
-        "figure": lambda value: f"{value:,.0f}" if value >= 100 else f"{value:.3f}",
-        "percent": percent,
-        "shell": shlex.quote,
-        "thousands": "{:,}".format,
-    }
-    environment.globals |= {"count": count, "interval": interval, "max_cases": MAX_CASES, "plots": plots}
+    environment.filters.update(
+        breakable=_breakable,
+        css_percent=lambda share: f"{100 * share:.2f}%",
+        figure=lambda value: f"{value:,.0f}" if value >= 100 else f"{value:.3f}",
+        percent=percent,
+        shell=shlex.quote,
+        thousands="{:,}".format,
+    )
+    environment.globals.update(count=count, interval=interval, max_cases=MAX_CASES, plots=plots)
     return environment
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.report import SCHEMA_VERSION
 
 NAME = "simple_two_story"
@@ -89,9 +90,12 @@ def test_the_report_says_what_ran_and_what_came_out(shipped):
     assert sorted(report) == ["command", "config", "figures", "schema_version", "seed", "versions", "wall"]
     assert (report["schema_version"], report["command"], report["seed"]) == (SCHEMA_VERSION, "demo", 7)
     assert {"craftsim", "mujoco", "numpy", "python", "platform"} <= report["versions"].keys()
-    assert report["config"]["simulation"]["timestep_s"] > 0
-    assert report["config"]["gains"]["drive"]["position_gain"] > 0
-    assert report["config"]["rules"] == "physical"
+    setup = report["config"]["setup"]
+    assert setup["simulation"]["timestep_s"] > 0
+    assert setup["gains"]["drive"]["position_gain"] > 0
+    assert setup["thresholds"]["car_m"] == 0.001
+    assert set(report["config"]["digests"]) == {"gains", "machines"}
+    assert (report["config"]["rules"], report["config"]["randomize"]) == ("physical", "none")
     figures = report["figures"]
     assert (figures["agree"], figures["total"], figures["matches_goal"]) == (24, 24, True)
     assert figures["max_car_error_mm"] <= 1.0
@@ -99,7 +103,7 @@ def test_the_report_says_what_ran_and_what_came_out(shipped):
     assert figures["max_placed_error_mm"] <= 2.0
     assert figures["max_bystander_displacement_mm"] <= 1.0
     assert len(figures["actions"]) == 24
-    assert {action["outcome"] for action in figures["actions"]} == {"succeeded"}
+    assert {action["skill"] for action in figures["actions"]} == {"succeeded"}
 
 
 def test_the_same_seed_gives_the_same_report(shipped, tmp_path):
@@ -152,7 +156,7 @@ def test_an_action_that_the_rules_forbid_is_named_and_ends_with_status_1(tmp_pat
     plan = CARRY.replace("1 0 LIFT", "1 0 DROP")
     result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, blueprint=FLAT, plan=plan))
     assert result.returncode == 1
-    assert "tick 1, car 0 DROP: the rules forbid DROP to car 0 here" in result.stdout
+    assert "tick 1, car 0 DROP: the rules forbid it: " in result.stdout
     figures = _report(tmp_path)["figures"]
     assert [action["legal"] for action in figures["actions"]] == [True, False, True, False]
     assert _last_line(result).startswith("2 of 4 actions agree")
@@ -226,11 +230,22 @@ def test_a_missing_file_gives_one_message_with_its_name(tmp_path, which):
     assert not out.exists() or not list(out.iterdir())
 
 
-def test_the_shipped_plan_does_not_fit_a_drawing_with_one_car(tmp_path):
-    result = _demo("--no-video", "--out", tmp_path / "out", *_write(tmp_path, blueprint=FLAT))
-    assert result.returncode == 2
+def test_a_blueprint_of_ones_own_without_a_plan_is_refused_and_the_shipped_plans_are_named(tmp_path):
+    words = _write(tmp_path, blueprint=FLAT)
+    result = _demo("--no-video", "--out", tmp_path / "out", *words)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert f"there is no shipped plan for {words[1]}; give one with --plan" in result.stderr
+    assert ", ".join(TASK_NAMES) in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_shipped_plan_does_not_fit_a_drawing_with_one_car(tmp_path):
     with as_file(files("craftsim.data")) as data:
         plan = data / "plans" / f"{NAME}.plan"
+        words = [*_write(tmp_path, blueprint=FLAT), "--plan", plan]
+        result = _demo("--no-video", "--out", tmp_path / "out", *words)
+        assert result.returncode == 2
         line = _line(plan.read_text(encoding="utf-8"), "0  1 ")
         assert result.stderr == f"craftsim: {plan}:{line}: no car '1'; there are cars 0 to 0\n"
 

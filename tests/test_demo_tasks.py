@@ -3,9 +3,13 @@
 import json
 
 import pytest
+from disturbances import pushed
 
 from craftsim import cli
+from craftsim.checking import settings, world
+from craftsim.checking.settings import Thresholds
 from craftsim.commands import demo as demo_module
+from craftsim.validation import building
 
 
 def _figures(out):
@@ -50,27 +54,65 @@ def test_all_tasks_give_one_summary_and_one_report(tmp_path, capsys, monkeypatch
 
 
 def test_one_failure_among_all_tasks_is_named_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
-    from craftsim.validation.jobs import job
-
     plan = tmp_path / "wrong.plan"
     plan.write_text("0 0 DROP\n", encoding="utf-8")
     monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
-    monkeypatch.setattr(job, "shipped_plan", lambda name: plan)
+    monkeypatch.setattr(building, "shipped_plan", lambda name: plan)
     assert cli.main(["demo", "--task", "all", "--no-video", "--out", str(tmp_path / "out")]) == 1
     output = capsys.readouterr().out
-    assert "strip, tick 0, car 0 DROP: the rules forbid DROP to car 0 here" in output
+    assert "strip, tick 0, car 0 DROP: the rules forbid it: " in output
     assert output.splitlines()[-1] == "0 of 2 actions agree with the rules; 0 of 2 goals are reached."
     assert _figures(tmp_path / "out")["good"] == 0
 
 
+@pytest.fixture
+def one_stop(tmp_path):
+    """Return the words of a demo in which one car stops once."""
+    (tmp_path / "stop.plan").write_text("0 0 MOVE_LEFT\n", encoding="utf-8")
+    words = ["--plan", str(tmp_path / "stop.plan"), "--no-video", "--out", str(tmp_path / "out")]
+    return ["demo", "--task", "strip", *words]
+
+
+def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predicted(
+    one_stop, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(world, "Executor", pushed(0, 0.004))
+    assert cli.main(one_stop) == 1
+    output = capsys.readouterr().out
+    assert "tick 0, car 0 MOVE_LEFT: block 0 was moved by" in output
+    assert "0 of 1 actions agree" in output
+    (action,) = _figures(tmp_path / "out")["actions"]
+    assert (action["finding"], action["result"]) == ("agrees", "side effect")
+
+
+def test_a_car_beyond_its_limit_disagrees_though_the_reading_is_as_predicted(
+    one_stop, tmp_path, capsys, monkeypatch
+):
+    strict = (Thresholds(car_m=1e-9), *settings.RANDOMIZE["none"][1:])
+    monkeypatch.setitem(settings.RANDOMIZE, "none", strict)
+    assert cli.main(one_stop) == 1
+    assert "tick 0, car 0 MOVE_LEFT: the car is " in capsys.readouterr().out
+    (action,) = _figures(tmp_path / "out")["actions"]
+    assert (action["finding"], action["result"]) == ("agrees", "failed")
+
+
+@pytest.mark.parametrize("order", ["sequential", "ticks", "concurrent"])
+def test_many_cars_at_once_build_the_same_in_less_time(order, tmp_path, capsys):
+    words = ["--task", "strip", "--order", order, "--no-video", "--out", str(tmp_path)]
+    assert cli.main(["demo", *words]) == 0
+    figures = _figures(tmp_path)
+    assert figures["matches_goal"] is True
+    busy_s = sum(action["duration_s"] for action in figures["actions"])
+    assert (figures["makespan_s"] < 0.9 * busy_s) is (order != "sequential")
+    assert "-0.00" not in capsys.readouterr().out
+
+
 @pytest.mark.usefixtures("rendering")
 def test_each_task_has_its_own_film(tmp_path, capsys, monkeypatch):
-    from craftsim.validation.jobs import job
-
     plan = tmp_path / "short.plan"
     plan.write_text("0 0 STOP\n", encoding="utf-8")
     monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
-    monkeypatch.setattr(job, "shipped_plan", lambda name: plan)
+    monkeypatch.setattr(building, "shipped_plan", lambda name: plan)
     cli.main(["demo", "--task", "all", "--out", str(tmp_path / "out")])
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json", "strip.mp4", "block.mp4"}
     assert capsys.readouterr().out.count("Film:") == 2

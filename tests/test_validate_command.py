@@ -1,11 +1,23 @@
 """``craftsim validate``: what it runs, what it writes, its exit status, and what it refuses."""
 
 import json
+import subprocess
+import sys
 import textwrap
+import time
 
 import pytest
+from disturbances import pushed
 
 from craftsim import cli
+from craftsim.checking import settings, world
+from craftsim.checking.settings import Thresholds
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.validation import validation
+from craftsim.validation.campaign import local
+from craftsim.validation.campaign.items import perform
+from craftsim.validation.runs import run
 
 CROWDED = """
     area_length: 6
@@ -85,9 +97,154 @@ def test_a_disagreement_is_found_kept_to_replay_and_equal_however_it_is_run(fold
 def test_the_shipped_plan_reaches_its_goal_in_physics(folder):
     assert _validate("strip", "--trials", "1", "--randomize", "none") == 0
     (record,) = _records(folder / "out")
+    assert record["extra"].pop("makespan_s") > 5.0
     assert record["extra"] == {"ticks": 11, "forbidden": 0, "grid_success": True, "physics_success": True}
     assert record["group"] == "planner"
     assert {attempt["result"] for attempt in record["attempts"]} == {"as predicted"}
+
+
+def test_many_cars_at_once_reach_the_goal_in_less_time(folder):
+    for order in ("sequential", "concurrent"):
+        assert _validate("strip", "--trials", "1", "--randomize", "none", "--order", order, out=order) == 0
+    (one_by_one,), (at_once,) = (_records(folder / order) for order in ("sequential", "concurrent"))
+    assert at_once["extra"]["physics_success"]
+    assert at_once["extra"]["makespan_s"] < 0.8 * one_by_one["extra"]["makespan_s"]
+
+
+def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, capsys):
+    (folder / "forbidden.plan").write_text("0 0 UNFOLD\n")
+    assert _validate("crowded.yaml", "--plan", "forbidden.plan", "--trials", "1", "--randomize", "none") == 1
+    told = capsys.readouterr().out
+    assert "crowded/forbidden/0000: tick 0 car 0 UNFOLD: not tried: the rules forbid it: " in told
+    assert told.splitlines()[-1].endswith("1 asked for actions that the rules forbid.")
+    (record,) = _records(folder / "out")
+    (attempt,) = record["attempts"]
+    assert (attempt["legal"], attempt["performed"], record["bundle"]) == (False, False, None)
+    assert "(4, 1, 1)" in attempt["reason"], "the cell in the way is named"
+    matrix = _report(folder / "out")["figures"]["validation"]["matrix"]
+    assert (matrix["legal"]["trials"], matrix["forbidden"]["trials"]) == (0, 0)
+    page = (folder / "out" / "report.html").read_text(encoding="utf-8")
+    assert '<span class="verdict">Forbidden by the rules</span>' in page
+    assert "physics disagrees" not in page
+    assert "tried on purpose" not in page
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Let the work be done in this process, so that what is patched here is what is done."""
+
+    class Here:
+        def __init__(self, work):
+            self.work = work
+
+        def run(self, items, timeout_s):
+            return perform(self.work, [item.job for item in items])
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(local, "LocalWorker", Here)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predicted(
+    folder, capsys, monkeypatch
+):
+    monkeypatch.setattr(world, "Executor", pushed(0, 0.004))
+    (folder / "stop.txt").write_text("0 MOVE_LEFT\n")
+    words = ["crowded.yaml", "--actions", "stop.txt", "--randomize", "none", "--trials", "1"]
+    # A bundle of what no motor command does cannot be the same again; without the hand there is none to write.
+    monkeypatch.setattr(run, "write_bundle", lambda *args: None)
+    assert _validate(*words) == 1
+    assert "MOVE_LEFT: side effect: block 0 was moved by" in capsys.readouterr().out
+    (attempt,) = _records(folder / "out")[0]["attempts"]
+    assert (attempt["finding"], attempt["result"]) == ("agrees", "side effect")
+    assert 0.001 < attempt["bystander_displacement_m"] < 0.025
+
+
+@pytest.mark.usefixtures("here")
+def test_a_car_beyond_its_limit_disagrees_though_the_reading_is_as_predicted(folder, capsys, monkeypatch):
+    strict = (Thresholds(car_m=1e-9), *settings.RANDOMIZE["none"][1:])
+    monkeypatch.setitem(settings.RANDOMIZE, "none", strict)
+    (folder / "move.txt").write_text("0 MOVE_LEFT\n")
+    words = ["crowded.yaml", "--actions", "move.txt", "--randomize", "none", "--trials", "1"]
+    assert _validate(*words) == 1
+    assert "MOVE_LEFT: failed: the car is " in capsys.readouterr().out
+    (record,) = _records(folder / "out")
+    assert record["attempts"][0]["finding"] == "agrees"
+    assert (folder / "out" / record["bundle"] / "bundle.json").exists()
+
+
+def test_the_table_of_durations_is_free_of_digits_that_say_nothing(folder, capsys):
+    assert _validate("strip", "--trials", "1", "--randomize", "none") == 0
+    lines = (folder / "out" / "durations.csv").read_text().splitlines()
+    values = [value for line in lines[1:] for value in line.split(",")[5:]]
+    assert values
+    assert max(len(value.partition(".")[2]) for value in values) <= 4
+    assert "-0.00" not in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("rendering")
+def test_films_of_every_run_and_none_of_an_earlier_campaign(folder):
+    (folder / "short.txt").write_text("0 STOP\n")
+    words = ["empty.yaml", "--actions", "short.txt", "--randomize", "none", "--trials", "1", "--out", "out"]
+    assert cli.main(["validate", *words, "--video", "all"]) == 0
+    film = folder / "out" / "films" / "empty-short-0000.mp4"
+    assert film.stat().st_size > 1000
+    (folder / "other.txt").write_text("0 STOP\n0 STOP\n")
+    words[2] = "other.txt"
+    assert cli.main(["validate", *words, "--video", "all"]) == 0
+    assert [path.name for path in (folder / "out" / "films").iterdir()] == ["empty-other-0000.mp4"]
+
+
+def test_a_killed_validation_goes_on_to_the_report_of_an_undisturbed_one(folder):
+    (folder / "long.txt").write_text("0 MOVE_LEFT\n0 MOVE_RIGHT\n")
+    words = ["empty.yaml", "--actions", "long.txt", "--randomize", "strong"]
+    words += ["--trials", "8", "--video", "none"]
+    command = [sys.executable, "-m", "craftsim.cli", "validate", *words, "--out", "killed"]
+
+    def results(out):
+        return _report(out), (out / "trials.jsonl").read_bytes()
+
+    lines = folder / "killed" / "trials.jsonl"
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    end = time.monotonic() + 60
+    while not (lines.exists() and lines.read_bytes().count(b"\n")):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    kept = lines.read_bytes()
+    assert 0 < kept.count(b"\n") < 8
+    assert not (folder / "killed" / "report.json").exists()
+    assert cli.main(command[3:]) == 2, "an unfinished campaign is not overwritten"
+    assert lines.read_bytes() == kept
+    status = cli.main([*command[3:], "--resume", "--workers", "2"])
+    assert cli.main([*command[3:-1], "whole"]) == status
+    assert results(folder / "killed") == results(folder / "whole")
+
+
+def test_worlds_that_each_run_draws_anew_differ_and_are_the_same_at_any_number_of_workers(folder):
+    words = ["random", "--cars", "2", "--max-steps", "3", "--trials", "2", "--randomize", "none"]
+    assert _validate(*words, out="one") == 0
+    assert _validate(*words, "--workers", "2", out="two") == 0
+    one, other = _records(folder / "one")
+    assert one["attempts"] != other["attempts"]
+    assert (one["context"], one["group"]) == ("random", "random")
+    assert _records(folder / "two") == [one, other]
+    assert _report(folder / "one") == _report(folder / "two")
+
+
+def test_without_worlds_the_six_tasks_of_the_paper_are_validated(monkeypatch):
+    asked = []
+
+    def validate(worlds, **options):
+        asked.append(tuple(worlds))
+        raise InputError("enough")
+
+    monkeypatch.setattr(validation, "validate", validate)
+    assert _validate() == 2
+    assert asked == [TASK_NAMES]
 
 
 def test_policies_that_raise_or_hang_or_talk_nonsense_are_errors_and_harm_no_other(folder):
@@ -167,12 +324,18 @@ def test_against_refuses_what_cannot_be_paired_before_anything_is_tried(folder, 
         (["missing.yaml"], "missing.yaml"),
         (["crowded.yaml", "--actions", "missing.txt"], "missing.txt"),
         (["crowded.yaml", "--plan", "unfold.txt"], "unfold.txt:1: 2 words, but a line is: tick car ACTION"),
-        (["crowded.yaml", "--plan", "unfold.txt", "--policy", "random"], "--plan and --policy exclude"),
-        (["crowded.yaml", "strip", "--actions", "unfold.txt"], "--actions needs the one blueprint"),
-        (["crowded.yaml", "crowded.yaml", "--policy", "random"], "two blueprints are called 'crowded'"),
+        (["crowded.yaml", "--plan", "unfold.txt", "--policy", "random"], "plan and policy exclude"),
+        (["crowded.yaml", "strip", "--actions", "unfold.txt"], "actions needs the one world"),
+        (["crowded.yaml", "crowded.yaml", "--policy", "random"], "two worlds are called 'crowded'"),
         (["crowded.yaml", "--policy", "own:nothing"], "own:nothing"),
         (["crowded.yaml", "--policy", "random", "--trials", "0"], "--trials"),
-        (["crowded.yaml", "--policy", "random", "--timeout", "0"], "--timeout"),
+        (["crowded.yaml", "--policy", "random", "--workers", "0"], "--workers"),
+        (["random", "--cars", "0"], "allowed: 1 to 12 cars"),
+        (["random", "--cars", "13"], "allowed: 1 to 12 cars"),
+        (["random", "--max-steps", "0"], "max_steps is 0"),
+        (["random", "--policy", "planner"], "no shipped plan for random"),
+        (["castle"], "castle"),
+        (["crowded.yaml", "--policy", "random", "--timeout", "0"], "timeout_s"),
     ],
 )
 def test_wrong_input_is_told_and_leaves_nothing(folder, capsys, words, message):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.settings import Thresholds
+from craftsim.checking.settings import Setup, Thresholds, nominal_gains
+from craftsim.checking.world import judge_on
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError, suggestion
-from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.discrete.rules import RuleSet
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
-from craftsim.skills.executor import Executor
 from craftsim.skills.gains import Gains
 
 
@@ -56,5 +55,5 @@ def perform(
             hint = suggestion(action, names)
             raise InputError(f"unknown action '{action}'{hint}; there are {', '.join(names)}")
         action = Action[action]
-    executor = Executor(site, gains, sensors=sensors)
-    return CheckedSite(executor, Rules(rules), thresholds).perform(car, action)
+    setup = Setup(rules, thresholds or Thresholds(), gains=gains or nominal_gains())
+    return judge_on(site, setup, sensors).perform(car, action)

@@ -75,5 +75,12 @@ def set_up(
         world.restore()
     else:
         world.draw(setup.randomization, physics)
-    executor = Executor(world.site, setup.gains, sensors=Sensors(world.site, setup.noise, sensors))
+    return judge_on(world.site, setup, Sensors(world.site, setup.noise, sensors), watch_contacts)
+
+
+def judge_on(
+    site: Site, setup: Setup, sensors: Sensors | None = None, watch_contacts: bool = True
+) -> CheckedSite:
+    """Return the judge on a Site as it stands, whose machines and simulation are its own; sensors are exact if None."""
+    executor = Executor(site, setup.gains, sensors=sensors or Sensors(site))
     return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

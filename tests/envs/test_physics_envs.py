@@ -1,13 +1,17 @@
 """The environments in contact physics: equal to the grid where all goes well, honest where it does not."""
 
 from contextlib import closing
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
 import pytest
+from disturbances import push
 from gymnasium.utils.env_checker import check_env
 from platforms import platform
 
+from craftsim.checking.recipe import do, run_up
+from craftsim.checking.settings import Thresholds
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import TASK_NAMES, make_task
@@ -97,14 +101,67 @@ def test_a_failed_skill_shows_as_what_happened_and_in_the_infos():
     info = infos["car_0"]
     assert info["outcome"].startswith(("blocked", "slipped"))
     assert info["result"] == "failed"
-    assert info["reason"] != ""
+    assert info["reason"] == info["outcome"]
     assert not info["illegal"]
+    assert info["finding"] != "agrees"
     assert info["disagreement"] == ("car 0: predicted 0,1,1 +x, read 1,1,1 +x",)
     assert env.grid.same_visible(before)
     assert observations["car_0"]["observation"][0] == 1
-    assert infos["car_1"]["result"] == "as predicted"
-    assert infos["car_1"]["reason"] == ""
+    other = infos["car_1"]
+    assert (other["result"], other["reason"], other["outcome"]) == ("as predicted", "", "succeeded")
     assert not any({**terminated, **truncated}.values())
+
+
+def test_every_car_is_told_what_the_judge_found():
+    env = parallel_env("strip", "physics")
+    env.reset(seed=0)
+    infos = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": int(Action.LIFT)})[4]
+    keys = {"result", "reason", "outcome", "finding", "disagreement", "action_duration_s"}
+    keys |= {"car_error_m", "heading_error_rad", "bystander_displacement_m"}
+    for info in infos.values():
+        assert keys <= info.keys()
+        assert info.keys() - keys == {"action_mask", "illegal", "success", "duration_s", "problems"}
+    moved, forbidden = infos["car_0"], infos["car_1"]
+    assert (moved["result"], moved["finding"], moved["disagreement"]) == ("as predicted", "agrees", ())
+    assert 0.5 < moved["action_duration_s"] <= moved["duration_s"]
+    assert forbidden["illegal"]
+    assert (forbidden["result"], forbidden["outcome"]) == ("failed", "not performed")
+    assert forbidden["reason"].startswith("the rules forbid it: ")
+
+
+def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predicted():
+    env = parallel_env("strip", "physics", observers=(push(0, 0.004),))
+    env.reset(seed=0)
+    told = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})[4]["car_0"]
+    assert 0.001 < told["bystander_displacement_m"] < 0.025
+    assert (told["result"], told["finding"], told["problems"]) == ("side effect", "agrees", ())
+    assert told["reason"].startswith("block 0 was moved by")
+
+
+def test_a_car_beyond_its_limit_disagrees_though_the_reading_is_as_predicted():
+    env = parallel_env("strip", "physics")
+    env.reset(seed=0)
+    env.core.backend.checked.thresholds = Thresholds(car_m=1e-9)
+    told = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})[4]["car_0"]
+    assert (told["result"], told["finding"]) == ("failed", "agrees")
+    assert told["reason"].startswith("the car is ")
+
+
+@pytest.mark.parametrize("check_contacts", [False, True])
+def test_a_recorded_episode_is_re_run_bit_for_bit(check_contacts):
+    options = {"noise": NOISY, "randomization": DomainRandomization(), "check_contacts": check_contacts}
+    env = parallel_env(_level("strip"), "physics", **options)
+    assert _episode(env, seed=3, ticks=3)
+    backend = env.core.backend
+    checked = run_up(replace(backend.recipe, steps=()))
+    again = [do(checked, step) for step in backend.recipe.steps]
+    if not check_contacts:  # then nothing is known of forces
+        again = [tuple(replace(attempt, peak_force_n=0.0) for attempt in tick) for tick in again]
+    assert again == backend.ticks
+    assert len(again) == 3
+    for name in ("qpos", "qvel", "qacc_warmstart"):
+        one, other = (getattr(world.site.data, name) for world in (checked, backend.checked))
+        assert one.tobytes() == other.tobytes()
 
 
 def test_a_world_that_cannot_be_read_truncates_the_episode_and_says_why():

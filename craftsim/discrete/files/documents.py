@@ -122,6 +122,14 @@ def describe(node: Node) -> str:
     return "a list" if isinstance(node, Sequence) else "a mapping"
 
 
+def exists(path: str | Path) -> bool:
+    """Return whether there is a file or folder; raise InputError for a path that cannot be, or not be looked at."""
+    try:
+        return Path(path).exists()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+
+
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     """Return a text file of bounded size; raise BlueprintError if it is missing, too large or not UTF-8."""
     source = Source(path)

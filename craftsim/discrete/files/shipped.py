@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from craftsim.discrete.errors import BlueprintError, suggestion
+from craftsim.discrete.files.documents import exists
 
 Shelf = Literal["blueprints", "goals", "plans"]
 
@@ -42,7 +43,7 @@ def find(path: str | Path, shelf: Shelf) -> Path:
     """
     found, names = Path(path), shipped_names(shelf)
     known = str(path) in names
-    if found.is_file() or (found.exists() and not known):
+    if exists(found) and (found.is_file() or not known):
         return found
     if known:
         return _path(str(path), shelf)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.discrete.errors import CraftsimError, InputError, suggestion
+from craftsim.discrete.files.documents import exists
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
 from craftsim.discrete.tasks.task_files import read_task
 
@@ -74,14 +75,15 @@ def task_of(
     """
     if text in TASK_NAMES:
         return make_task(text, reward, n_cars=n_cars, n_blocks=n_blocks)
-    own = text in _REGISTERED or (":" in text and not Path(text).is_file())
+    is_file = exists(text) and Path(text).is_file()
+    own = text in _REGISTERED or (":" in text and not is_file)
     if own and (n_cars is not None or n_blocks is not None):
         raise InputError(f"task '{text}' has its own numbers of cars and blocks; they cannot be given")
     if text in _REGISTERED:
         return _REGISTERED[text]
     if own:
         return _made(text)
-    if Path(text).is_file() or text.endswith((".yaml", ".yml")):
+    if is_file or text.endswith((".yaml", ".yml")):
         return read_task(text, reward, n_cars, n_blocks)
     names = task_names()
     raise InputError(

@@ -11,6 +11,7 @@ from typing import Final, Literal
 from craftsim.checking.recipe import Step
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.files.documents import exists
 from craftsim.discrete.files.plan import Plan, read_actions, read_plan, shipped_plan
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
@@ -80,7 +81,7 @@ def _subject(world: World, random_worlds: RandomWorlds) -> Subject:
         world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
     if isinstance(world, Task):
         return Subject(world.name, world, world.digest, world.layout.n_cars)
-    name = str(Path(world).resolve()) if Path(world).exists() and world not in TASK_NAMES else str(world)
+    name = str(Path(world).resolve()) if exists(world) and world not in TASK_NAMES else str(world)
     task = as_task(name)
     digest = SHIPPED if name in TASK_NAMES else task.digest
     return Subject(task.name, name, digest, task.layout.n_cars)
@@ -118,7 +119,7 @@ def policy_pilot(policy: str | Policy, subjects: Sequence[Subject], order: PlanO
         name = getattr(policy, "__name__", type(policy).__name__)
         return Pilot(name, _digest(name.encode()), policy=policy)
     if policy != PLANNER:
-        place = str(Path(policy).resolve()) if Path(policy).exists() else policy
+        place = str(Path(policy).resolve()) if exists(policy) else policy
         return Pilot(policy, policy_digest(place), policy=place)
     for subject in subjects:
         if subject.world not in TASK_NAMES:

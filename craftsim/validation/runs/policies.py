@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.errors import InputError
+from craftsim.discrete.files.documents import exists
 from craftsim.discrete.tasks import Task
 
 Observations = dict[str, dict[str, NDArray[Any]]]
@@ -67,7 +68,7 @@ def make_policy(name: str, seed: int, task: Task | None = None) -> Policy:
     """
     if name == RANDOM:
         return RandomPolicy(seed)
-    if Path(name).exists():
+    if exists(name):
         from craftsim.training.policy import load_policy
 
         policy = load_policy(name)

@@ -115,7 +115,8 @@ def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_so
     assert "0 of 1 rows that the rules allow are unsound" in printed
     assert "of 2 paired trials 0 agree with the rules in both, 0 only there, 2 only here" in printed
     paired = json.loads((tmp_path / "physical" / "report.json").read_text())["figures"]["paired"]
-    assert paired["changed"] == {"config.rules": ["published", "physical"]}
+    changed = ["published", "physical"]
+    assert paired["changed"] == {"config.rules": changed, "config.setup.rules": changed}
     assert paired["trials"]["p_value"] == 0.5
     assert "this run alone" in (tmp_path / "physical" / "report.html").read_text()
 

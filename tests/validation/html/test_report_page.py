@@ -186,6 +186,15 @@ def test_what_the_rules_forbid_and_was_not_tried_is_no_disagreement_of_physics(t
     assert FORBIDDEN["reason"] in text
 
 
+def test_tables_have_no_negative_zero_and_no_figures_of_nothing(tmp_path):
+    tiny = {"heading_error_rad": -1e-12, "height_error_m": -1e-12, "car_error_m": 0.0}
+    page = validate_html(tmp_path / "tiny", [record("a", attempt(**tiny), attempt(duration_s=0.999))])
+    assert not re.search(r"-0\.0+\b", Reader(page).text.split("Thresholds and provenance")[0])
+    text = Reader(validate_html(tmp_path / "none", [record("a", attempt(Result.FAILED))])).text
+    assert "car's error, median" not in text
+    assert not re.search(r"median 0(\.0+)? mm", text)
+
+
 def test_what_the_rules_forbid_does_not_hide_where_physics_disagrees(tmp_path):
     records = [
         record("a", attempt(Result.FAILED, verb="LIFT", **FORBIDDEN)),

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,31 @@ def test_duration_errors_are_against_the_median_of_the_kind():
     found = precision([*quick, *slow]).duration_error_s
     assert (found.n, found.max) == pytest.approx((6, 1.0))
     assert found.median == pytest.approx(0.1)
+
+
+def test_the_file_of_durations_has_no_digits_that_say_nothing(tmp_path):
+    seconds = (1.01, 1.02, 1.03, 1.0200000000000005)
+    path = write_durations(tmp_path, duration_table([attempt(duration_s=s) for s in seconds]))
+    assert path.read_text().splitlines()[1] == "MOVE,none,1,False,4,1.02,1.0115,1.02,1.0285,1.03"
+
+
+def test_figures_of_nothing_are_none_and_no_zero():
+    found = campaign_figures([record("a", attempt(Result.FAILED)), record("b", error="killed")], seed=0)
+    errors = asdict(found.precision)
+    assert errors.pop("peak_force_n") is not None
+    assert set(errors.values()) == {None}
+    assert found.durations == []
+    assert found.by_group["plan"].actions.rate == 0.0
+    nothing = campaign_figures([], seed=0)
+    assert nothing.all.actions.rate is None
+    assert nothing.matrix.legal.success.rate is None
+
+
+def test_what_was_not_tried_is_not_counted_as_tried_on_purpose():
+    told = attempt(Result.FAILED, legal=False, performed=False)
+    tried = attempt(Result.FAILED, legal=False)
+    matrix = campaign_figures([record("a", told, tried, attempt())], seed=0).matrix
+    assert (matrix.legal.trials, matrix.forbidden.trials, matrix.forbidden.failed) == (1, 1, 1)
 
 
 def test_a_table_of_durations_survives_its_file(tmp_path):

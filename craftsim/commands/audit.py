@@ -13,11 +13,10 @@ from rich.console import Console
 
 from craftsim.commands.options import CampaignOptions, Dir
 from craftsim.discrete.errors import InputError
+from craftsim.validation.contexts.context import DIRECTION_NAMES, Verb
 
 if TYPE_CHECKING:
     from craftsim.validation.audit.rows import Row
-
-ActionName = Literal["LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP"]
 
 OPTIONS: Final = CampaignOptions(rules="published", trials=20)
 
@@ -26,7 +25,7 @@ QUICK_ROWS: Final = 60
 
 
 def audit(
-    actions: tuple[ActionName, ...] = (),
+    actions: tuple[Verb, ...] = (),
     contexts: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",
     only: Literal["all", "legal", "forbidden"] = "all",
     quick: bool = False,
@@ -90,17 +89,18 @@ def audit(
     page = write_html(out, audit_page(result, shlex.join(_words(actions, contexts, only, quick, campaign))))
     print_results(console, result.results)
     if result.comparison is not None:
-        console.print(str(result.comparison), soft_wrap=True, markup=False, highlight=False)
-    console.print(f"Report: {out / 'report.json'}\nPage:   {page}", soft_wrap=True)
-    return conclude(console, result)
+        print(result.comparison)
+    print(f"Report: {out / 'report.json'}\nPage:   {page}")
+    return conclude(result)
 
 
-def _chosen(plan: list[Row], actions: tuple[ActionName, ...], contexts: str, only: str) -> list[Row]:
+def _chosen(plan: list[Row], actions: tuple[Verb, ...], contexts: str, only: str) -> list[Row]:
     """Return the rows that are asked for, by the action's name before a direction and the row's name."""
+    names = {*actions, *(f"{verb}-{way}" for verb in actions for way in DIRECTION_NAMES)}
     wanted = [
         row
         for row in plan
-        if (not actions or any(verb in row.name.split("/")[0].split("+") for verb in _verbs(actions)))
+        if (not actions or names & set(row.name.split("/")[0].split("+")))
         and fnmatchcase(row.name, contexts)
         and only in ("all", "legal" if row.legal else "forbidden")
     ]
@@ -111,13 +111,8 @@ def _chosen(plan: list[Row], actions: tuple[ActionName, ...], contexts: str, onl
     return wanted
 
 
-def _verbs(actions: tuple[ActionName, ...]) -> list[str]:
-    moves = [f"MOVE-{way}" for way in ("forward", "left", "back", "right")]
-    return [*actions, *(moves if "MOVE" in actions else [])]
-
-
 def _words(
-    actions: tuple[ActionName, ...], contexts: str, only: str, quick: bool, campaign: CampaignOptions
+    actions: tuple[Verb, ...], contexts: str, only: str, quick: bool, campaign: CampaignOptions
 ) -> list[str]:
     words = ["craftsim", "audit", *campaign.words()]
     words += ["--actions", *actions] if actions else []

@@ -87,13 +87,13 @@ def demo(
         figures = done[0].figures
         config |= done[0].files
         console.print(demo_text.actions_table(done[0]))
-        demo_text.print_worst(console, figures)
+        demo_text.print_worst(figures)
     wall = {"total_s": time.perf_counter() - started}
     report = write_report(out, figures, command="demo", seed=physics.seed, config=config, wall=wall)
-    console.print(f"Report: {report}", soft_wrap=True)
+    print(f"Report: {report}")
     for text in films:
-        console.print(f"Film:   {text}", soft_wrap=True)
+        print(f"Film:   {text}")
     for one in done:
-        demo_text.print_disagreements(console, one, name_task=task == "all")
-    console.print(demo_text.conclusion(done), soft_wrap=True)
+        demo_text.print_disagreements(one, name_task=task == "all")
+    print(demo_text.conclusion(done))
     return 0 if all(one.good for one in done) else 1

@@ -61,7 +61,6 @@ def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> 
     physics = _physics()
     films = [_rendering(), _encoder()]
     checks = [physics, *films]
-    console = Console()
     table = Table(title="craftsim doctor")
     for heading in ("", "what", "found"):
         table.add_column(heading, overflow="fold")
@@ -70,21 +69,17 @@ def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> 
     table.add_section()
     for check in checks:
         table.add_row("[green]ok[/]" if check.works else "[red]no[/]", check.what, escape(check.found))
-    console.print(table)
+    Console().print(table)
     for check in checks:
         if check.remedy:
-            console.print(
-                f"{check.what}: run this to mend it:\n    {check.remedy}", soft_wrap=True, markup=False
-            )
+            print(f"{check.what}: run this to mend it:\n    {check.remedy}")
     if out is not None:
         figures = {"checks": checks, "processors": _processors()}
-        console.print(f"Report: {write_report(out, figures, command='doctor')}", soft_wrap=True)
+        print(f"Report: {write_report(out, figures, command='doctor')}")
     if not physics.works:
-        console.print("Physics does not run.")
+        print("Physics does not run.")
         return 2
-    console.print(
-        "All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet."
-    )
+    print("All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet.")
     return 0
 
 

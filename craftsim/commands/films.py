@@ -12,6 +12,8 @@ from rich.console import Console
 
 from craftsim.checking.episode import Watch
 from craftsim.commands.progress import counting
+from craftsim.discrete.actions import Action
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.models.site import Site
 from craftsim.rendering.backend import RenderingUnavailable, choose_backend
 from craftsim.rendering.clip import clip
@@ -43,9 +45,7 @@ def film_bundle(recorded: Recorded, path: Path) -> Replay:
     """Replay a bundle, film its last step, and return what came of it; :func:`rendering_works` must have said yes."""
     bundle = recorded.bundle
     attempt = bundle.attempts[0]
-    result = ", ".join(
-        f"car {a.car} {a.action.replace('_', ' ').lower()}: {a.result}" for a in bundle.attempts
-    )
+    result = ", ".join(f"car {a.car} {ACTIONS[Action[a.action]].words}: {a.result}" for a in bundle.attempts)
     lines = [*textwrap.wrap(result, _LINE, max_lines=2), *textwrap.wrap(attempt.reason, _LINE, max_lines=2)]
 
     def watch(site: Site) -> AbstractContextManager[Observer]:

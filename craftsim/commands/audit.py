@@ -47,7 +47,6 @@ def audit(
         video: films of the disagreements, a few seconds of work each.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
-    from craftsim.checking.settings import setup_of
     from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.films import film_failures, rendering_works
     from craftsim.commands.progress import counting
@@ -66,7 +65,7 @@ def audit(
         trials = 1
     result = run_audit(
         plan,
-        setup_of(campaign.randomize, campaign.rules, campaign.gains, campaign.parameters),
+        campaign.setup(),
         trials,
         campaign.seed,
         out,

@@ -43,7 +43,6 @@ def demo(
         out: folder for report.json and the films.
     """
     from craftsim.checking.episode import UNWATCHED
-    from craftsim.checking.settings import setup_of
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
     from craftsim.commands.progress import counting
@@ -55,7 +54,7 @@ def demo(
     console = Console()
     if task == "all" and (blueprint or plan or goal):
         raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
-    setup = setup_of(physics.randomize, physics.rules, physics.gains, physics.parameters)
+    setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
     buildings = [read_building(name, blueprint, plan, goal) for name in names]
     output_directory(out)

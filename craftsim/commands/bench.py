@@ -112,7 +112,7 @@ def _bench_rules(
 
     table = Table("task", "work", "worlds", *COLUMNS, box=SIMPLE)
     rates: dict[str, dict[str, Any]] = {}
-    memory = _memory(memory_worlds, rules, seed)
+    state, peak_mib, grown_mib = _memory(memory_worlds, rules, seed)
     for name in TASKS:
         task = make_task(name, reward="published_code")
         rates[name] = {}
@@ -127,11 +127,15 @@ def _bench_rules(
             rates[name][f"{work}, {n} world{'s' if n > 1 else ''}"] = rate
             table.add_row(name, work, str(n), *rate.cells())
     console.print(table)
-    for line in memory["lines"]:
-        console.print(line)
-    figures = {"memory_worlds": memory_worlds, "bytes_a_world": memory["bytes_a_world"]}
-    wall = {"rates": rates, "peak_mib": memory["peak_mib"], "grown_mib": memory["grown_mib"]}
-    return figures, wall
+    print(
+        f"{memory_worlds:,} worlds of {TASKS[1]}: {state * memory_worlds / 2**20:.1f} MiB of state, {state} bytes each"
+    )
+    print(
+        f"peak memory {peak_mib:.0f} MiB, {grown_mib:.0f} MiB more than one world "
+        "(helper masks and observations included)"
+    )
+    figures = {"memory_worlds": memory_worlds, "bytes_a_world": state}
+    return figures, {"rates": rates, "peak_mib": peak_mib, "grown_mib": grown_mib}
 
 
 def _pick(rng: np.random.Generator, mask: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -173,8 +177,8 @@ def _peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def _memory(n: int, rules: RuleSet, seed: int) -> dict[str, Any]:
-    """Return what n worlds of the complex two-story task take: their arrays, and the growth of the peak memory.
+def _memory(n: int, rules: RuleSet, seed: int) -> tuple[int, float, float]:
+    """Return what n worlds of the complex two-story task take: bytes each, and peak memory and its growth in MiB.
 
     The growth is that of a step with helper masks and observations, after a batch of one has compiled everything.
     """
@@ -183,7 +187,7 @@ def _memory(n: int, rules: RuleSet, seed: int) -> dict[str, Any]:
     from craftsim.discrete.tasks import make_task
     from craftsim.discrete.tasks.episodes import Episodes
 
-    task = make_task("complex_two_story")
+    task = make_task(TASKS[1])
     peaks = []
     for size in (1, n):
         rng = np.random.default_rng(seed)
@@ -192,14 +196,4 @@ def _memory(n: int, rules: RuleSet, seed: int) -> dict[str, Any]:
         peaks.append(_peak_mib())
     arrays = episodes.worlds.arrays
     state = sum(a.nbytes for a in (arrays.kind, arrays.yaw, arrays.top, arrays.back, arrays.cars))
-    grown = peaks[1] - peaks[0]
-    return {
-        "bytes_a_world": state // n,
-        "peak_mib": peaks[1],
-        "grown_mib": grown,
-        "lines": [
-            f"{n:,} worlds of complex_two_story: {state / 2**20:.1f} MiB of state, {state // n} bytes each",
-            f"peak memory {peaks[1]:.0f} MiB, {grown:.0f} MiB more than one world "
-            "(helper masks and observations included)",
-        ],
-    }
+    return state // n, peaks[1], peaks[1] - peaks[0]

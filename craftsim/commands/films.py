@@ -69,21 +69,13 @@ def film_failures(console: Console, out: Path, records: Sequence[TrialRecord]) -
 def film_runs(console: Console, out: Path, items: Sequence[Item], records: Sequence[TrialRecord]) -> None:
     """Film runs from their start to their end, those that came to one and have no film yet."""
     folder = output_directory(out / FILMS)
-    wanted = [
-        (item, record, folder / f"{item.key.replace('/', '-')}.mp4")
-        for item, record in zip(items, records, strict=True)
-        if record["error"] is None
-    ]
-    missing = [one for one in wanted if not one[2].exists()]
+    ended = [item for item, record in zip(items, records, strict=True) if record["error"] is None]
+    paths = [(item, folder / f"{item.key.replace('/', '-')}.mp4") for item in ended]
+    missing = [(item, path) for item, path in paths if not path.exists()]
     with counting(console, "films", len(missing), bool) as tell:
-        for item, record, path in missing:
-            _film_run(item, record, path)
+        for item, path in missing:
+            partial = path.with_name(f".{path.name}")
+            with EpisodeFilm(partial, item.key, size=(640, 360), speed=_SPEED) as film:
+                run_episode(item.job, Watch(film.begin))
+            partial.replace(path)
             tell(True)
-
-
-def _film_run(item: Item, record: TrialRecord, path: Path) -> None:
-    """Re-run a run and film it."""
-    partial = path.with_name(f".{path.name}")
-    with EpisodeFilm(partial, record["key"], size=(640, 360), speed=_SPEED) as film:
-        run_episode(item.job, Watch(film.begin))
-    partial.replace(path)

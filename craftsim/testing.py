@@ -130,7 +130,7 @@ def check_masks(env: ParallelConstruction, states: int = 10, tries: int | None =
 
 
 def _check_action(env: ParallelConstruction, start: Any, car: int, action: Action) -> None:
-    """Let one car do one action in a world, and compare what its mask said with what came of it."""
+    """Let one car do one action in a world, and compare its mask with the result."""
     observations, _ = env.reset(options={"grid": start})
     agent = f"car_{car}"
     mask = observations[agent]["action_mask"]

@@ -107,6 +107,14 @@ def test_many_cars_at_once_build_the_same_in_less_time(order, tmp_path, capsys):
     assert "-0.00" not in capsys.readouterr().out
 
 
+def test_nothing_is_said_of_the_errors_of_what_was_not_done(one_stop, tmp_path, capsys):
+    cli.main(one_stop)
+    output = capsys.readouterr().out
+    assert "At worst: cars " in output
+    assert "set down" not in output
+    assert _figures(tmp_path / "out")["max_placed_error_mm"] is None
+
+
 @pytest.mark.usefixtures("rendering")
 def test_each_task_has_its_own_film(tmp_path, capsys, monkeypatch):
     plan = tmp_path / "short.plan"

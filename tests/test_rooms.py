@@ -14,10 +14,8 @@ ALLOWED = {
     "mjcf": {"discrete.geometry", "models.parameters", "models.figures", "models.config"},
     "models": {"discrete", "mjcf"},
     "skills": {"models", "discrete"},
-    "checking": {"skills", "models", "discrete", "report"},
-    "validation": {
-        *("checking", "envs", "rendering", "skills", "models", "discrete", "report", "training.policy"),
-    },
+    "checking": {"skills", "models", "discrete"},
+    "validation": {"checking", "envs", "skills", "models", "discrete", "report", "training.policy"},
     "envs": {"checking", "skills", "models", "discrete", "rendering"},
     "training": {"discrete", "envs", "report"},
     "rendering": {"checking", "skills", "models", "discrete"},

@@ -47,7 +47,7 @@ class Attempt:
         >>> attempt.result, attempt.performed
         ('failed', False)
         >>> list(attempt.to_frame()["reason"])
-        ['the rules forbid it: LIFT is forbidden: there is nothing to lift in (0, 0, 1)']
+        ['the rules forbid it: there is nothing to lift in (0, 0, 1)']
     """
 
     tick: int

@@ -242,7 +242,7 @@ class CheckedSite:
         if one.outcome is None:
             if one.legal:
                 return Verdict(Finding.NOT_EXECUTED, (f"car {car} waits for an action that failed",))
-            why = self.rules.explain(one.step.before, car, action)
+            why = self.rules.explain(one.step.before, car, action).why
             return Verdict(Finding.NOT_EXECUTED, (f"the rules forbid it: {why}",))
         tried = [other for other in all_evidence if other.legal or other.outcome is not None]
         nobodys = len(tried) == 1 or all(other.applied for other in tried)

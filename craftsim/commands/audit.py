@@ -13,7 +13,7 @@ from rich.console import Console
 
 from craftsim.commands.options import CampaignOptions, Dir
 from craftsim.discrete.errors import InputError
-from craftsim.validation.contexts.context import DIRECTION_NAMES, Verb
+from craftsim.validation.contexts.context import Verb
 
 if TYPE_CHECKING:
     from craftsim.validation.audit.rows import Row
@@ -58,7 +58,7 @@ def audit(
     campaign.check()
     console = Console()
     filming = video and rendering_works(console)
-    plan = _chosen(audit_plan(campaign.rules), actions, contexts, only)
+    plan = _chosen(audit_plan(campaign.rules, actions), contexts, only)
     trials = campaign.trials
     if quick:
         plan = [replace(row, members=row.members[:1]) for row in plan[:: 1 + len(plan) // QUICK_ROWS]]
@@ -93,15 +93,12 @@ def audit(
     return conclude(result)
 
 
-def _chosen(plan: list[Row], actions: tuple[Verb, ...], contexts: str, only: str) -> list[Row]:
-    """Return the rows that are asked for, by the action's name before a direction and the row's name."""
-    names = {*actions, *(f"{verb}-{way}" for verb in actions for way in DIRECTION_NAMES)}
+def _chosen(plan: list[Row], contexts: str, only: str) -> list[Row]:
+    """Return the rows that are asked for, by patterns of their names."""
     wanted = [
         row
         for row in plan
-        if (not actions or names & set(row.name.split("/")[0].split("+")))
-        and fnmatchcase(row.name, contexts)
-        and only in ("all", "legal" if row.legal else "forbidden")
+        if fnmatchcase(row.name, contexts) and only in ("all", "legal" if row.legal else "forbidden")
     ]
     if not wanted:
         raise InputError(

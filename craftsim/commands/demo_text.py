@@ -56,18 +56,20 @@ def summary(buildings: Sequence[Building]) -> Table:
             f"[{'green' if one.n_agree == one.n_actions else 'red'}]{one.n_agree} of {one.n_actions}[/]",
             goal,
             f"{figures['makespan_s']:.1f}",
-            *(f"{figures[f'max_{name}']:.2f}" for name in worst),
+            *("-" if (value := figures[f"max_{name}"]) is None else f"{value:.2f}" for name in worst),
         )
     return table
 
 
 def print_worst(figures: dict[str, Any]) -> None:
-    """Say how inexact the worst action of a run was."""
+    """Say how inexact the worst action of a run was; nothing of what was not set down."""
+    placed = figures["max_placed_error_mm"]
     print(
         f"At worst: cars {figures['max_car_error_mm']:.2f} mm and "
-        f"{figures['max_car_heading_error_mrad']:.2f} mrad off, things set down "
-        f"{figures['max_placed_error_mm']:.2f} mm off, bystanders moved "
-        f"{figures['max_bystander_displacement_mm']:.2f} mm. {figures['simulated_s']:.1f} s simulated."
+        f"{figures['max_car_heading_error_mrad']:.2f} mrad off, "
+        + ("" if placed is None else f"things set down {placed:.2f} mm off, ")
+        + f"bystanders moved {figures['max_bystander_displacement_mm']:.2f} mm. "
+        f"{figures['simulated_s']:.1f} s simulated."
     )
 
 

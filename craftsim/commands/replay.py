@@ -46,7 +46,6 @@ def replay(
         raise InputError("--view needs a display, and there is none here; try --video")
     filming = video and rendering_works(Console())
 
-    # MuJoCo must not be imported before the rendering backend is chosen.
     from craftsim.validation.replays import replay as again
     from craftsim.validation.replays.bundle import read_bundle
 

@@ -33,6 +33,8 @@ def train(
     until: float = 0.99,
     worlds: int = 500,
     novelty: float = 0.0,
+    cars: int | None = None,
+    blocks: int | None = None,
     starts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     episodes: int = 1000,
     resume: bool = False,
@@ -45,14 +47,15 @@ def train(
     goes on as if it had never stopped. Exit status 0 when training ended by itself.
 
     Args:
-        task: one of the paper's six, or a task of one's own: a registered name, a file, or module:factory; with any
-            number of cars.
+        task: one of the paper's six, or a task of one's own: a registered name, a file, or module:factory.
         algo: independent or multi-agent PPO, QMIX, VDN, or independent Q-learning.
         seed: decides everything that is drawn.
         steps: ticks to play at most, all worlds together.
         until: end when this success rate is reached in an evaluation.
         worlds: how many are stepped side by side in a rollout.
         novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
+        cars: other than the task's number of cars; those that its start does not list are drawn at random.
+        blocks: the same for blocks.
         starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
         episodes: how many episodes the final evaluation has.
         resume: go on with the run in the output folder, begun with the same options.
@@ -65,8 +68,8 @@ def train(
         raise InputError(f"--until is {until}; allowed: 0 to 1")
     from craftsim.discrete.tasks import as_task
 
-    config = TrainConfig(task, algo, seed, worlds, novelty=novelty)
-    learnt = as_task(task)
+    config = TrainConfig(task, algo, seed, worlds, novelty=novelty, n_cars=cars, n_blocks=blocks)
+    learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:
         raise InputError(
             f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -15,21 +14,7 @@ from rich.console import Console
 from craftsim.commands.options import CampaignOptions, Dir, File
 from craftsim.discrete.tasks import TASK_NAMES
 
-
-@dataclass(frozen=True)
-class RandomWorldOptions:
-    """Of the worlds that ``random`` stands for."""
-
-    cars: int = 4
-    """Cars in a random world, 1 to 12."""
-    blocks: int = 10
-    """Blocks scattered in a random world."""
-    max_steps: int = 73
-    """Ticks of an episode in a random world, less two."""
-
-
 OPTIONS: Final = CampaignOptions()
-RANDOM_WORLDS: Final = RandomWorldOptions()
 
 
 def validate(
@@ -39,7 +24,9 @@ def validate(
     policy: tuple[str, ...] = (),
     order: Literal["sequential", "ticks", "concurrent"] = "ticks",
     campaign: tyro.conf.OmitArgPrefixes[CampaignOptions] = OPTIONS,
-    random_worlds: tyro.conf.OmitArgPrefixes[RandomWorldOptions] = RANDOM_WORLDS,
+    cars: int | None = None,
+    blocks: int | None = None,
+    max_steps: int = 73,
     timeout: float = 600.0,
     video: Literal["none", "failures", "all"] = "failures",
     out: Dir = Path("out/validate"),
@@ -59,6 +46,10 @@ def validate(
             several are compared with each other. The planner unless given, in random worlds the random policy.
         order: how plans are carried out: one action after the other; tick after tick, the cars of one at the same
             time; or each action as early as those that it depends on have ended.
+        cars: other than a world's number of cars; those that its start does not list are drawn at random. A random
+            world has 4.
+        blocks: the same for blocks; a random world has 10 beside its two ramps.
+        max_steps: length of an episode in random worlds, less two ticks.
         timeout: seconds after which a run counts as hanging.
         video: films of the failures, or besides of every run from its start to its end.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
@@ -70,7 +61,6 @@ def validate(
     from craftsim.validation import validation
     from craftsim.validation.html.validate import validate_page
     from craftsim.validation.html.writing import write_html
-    from craftsim.validation.runs.random_worlds import RandomWorlds
 
     campaign.check()
     output_directory(out)
@@ -96,9 +86,9 @@ def validate(
         out=out,
         resume=campaign.resume,
         against=campaign.against,
-        random_worlds=RandomWorlds(
-            random_worlds.cars, random_worlds.blocks, max_steps=random_worlds.max_steps
-        ),
+        n_cars=cars,
+        n_blocks=blocks,
+        max_steps=max_steps,
         progress=lambda total: counting(console, "runs", total),
     )
     if filming:

@@ -24,12 +24,20 @@ if TYPE_CHECKING:
 __all__ = ["GYMNASIUM_IDS", "env", "parallel_env", "vector_env"]
 
 
-def parallel_env(task: Task | str, backend: BackendName = "physics", **options: Any) -> ParallelConstruction:
+def parallel_env(
+    task: Task | str,
+    backend: BackendName = "physics",
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    **options: Any,
+) -> ParallelConstruction:
     """Return a task as a PettingZoo environment whose agents act at the same time.
 
     Args:
         task: a Task, or what :func:`craftsim.discrete.tasks.as_task` makes one of, a registered name for instance.
         backend: contact physics, or the grid and its rules.
+        n_cars: other than the task's number of cars; those that its start does not list are drawn at random.
+        n_blocks: the same for blocks.
         options: the other fields of :class:`craftsim.envs.options.Options`.
 
     Raises:
@@ -45,7 +53,7 @@ def parallel_env(task: Task | str, backend: BackendName = "physics", **options: 
     from craftsim.envs.options import Options
     from craftsim.envs.parallel import ParallelConstruction
 
-    return ParallelConstruction(task, Options.named(backend=backend, **options))
+    return ParallelConstruction(as_task(task, n_cars, n_blocks), Options.named(backend=backend, **options))
 
 
 def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> AECEnv[str, Any, Any]:
@@ -64,7 +72,12 @@ def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> A
 
 
 def vector_env(
-    task: Task | str, num_envs: int, backend: BackendName = "grid", **options: Any
+    task: Task | str,
+    num_envs: int,
+    backend: BackendName = "grid",
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
     """Return many worlds of a task as a Gymnasium environment, one agent for all cars of each world.
 
@@ -76,6 +89,8 @@ def vector_env(
         task: as in :func:`parallel_env`.
         num_envs: how many worlds, 1 or more.
         backend: the grid and its rules, or contact physics.
+        n_cars: as in :func:`parallel_env`.
+        n_blocks: as in :func:`parallel_env`.
         options: on the grid ``rule_set``, ``helper_depth`` and ``time_weight``; in physics the fields of
             :class:`craftsim.envs.options.Options`, ``observe`` aside.
 
@@ -93,6 +108,7 @@ def vector_env(
     from craftsim.envs.vector import GridVectorEnv
 
     Options.named(backend=backend, **options)
+    task = as_task(task, n_cars, n_blocks)
     if backend == "grid":
         for name in options:
             if name not in ("rule_set", "helper_depth", "time_weight"):
@@ -100,7 +116,7 @@ def vector_env(
         return GridVectorEnv(task, num_envs, **options)
     from craftsim.envs.central import CentralConstruction
 
-    make = partial(CentralConstruction, as_task(task), backend=backend, **options)
+    make = partial(CentralConstruction, task, backend=backend, **options)
     make().close()  # so that what is wrong is said here, and not in a process
     if not isinstance(num_envs, int) or num_envs < 1:
         raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")

@@ -39,7 +39,7 @@ def illegal(
 
     Args:
         chosen: (..., n) the actions.
-        applied: (..., n) whether the rules allowed what came of each when the car's turn came.
+        applied: (..., n) whether the rules allowed each when the car's turn came.
         offered: (..., n, 15) the masks before the tick.
         queued: (..., n) which cars went on with what the action helper had queued; None without the helper.
     """

@@ -26,7 +26,7 @@ CAR_COLOURS = (
     (0.72, 0.30, 0.50),
     (0.45, 0.42, 0.16),
 )
-"""Colours (r, g, b) by which a person tells the cars apart; car ids beyond the last start over."""
+"""Colours (r, g, b) that distinguish the cars; car ids beyond the last start over."""
 
 
 def load_part(name: str, machines: Machines, car: int = 0) -> mujoco.MjSpec:

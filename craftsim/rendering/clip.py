@@ -16,7 +16,7 @@ from craftsim.skills.executor import Observer
 CLIP_S: Final = 3.0
 """Length of a clip."""
 _AFTER_S: Final = 0.5
-"""For how long at least it shows what comes of the action."""
+"""For how long at least it shows what follows the action."""
 _FPS: Final = 30
 _SIZE: Final = (640, 360)
 _DISTANCE_M: Final = 1.6

@@ -21,7 +21,7 @@ from craftsim.skills.skill import Command, Skill, SkillSetup, Terrain
 
 Observer = Callable[[Site], None]
 Guard = Callable[[], bool]
-"""Tells whether something unsafe has happened."""
+"""Returns whether something unsafe has happened."""
 
 
 class Executor:

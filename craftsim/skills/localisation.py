@@ -3,7 +3,7 @@
 A scalar Kalman filter for each of x, y and heading. Between two localisations the pose is carried on by the body twist
 that the wheel encoders imply, and its variance grows with the way travelled, for wheels slip. A localisation is
 compared with where the car believed to be when it was taken, and pulls by the Kalman gain. At rest the variance
-shrinks with every localisation, so a parked car knows its place much better than one localisation tells.
+shrinks with every localisation, so a parked car knows its place much better than from one localisation.
 """
 
 from __future__ import annotations

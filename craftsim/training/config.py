@@ -26,6 +26,10 @@ class TrainConfig:
     """Length of the vectors inside the networks."""
     novelty: float = 0.0
     """Exploration bonus for a building never seen before; for one seen k times it is divided by the root of k."""
+    n_cars: int | None = None
+    """Other than the task's number of cars; those that its start does not list are drawn at random."""
+    n_blocks: int | None = None
+    """The same for blocks."""
 
     def __post_init__(self) -> None:
         if self.seed < 0:

@@ -1,4 +1,4 @@
-"""Which task a policy was trained for: told apart by what its worlds are made of, and not by its name alone."""
+"""Which task a policy was trained for: identified by what its worlds are made of, and not by its name alone."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class Trainer:
             InputError: there is no such task.
         """
         self.config = config
-        self.task = task or as_task(config.task)
+        self.task = task or as_task(config.task, config.n_cars, config.n_blocks)
         self.identity = TaskIdentity.of(self.task)
         self.starts = "" if starts is None else starts_digest(starts)
         """Digest of the other starts; empty without."""

@@ -86,12 +86,13 @@ class Building:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What a report holds; lengths in mm, angles in mrad."""
+        """What a report holds; lengths in mm, angles in mrad, None where nothing was measured."""
         if self.episode is None:
             raise ValueError("nothing was run")
 
-        def worst(name: str) -> float:
-            return 1e3 * max((getattr(attempt, name) or 0.0 for attempt in self.attempts), default=0.0)
+        def worst(name: str) -> float | None:
+            values = [getattr(attempt, name) for attempt in self.attempts]
+            return max((1e3 * value for value in values if value is not None), default=None)
 
         return {
             "actions": self.attempts,

@@ -30,7 +30,6 @@ from craftsim.validation.runs.choice import (
     subjects_of,
 )
 from craftsim.validation.runs.policies import RANDOM, Policy
-from craftsim.validation.runs.random_worlds import RandomWorlds
 from craftsim.validation.runs.run import Terms, do_run
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
@@ -128,7 +127,9 @@ def validate(
     out: str | Path | None = None,
     resume: bool = False,
     against: str | Path | None = None,
-    random_worlds: RandomWorlds | None = None,
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    max_steps: int | None = None,
     progress: Progress = lambda total: nullcontext(lambda record: None),
 ) -> Validation:
     """Run plans, lists of actions or policies in physics and judge every action on the poses that it ends with.
@@ -153,7 +154,9 @@ def validate(
         out: folder for report.json, trials.jsonl, durations.csv and replay bundles; nothing is written without.
         resume: go on with what an interrupted validation has left in ``out``.
         against: folder of an earlier validation under other settings, to compare run by run.
-        random_worlds: the family that ``random`` stands for.
+        n_cars: other than a named world's number of cars; those that its start does not list are drawn at random.
+        n_blocks: the same for blocks.
+        max_steps: length of an episode in ``random`` worlds, less two ticks.
         progress: shows what is done.
 
     Raises:
@@ -175,7 +178,7 @@ def validate(
         raise InputError(f"{given[0]} needs the one world that it is for")
     if out is None and (workers > 1 or engine != "local" or resume or against):
         raise InputError("several workers, an engine, resume and against need the folder 'out'")
-    subjects = subjects_of(several, random_worlds)
+    subjects = subjects_of(several, n_cars, n_blocks, max_steps)
     if plan is not None:
         pilots = [plan_pilot(plan if isinstance(plan, Plan) else Path(plan), subjects[0], order)]
     elif actions is not None:

@@ -139,7 +139,7 @@ def test_what_the_rules_forbid_is_not_performed_and_says_which_rule():
     assert (attempt.result, attempt.skill, attempt.legal) == ("failed", "not performed", False)
     assert (attempt.performed, attempt.agrees, attempt.duration_s) == (False, False, 0.0)
     assert attempt.finding == Finding.NOT_EXECUTED
-    assert attempt.reason == f"the rules forbid it: {checked.rules.explain(checked.grid, 0, Action.DROP)}"
+    assert attempt.reason == f"the rules forbid it: {checked.rules.explain(checked.grid, 0, Action.DROP).why}"
     np.testing.assert_array_equal(checked.site.data.qpos, before)
 
 

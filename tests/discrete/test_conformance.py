@@ -12,6 +12,7 @@ from craftsim.discrete.cells import RuleFlags
 from craftsim.discrete.records.conformance import QUIRK_TAGS, Checker
 from craftsim.discrete.records.traces import read_records
 from craftsim.discrete.rules import Rules
+from craftsim.report import SCHEMA_VERSION
 
 DATA = Path(__file__).parents[1] / "data"
 DERIVED = RuleFlags(derived_marks=True)
@@ -123,7 +124,7 @@ def test_command_counts_and_exits_zero_when_all_agree(records, tmp_path, capsys)
     assert last.startswith("20 records, ")
     assert last.endswith(" 0 mismatches")
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["schema_version"] == 1
+    assert report["schema_version"] == SCHEMA_VERSION
     assert report["figures"]["records"] == 20
     assert report["figures"]["total_mismatches"] == 0
 

@@ -39,7 +39,7 @@ QUIRK_TAGS: Final = frozenset({"devdep", "overwrite", "lost", "shared", "unfold_
 
 @dataclass(frozen=True)
 class Mismatch:
-    """One thing that a record tells and our rules tell otherwise."""
+    """One thing in which a record and our rules differ."""
 
     where: str
     """Episode, tick and line."""

@@ -48,8 +48,13 @@ class Explanation:
     def __str__(self) -> str:
         if self.legal:
             return f"{self.action.name} is legal"
+        return f"{self.action.name} is forbidden: {self.why}"
+
+    @property
+    def why(self) -> str:
+        """The reason, and the rule flag with its place in the docs where one forbids the action."""
         named = "" if self.flag is None else f" ({self.flag}, docs/rules.md#{CORRECTIONS[self.flag][1]})"
-        return f"{self.action.name} is forbidden: {self.reason}{named}"
+        return f"{self.reason}{named}"
 
 
 def explain(w: World, car: int, action: Action) -> Explanation:

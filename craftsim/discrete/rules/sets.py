@@ -63,7 +63,7 @@ def act(w: World, car: int, action: int) -> bool:
 def run_tick(
     w: World, cars: NDArray[np.int64], actions: NDArray[np.int64], applied: NDArray[np.bool_]
 ) -> None:
-    """Let cars act in the order given; applied[i] tells whether the action of cars[i] was legal."""
+    """Let cars act in the order given; applied[i] is whether the action of cars[i] was legal."""
     for turn in range(cars.shape[0]):
         applied[turn] = act(w, cars[turn], actions[turn])
     if w.flags.derived_marks:

@@ -126,7 +126,7 @@ def target_array(design: Design) -> NDArray[np.int64]:
 
 
 class PaperBuilding(Measure):
-    """Worth of a building by table 1; ``upper_block`` is that of a block above the floor level."""
+    """Potential of a building by table 1; ``upper_block`` is that of a block above the floor level."""
 
     def __init__(self, design: Design, upper_block: float) -> None:
         self.targets = target_array(design)
@@ -140,7 +140,7 @@ class PaperBuilding(Measure):
 
 
 class CodeBuilding(Measure):
-    """Worth of a building as CraftEnv's code computes it."""
+    """Potential of a building as CraftEnv's code computes it."""
 
     def __init__(self, design: Design) -> None:
         self.targets = target_array(design)

@@ -48,12 +48,16 @@ def task_names() -> list[str]:
     return [*TASK_NAMES, *_REGISTERED]
 
 
-def as_task(task: Task | str) -> Task:
+def as_task(task: Task | str, n_cars: int | None = None, n_blocks: int | None = None) -> Task:
     """Return a task as it is, or the one that a text stands for, see :func:`task_of`; InputError for anything else."""
     if isinstance(task, Task):
+        if n_cars is not None or n_blocks is not None:
+            raise InputError(
+                f"the task '{task.name}' has its own numbers of cars and blocks; they cannot be given"
+            )
         return task
     if isinstance(task, str):
-        return task_of(task)
+        return task_of(task, n_cars=n_cars, n_blocks=n_blocks)
     raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
 
 

@@ -41,9 +41,9 @@ class Row:
     """Why there is nothing to try; empty where there is."""
 
 
-def audit_plan(rule_set: RuleSet) -> list[Row]:
-    """Return all rows for a rule set: what it allows, what it forbids, and the scenes, sorted by name."""
-    found = survey(rule_set)
+def audit_plan(rule_set: RuleSet, verbs: tuple[str, ...] = ()) -> list[Row]:
+    """Return the rows of these verbs, or all: what a rule set allows, what it forbids, and the scenes, by name."""
+    found = survey(rule_set, verbs)
     members: dict[tuple[str, bool, str], list[Situation]] = {}
     for context in found.contexts:
         members.setdefault((row_name(context, True), True, ""), []).append(context)
@@ -54,6 +54,8 @@ def audit_plan(rule_set: RuleSet) -> list[Row]:
             name = f"{name.split('/', 1)[0]}/nothing intended: {reason}"
         members.setdefault((name, False, reason), []).append(context)
     for scene in SCENES:
+        if verbs and not set(scene.id.split("/")[0].split("+")) & set(verbs):
+            continue
         legal = scene.legal(Rules(rule_set))
         members.setdefault((scene.id, legal, "" if legal else scene.why_nothing()), []).append(scene)
     return [Row(name, legal, tuple(of), reason) for (name, legal, reason), of in sorted(members.items())]

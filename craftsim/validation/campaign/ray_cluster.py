@@ -21,7 +21,7 @@ def ray_workers(work: Work, n: int) -> list[Worker]:
     try:
         import ray
     except ImportError:
-        raise InputError("--engine ray needs Ray: pip install 'craftsim[ray]'") from None
+        raise InputError("--engine ray needs Ray: pip install '.[ray]' in a checkout of craftsim") from None
     if not ray.is_initialized():
         try:
             ray.init(address="auto", log_to_driver=False, logging_level=logging.WARNING)

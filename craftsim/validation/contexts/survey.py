@@ -74,13 +74,13 @@ def _inner(verb: Verb) -> list[tuple[int | None, Thing | None, int, Thing, bool]
 
 
 @cache
-def survey(rule_set: RuleSet = "physical") -> Survey:
-    """Try every combination and return the contexts of a rule set; the same in every process."""
+def survey(rule_set: RuleSet = "physical", verbs: tuple[str, ...] = ()) -> Survey:
+    """Try every combination of these verbs, or of all, and return the contexts of a rule set."""
     rules = Rules(rule_set)
     found: list[Context] = []
     illegal: list[Context] = []
     impossible: Counter[str] = Counter()
-    for verb in Verb:
+    for verb in (verb for verb in Verb if not verbs or verb in verbs):
         inner = _inner(verb)
         for ground, own, load in product(Ground, _OWN, _LOADS):
             try:

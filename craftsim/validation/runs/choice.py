@@ -17,7 +17,7 @@ from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.validation.campaign import Item
-from craftsim.validation.runs.policies import RANDOM, Policy, policy_digest
+from craftsim.validation.runs.policies import RANDOM, Policy, make_policy, policy_digest
 from craftsim.validation.runs.random_worlds import RandomWorlds
 from craftsim.validation.runs.run import Run, Terms
 
@@ -56,14 +56,22 @@ class Pilot:
     policy: str | Policy = ""
 
 
-def subjects_of(worlds: Iterable[World], random_worlds: RandomWorlds | None = None) -> list[Subject]:
-    """Return the subjects that worlds, or names of them, stand for; ``random`` stands for ``random_worlds``.
+def subjects_of(
+    worlds: Iterable[World],
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    max_steps: int | None = None,
+) -> list[Subject]:
+    """Return the subjects that worlds, or names of them, stand for.
+
+    ``n_cars`` and ``n_blocks`` change the numbers of what is drawn at random, ``max_steps`` the length of an episode in
+    ``random`` worlds.
 
     Raises InputError for what names no world, and for two of one name.
     """
     found: dict[str, Subject] = {}
     for world in worlds:
-        one = _subject(world, random_worlds or RandomWorlds())
+        one = _subject(world, n_cars, n_blocks, max_steps)
         if one.name in found:
             raise InputError(
                 f"two worlds are called '{one.name}'; rename one, or run them one after the other"
@@ -72,13 +80,20 @@ def subjects_of(worlds: Iterable[World], random_worlds: RandomWorlds | None = No
     return list(found.values())
 
 
-def _subject(world: World, random_worlds: RandomWorlds) -> Subject:
+def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> Subject:
     if isinstance(world, str) and world == RANDOM:
-        world = random_worlds
+        usual = RandomWorlds()
+        world = RandomWorlds(
+            usual.n_cars if n_cars is None else n_cars,
+            usual.n_blocks if n_blocks is None else n_blocks,
+            max_steps=usual.max_steps if max_steps is None else max_steps,
+        )
     if isinstance(world, RandomWorlds):
         return Subject(RANDOM, world, _digest(repr(world).encode()), world.n_cars)
     if isinstance(world, Grid):
         world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
+    if isinstance(world, str | Path) and (n_cars is not None or n_blocks is not None):
+        world = as_task(str(world), n_cars, n_blocks)
     if isinstance(world, Task):
         return Subject(world.name, world, world.digest, world.layout.n_cars)
     name = str(Path(world).resolve()) if exists(world) and world not in TASK_NAMES else str(world)
@@ -119,6 +134,9 @@ def policy_pilot(policy: str | Policy, subjects: Sequence[Subject], order: PlanO
         return Pilot(name, _digest(name.encode()), policy=policy)
     if policy != PLANNER:
         place = str(Path(policy).resolve()) if exists(policy) else policy
+        for subject in subjects:
+            if not isinstance(subject.world, RandomWorlds):
+                make_policy(place, 0, as_task(subject.world))
         return Pilot(policy, policy_digest(place), policy=place)
     for subject in subjects:
         if subject.world not in TASK_NAMES:

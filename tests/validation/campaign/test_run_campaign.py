@@ -50,7 +50,7 @@ def test_a_full_disk_in_a_worker_stops_the_campaign_and_resume_goes_on(tmp_path)
     with pytest.raises(InputError, match=r"bundles/one: No space left on device; .*--resume"):
         _run(tmp_path, items)
     seen = []
-    records = _run(tmp_path, cheap_work.items(5), resume=True, tell=lambda r: seen.append(r["index"]))
+    records = _run(tmp_path, cheap_work.items(5), resume=True, on_record=lambda r: seen.append(r["index"]))
     assert seen == [0, 1, 2, 3, 4]
     assert all(record["agrees"] for record in records)
 

@@ -38,7 +38,7 @@ def test_figures_that_do_not_fit_are_refused(figures):
 
 
 def test_four_cars_act_as_predicted_in_a_random_world_and_what_they_set_down_does_not_drift():
-    result = validate("random", seed=21, random_worlds=RandomWorlds(max_steps=18))
+    result = validate(RandomWorlds(max_steps=18), seed=21)
     assert result.agrees, result.records
     attempts = result.attempts
     assert len(attempts) >= 60
@@ -48,7 +48,7 @@ def test_four_cars_act_as_predicted_in_a_random_world_and_what_they_set_down_doe
 
 
 def test_what_a_random_policy_does_is_legal_in_its_turn_and_each_car_acts_at_most_once_a_tick():
-    result = validate("random", seed=3, random_worlds=RandomWorlds(n_cars=3, max_steps=6))
+    result = validate(RandomWorlds(n_cars=3, max_steps=6), seed=3)
     (record,) = result.records
     attempts = [Attempt.of(attempt) for attempt in record["attempts"]]
     assert all(attempt.legal for attempt in attempts)
@@ -60,8 +60,7 @@ def test_what_a_random_policy_does_is_legal_in_its_turn_and_each_car_acts_at_mos
 def test_noise_is_drawn_from_the_seed():
     family = RandomWorlds(n_cars=2, max_steps=3)
     noisy, again, exact = (
-        validate("random", seed=4, randomize=randomize, random_worlds=family).attempts
-        for randomize in ("strong", "strong", "none")
+        validate(family, seed=4, randomize=randomize).attempts for randomize in ("strong", "strong", "none")
     )
     assert noisy == again
     assert [a.car_error_m for a in noisy] != [a.car_error_m for a in exact]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import resource
+import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 
+from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.rules import RuleSet
 
 if TYPE_CHECKING:
@@ -82,10 +85,8 @@ def bench(
             config |= {"worlds": worlds, "depth": DEPTH, "episode": episode}
             wall = bench_env(console, TASKS, DEPTH, worlds, seconds, episode, seed)
         case "workers":
-            from craftsim.commands.bench_workers import bench_workers
-
             config |= {"runs": runs}
-            wall = bench_workers(console, runs, seed)
+            wall = _bench_workers(console, runs, seed)
         case "durations":
             import yaml
 
@@ -197,3 +198,22 @@ def _memory(n: int, rules: RuleSet, seed: int) -> tuple[int, float, float]:
     arrays = episodes.worlds.arrays
     state = sum(a.nbytes for a in (arrays.kind, arrays.yaw, arrays.top, arrays.back, arrays.cars))
     return state // n, peaks[1], peaks[1] - peaks[0]
+
+
+def _bench_workers(console: Console, runs: int, seed: int) -> dict[str, float]:
+    """Build ``strip`` so many times with one worker and with two; return wall times, starts of processes included."""
+    from craftsim.validation.validation import validate
+
+    seconds, lines = [], []
+    for workers in (1, 2):
+        with tempfile.TemporaryDirectory() as folder:
+            out = Path(folder)
+            begun = time.perf_counter()
+            validate("strip", randomize="mild", trials=runs, seed=seed, workers=workers, out=out)
+            seconds.append(time.perf_counter() - begun)
+            lines.append((out / "trials.jsonl").read_bytes())
+        console.print(f"{workers} workers: {runs} runs in {seconds[-1]:.1f} s")
+    if lines[0] != lines[1]:
+        raise CraftsimError("two workers gave other results than one")
+    console.print(f"Two are {seconds[0] / seconds[1]:.2f} times faster than one, with equal results.")
+    return {"one_worker_s": seconds[0], "two_workers_s": seconds[1], "ratio": seconds[0] / seconds[1]}

@@ -95,7 +95,7 @@ def _physics() -> Check:
         return Check(what, True, f"{found}, a dropped ball comes to rest")
     reason = (child.stderr.strip().splitlines() or [f"exit status {child.returncode}"])[-1]
     # A backend that cannot load makes the import of MuJoCo itself fail.
-    return Check(what, False, reason, "unset MUJOCO_GL" if os.environ.get("MUJOCO_GL") else install)
+    return Check(what, False, reason, _unset_backend_or(install))
 
 
 def _rendering() -> Check:
@@ -103,24 +103,22 @@ def _rendering() -> Check:
     try:
         return Check(what, True, f"{choose_backend()}, renders a frame")
     except RenderingUnavailable as error:
-        return Check(
-            what, False, str(error), "unset MUJOCO_GL" if os.environ.get("MUJOCO_GL") else INSTALL_COMMAND
-        )
+        return Check(what, False, str(error), _unset_backend_or(INSTALL_COMMAND))
+
+
+def _unset_backend_or(remedy: str) -> str:
+    return "unset MUJOCO_GL" if os.environ.get("MUJOCO_GL") else remedy
 
 
 def _encoder() -> Check:
     import av
 
     what = "film encoder (H.264)"
+    install = f"{sys.executable} -m pip install --force-reinstall --only-binary av av"
     try:
         av.Codec("libx264", "w")
     except ValueError:
-        return Check(
-            what,
-            False,
-            f"PyAV {av.__version__} has no libx264",
-            f"{sys.executable} -m pip install --force-reinstall --only-binary av av",
-        )
+        return Check(what, False, f"PyAV {av.__version__} has no libx264", install)
     return Check(what, True, f"libx264 in PyAV {av.__version__}")
 
 

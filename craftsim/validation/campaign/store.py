@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from craftsim.discrete.errors import InputError
-from craftsim.report import output_directory, plain, versions
+from craftsim.report import output_directory, plain, versions, write_whole
 from craftsim.validation.campaign.items import Item, TrialRecord
 
 SCHEMA_VERSION: Final = 1
@@ -82,7 +82,7 @@ class Store:
         """Return all records in the order of the items, and leave them on disk in that order."""
         records = [self.records[key] for key in self._index]
         with _disk(self.out):
-            _write_whole(self.out / TRIALS, "".join(map(_line, records)))
+            write_whole(self.out / TRIALS, "".join(map(_line, records)))
         return records
 
     def close(self) -> None:
@@ -115,7 +115,7 @@ class Store:
             for name in _RESULTS:
                 _remove(self.out / name)
         self._file.truncate(0)
-        _write_whole(path, json.dumps(self._header, indent=2, sort_keys=True) + "\n")
+        write_whole(path, json.dumps(self._header, indent=2, sort_keys=True) + "\n")
 
     def _read(self) -> None:
         """Read back every whole line without an error; what a kill left of the last one is cut off."""
@@ -226,16 +226,6 @@ def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[
 
 def _line(record: TrialRecord) -> str:
     return json.dumps(record, sort_keys=True, allow_nan=False) + "\n"
-
-
-def _write_whole(path: Path, text: str) -> None:
-    """Write a file that appears whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
-    with partial.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
 
 
 def _remove(path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from craftsim.report import output_directory
+from craftsim.report import output_directory, write_whole
 from craftsim.validation.html import plots
 from craftsim.validation.html.film_links import Films
 from craftsim.validation.html.page import Page, count, interval, percent
@@ -37,11 +37,7 @@ def write_html(out: Path, page: Page) -> Path:
     """
     path = output_directory(out) / FILE_NAME
     template = _environment().get_template(page.template)
-    text = template.render(page.content, page=page, films=Films(out), contents=[])
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
-    return path
+    return write_whole(path, template.render(page.content, page=page, films=Films(out), contents=[]))
 
 
 @cache

@@ -89,11 +89,17 @@ def write_report(
         "wall": wall or {},
     }
     text = json.dumps(plain(report), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
-    path = output_directory(out) / "report.json"
+    return write_whole(output_directory(out) / "report.json", text)
+
+
+def write_whole(path: Path, text: str) -> Path:
+    """Write a file that appears whole or not at all, whatever happens, and return its path."""
     partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
-    return path
+    with partial.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    return partial.replace(path)
 
 
 def plain(value: Any) -> Any:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from craftsim.checking.attempt import Attempt
+from craftsim.checking.recipe import Act
 from craftsim.checking.settings import Setup, Thresholds, nominal_gains
 from craftsim.checking.world import judge_on
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError, suggestion
+from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules import RuleSet
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
@@ -50,10 +51,6 @@ def perform(
     if not 0 <= car < len(site.cars):
         raise InputError(f"there is no car {car}: the world has {len(site.cars)}, counted from 0")
     if isinstance(action, str):
-        names = [known.name for known in Action]
-        if action not in names:
-            hint = suggestion(action, names)
-            raise InputError(f"unknown action '{action}'{hint}; there are {', '.join(names)}")
-        action = Action[action]
+        action = Action[Act(car, action).action]
     setup = Setup(rules, thresholds or Thresholds(), gains=gains or nominal_gains())
     return judge_on(site, setup, sensors).perform(car, action)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -51,20 +50,12 @@ def is_unsafe(log: ContactLog) -> bool:
 
 def hazards(log: ContactLog) -> tuple[Hazard, ...]:
     """Return all that was unsafe since the log began."""
-    return tuple(_hazards(log))
-
-
-def _hazards(log: ContactLog) -> Iterator[Hazard]:
-    for name, tilt in log.tilts_rad.items():
-        if tilt > TIPPED_RAD:
-            yield Hazard((name,), f"{name} tipped ({tilt:.1f} rad)")
-    for name, speed in log.falls_m_s.items():
-        if speed > FALL_M_S:
-            yield Hazard((name,), f"{name} fell ({speed:.1f} m/s)")
     limit = impact_limit_n(log.site.machines)
-    for contact in log.contacts:
-        if contact.peak_n > limit:
-            pair = contact.first, contact.second
-            yield Hazard(
-                pair, f"{contact.first} and {contact.second} hit each other ({contact.peak_n:.0f} N)"
-            )
+    tipped = {name: tilt for name, tilt in log.tilts_rad.items() if tilt > TIPPED_RAD}
+    fallen = {name: speed for name, speed in log.falls_m_s.items() if speed > FALL_M_S}
+    hits = [(c.first, c.second, c.peak_n) for c in log.contacts if c.peak_n > limit]
+    return (
+        *(Hazard((name,), f"{name} tipped ({tilt:.1f} rad)") for name, tilt in tipped.items()),
+        *(Hazard((name,), f"{name} fell ({speed:.1f} m/s)") for name, speed in fallen.items()),
+        *(Hazard((a, b), f"{a} and {b} hit each other ({force:.0f} N)") for a, b, force in hits),
+    )

@@ -13,11 +13,10 @@ from rich.console import Console
 
 from craftsim.commands.options import CampaignOptions, Dir
 from craftsim.discrete.errors import InputError
+from craftsim.validation.contexts.context import Verb
 
 if TYPE_CHECKING:
     from craftsim.validation.audit.rows import Row
-
-ActionName = Literal["LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP"]
 
 OPTIONS: Final = CampaignOptions(rules="published", trials=20)
 
@@ -26,7 +25,7 @@ QUICK_ROWS: Final = 60
 
 
 def audit(
-    actions: tuple[ActionName, ...] = (),
+    actions: tuple[Verb, ...] = (),
     contexts: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",
     only: Literal["all", "legal", "forbidden"] = "all",
     quick: bool = False,
@@ -48,7 +47,6 @@ def audit(
         video: films of the disagreements, a few seconds of work each.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
-    from craftsim.checking.settings import setup_of
     from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.films import film_failures, rendering_works
     from craftsim.commands.progress import counting
@@ -67,7 +65,7 @@ def audit(
         trials = 1
     result = run_audit(
         plan,
-        setup_of(campaign.randomize, campaign.rules, campaign.gains, campaign.parameters),
+        campaign.setup(),
         trials,
         campaign.seed,
         out,
@@ -90,9 +88,9 @@ def audit(
     page = write_html(out, audit_page(result, shlex.join(_words(actions, contexts, only, quick, campaign))))
     print_results(console, result.results)
     if result.comparison is not None:
-        console.print(str(result.comparison), soft_wrap=True, markup=False, highlight=False)
-    console.print(f"Report: {out / 'report.json'}\nPage:   {page}", soft_wrap=True)
-    return conclude(console, result)
+        print(result.comparison)
+    print(f"Report: {out / 'report.json'}\nPage:   {page}")
+    return conclude(result)
 
 
 def _chosen(plan: list[Row], contexts: str, only: str) -> list[Row]:
@@ -110,7 +108,7 @@ def _chosen(plan: list[Row], contexts: str, only: str) -> list[Row]:
 
 
 def _words(
-    actions: tuple[ActionName, ...], contexts: str, only: str, quick: bool, campaign: CampaignOptions
+    actions: tuple[Verb, ...], contexts: str, only: str, quick: bool, campaign: CampaignOptions
 ) -> list[str]:
     words = ["craftsim", "audit", *campaign.words()]
     words += ["--actions", *actions] if actions else []

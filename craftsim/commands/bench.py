@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import resource
+import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 
+from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.rules import RuleSet
 
 if TYPE_CHECKING:
@@ -82,10 +85,8 @@ def bench(
             config |= {"worlds": worlds, "depth": DEPTH, "episode": episode}
             wall = bench_env(console, TASKS, DEPTH, worlds, seconds, episode, seed)
         case "workers":
-            from craftsim.commands.bench_workers import bench_workers
-
             config |= {"runs": runs}
-            wall = bench_workers(console, runs, seed)
+            wall = _bench_workers(console, runs, seed)
         case "durations":
             import yaml
 
@@ -112,7 +113,7 @@ def _bench_rules(
 
     table = Table("task", "work", "worlds", *COLUMNS, box=SIMPLE)
     rates: dict[str, dict[str, Any]] = {}
-    memory = _memory(memory_worlds, rules, seed)
+    state, peak_mib, grown_mib = _memory(memory_worlds, rules, seed)
     for name in TASKS:
         task = make_task(name, reward="published_code")
         rates[name] = {}
@@ -127,11 +128,15 @@ def _bench_rules(
             rates[name][f"{work}, {n} world{'s' if n > 1 else ''}"] = rate
             table.add_row(name, work, str(n), *rate.cells())
     console.print(table)
-    for line in memory["lines"]:
-        console.print(line)
-    figures = {"memory_worlds": memory_worlds, "bytes_a_world": memory["bytes_a_world"]}
-    wall = {"rates": rates, "peak_mib": memory["peak_mib"], "grown_mib": memory["grown_mib"]}
-    return figures, wall
+    print(
+        f"{memory_worlds:,} worlds of {TASKS[1]}: {state * memory_worlds / 2**20:.1f} MiB of state, {state} bytes each"
+    )
+    print(
+        f"peak memory {peak_mib:.0f} MiB, {grown_mib:.0f} MiB more than one world "
+        "(helper masks and observations included)"
+    )
+    figures = {"memory_worlds": memory_worlds, "bytes_a_world": state}
+    return figures, {"rates": rates, "peak_mib": peak_mib, "grown_mib": grown_mib}
 
 
 def _pick(rng: np.random.Generator, mask: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -173,8 +178,8 @@ def _peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def _memory(n: int, rules: RuleSet, seed: int) -> dict[str, Any]:
-    """Return what n worlds of the complex two-story task take: their arrays, and the growth of the peak memory.
+def _memory(n: int, rules: RuleSet, seed: int) -> tuple[int, float, float]:
+    """Return what n worlds of the complex two-story task take: bytes each, and peak memory and its growth in MiB.
 
     The growth is that of a step with helper masks and observations, after a batch of one has compiled everything.
     """
@@ -183,7 +188,7 @@ def _memory(n: int, rules: RuleSet, seed: int) -> dict[str, Any]:
     from craftsim.discrete.tasks import make_task
     from craftsim.discrete.tasks.episodes import Episodes
 
-    task = make_task("complex_two_story")
+    task = make_task(TASKS[1])
     peaks = []
     for size in (1, n):
         rng = np.random.default_rng(seed)
@@ -192,14 +197,23 @@ def _memory(n: int, rules: RuleSet, seed: int) -> dict[str, Any]:
         peaks.append(_peak_mib())
     arrays = episodes.worlds.arrays
     state = sum(a.nbytes for a in (arrays.kind, arrays.yaw, arrays.top, arrays.back, arrays.cars))
-    grown = peaks[1] - peaks[0]
-    return {
-        "bytes_a_world": state // n,
-        "peak_mib": peaks[1],
-        "grown_mib": grown,
-        "lines": [
-            f"{n:,} worlds of complex_two_story: {state / 2**20:.1f} MiB of state, {state // n} bytes each",
-            f"peak memory {peaks[1]:.0f} MiB, {grown:.0f} MiB more than one world "
-            "(helper masks and observations included)",
-        ],
-    }
+    return state // n, peaks[1], peaks[1] - peaks[0]
+
+
+def _bench_workers(console: Console, runs: int, seed: int) -> dict[str, float]:
+    """Build ``strip`` so many times with one worker and with two; return wall times, starts of processes included."""
+    from craftsim.validation.validation import validate
+
+    seconds, lines = [], []
+    for workers in (1, 2):
+        with tempfile.TemporaryDirectory() as folder:
+            out = Path(folder)
+            begun = time.perf_counter()
+            validate("strip", randomize="mild", trials=runs, seed=seed, workers=workers, out=out)
+            seconds.append(time.perf_counter() - begun)
+            lines.append((out / "trials.jsonl").read_bytes())
+        console.print(f"{workers} workers: {runs} runs in {seconds[-1]:.1f} s")
+    if lines[0] != lines[1]:
+        raise CraftsimError("two workers gave other results than one")
+    console.print(f"Two are {seconds[0] / seconds[1]:.2f} times faster than one, with equal results.")
+    return {"one_worker_s": seconds[0], "two_workers_s": seconds[1], "ratio": seconds[0] / seconds[1]}

@@ -43,7 +43,6 @@ def demo(
         out: folder for report.json and the films.
     """
     from craftsim.checking.episode import UNWATCHED
-    from craftsim.checking.settings import setup_of
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
     from craftsim.commands.progress import counting
@@ -55,7 +54,7 @@ def demo(
     console = Console()
     if task == "all" and (blueprint or plan or goal):
         raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
-    setup = setup_of(physics.randomize, physics.rules, physics.gains, physics.parameters)
+    setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
     buildings = [read_building(name, blueprint, plan, goal) for name in names]
     output_directory(out)
@@ -87,13 +86,13 @@ def demo(
         figures = done[0].figures
         config |= done[0].files
         console.print(demo_text.actions_table(done[0]))
-        demo_text.print_worst(console, figures)
+        demo_text.print_worst(figures)
     wall = {"total_s": time.perf_counter() - started}
     report = write_report(out, figures, command="demo", seed=physics.seed, config=config, wall=wall)
-    console.print(f"Report: {report}", soft_wrap=True)
+    print(f"Report: {report}")
     for text in films:
-        console.print(f"Film:   {text}", soft_wrap=True)
+        print(f"Film:   {text}")
     for one in done:
-        demo_text.print_disagreements(console, one, name_task=task == "all")
-    console.print(demo_text.conclusion(done), soft_wrap=True)
+        demo_text.print_disagreements(one, name_task=task == "all")
+    print(demo_text.conclusion(done))
     return 0 if all(one.good for one in done) else 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-from rich.console import Console
 from rich.table import Table
 
 from craftsim.validation.building import Building
@@ -62,27 +61,26 @@ def summary(buildings: Sequence[Building]) -> Table:
     return table
 
 
-def print_worst(console: Console, figures: dict[str, Any]) -> None:
+def print_worst(figures: dict[str, Any]) -> None:
     """Say how inexact the worst action of a run was; nothing of what was not set down."""
     placed = figures["max_placed_error_mm"]
-    console.print(
+    print(
         f"At worst: cars {figures['max_car_error_mm']:.2f} mm and "
         f"{figures['max_car_heading_error_mrad']:.2f} mrad off, "
         + ("" if placed is None else f"things set down {placed:.2f} mm off, ")
         + f"bystanders moved {figures['max_bystander_displacement_mm']:.2f} mm. "
-        f"{figures['simulated_s']:.1f} s simulated.",
-        soft_wrap=True,
+        f"{figures['simulated_s']:.1f} s simulated."
     )
 
 
-def print_disagreements(console: Console, building: Building, name_task: bool) -> None:
+def print_disagreements(building: Building, name_task: bool) -> None:
     """Print for each action that does not agree why."""
     prefix = f"{building.name}, " if name_task else ""
     for attempt in building.attempts:
         if not attempt.agrees:
             where = f"{prefix}tick {attempt.tick}, car {attempt.car} {attempt.action}"
             lines = dict.fromkeys((attempt.reason, *attempt.differences))
-            console.print(f"{where}: {'; '.join(lines)}", soft_wrap=True, markup=False)
+            print(f"{where}: {'; '.join(lines)}")
 
 
 def conclusion(buildings: Sequence[Building]) -> str:

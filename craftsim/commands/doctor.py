@@ -61,7 +61,6 @@ def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> 
     physics = _physics()
     films = [_rendering(), _encoder()]
     checks = [physics, *films]
-    console = Console()
     table = Table(title="craftsim doctor")
     for heading in ("", "what", "found"):
         table.add_column(heading, overflow="fold")
@@ -70,21 +69,17 @@ def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> 
     table.add_section()
     for check in checks:
         table.add_row("[green]ok[/]" if check.works else "[red]no[/]", check.what, escape(check.found))
-    console.print(table)
+    Console().print(table)
     for check in checks:
         if check.remedy:
-            console.print(
-                f"{check.what}: run this to mend it:\n    {check.remedy}", soft_wrap=True, markup=False
-            )
+            print(f"{check.what}: run this to mend it:\n    {check.remedy}")
     if out is not None:
         figures = {"checks": checks, "processors": _processors()}
-        console.print(f"Report: {write_report(out, figures, command='doctor')}", soft_wrap=True)
+        print(f"Report: {write_report(out, figures, command='doctor')}")
     if not physics.works:
-        console.print("Physics does not run.")
+        print("Physics does not run.")
         return 2
-    console.print(
-        "All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet."
-    )
+    print("All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet.")
     return 0
 
 
@@ -100,7 +95,7 @@ def _physics() -> Check:
         return Check(what, True, f"{found}, a dropped ball comes to rest")
     reason = (child.stderr.strip().splitlines() or [f"exit status {child.returncode}"])[-1]
     # A backend that cannot load makes the import of MuJoCo itself fail.
-    return Check(what, False, reason, "unset MUJOCO_GL" if os.environ.get("MUJOCO_GL") else install)
+    return Check(what, False, reason, _unset_backend_or(install))
 
 
 def _rendering() -> Check:
@@ -108,24 +103,22 @@ def _rendering() -> Check:
     try:
         return Check(what, True, f"{choose_backend()}, renders a frame")
     except RenderingUnavailable as error:
-        return Check(
-            what, False, str(error), "unset MUJOCO_GL" if os.environ.get("MUJOCO_GL") else INSTALL_COMMAND
-        )
+        return Check(what, False, str(error), _unset_backend_or(INSTALL_COMMAND))
+
+
+def _unset_backend_or(remedy: str) -> str:
+    return "unset MUJOCO_GL" if os.environ.get("MUJOCO_GL") else remedy
 
 
 def _encoder() -> Check:
     import av
 
     what = "film encoder (H.264)"
+    install = f"{sys.executable} -m pip install --force-reinstall --only-binary av av"
     try:
         av.Codec("libx264", "w")
     except ValueError:
-        return Check(
-            what,
-            False,
-            f"PyAV {av.__version__} has no libx264",
-            f"{sys.executable} -m pip install --force-reinstall --only-binary av av",
-        )
+        return Check(what, False, f"PyAV {av.__version__} has no libx264", install)
     return Check(what, True, f"libx264 in PyAV {av.__version__}")
 
 

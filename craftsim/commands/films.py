@@ -12,6 +12,8 @@ from rich.console import Console
 
 from craftsim.checking.episode import Watch
 from craftsim.commands.progress import counting
+from craftsim.discrete.actions import Action
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.models.site import Site
 from craftsim.rendering.backend import RenderingUnavailable, choose_backend
 from craftsim.rendering.clip import clip
@@ -43,9 +45,7 @@ def film_bundle(recorded: Recorded, path: Path) -> Replay:
     """Replay a bundle, film its last step, and return what came of it; :func:`rendering_works` must have said yes."""
     bundle = recorded.bundle
     attempt = bundle.attempts[0]
-    result = ", ".join(
-        f"car {a.car} {a.action.replace('_', ' ').lower()}: {a.result}" for a in bundle.attempts
-    )
+    result = ", ".join(f"car {a.car} {ACTIONS[Action[a.action]].words}: {a.result}" for a in bundle.attempts)
     lines = [*textwrap.wrap(result, _LINE, max_lines=2), *textwrap.wrap(attempt.reason, _LINE, max_lines=2)]
 
     def watch(site: Site) -> AbstractContextManager[Observer]:
@@ -69,21 +69,13 @@ def film_failures(console: Console, out: Path, records: Sequence[TrialRecord]) -
 def film_runs(console: Console, out: Path, items: Sequence[Item], records: Sequence[TrialRecord]) -> None:
     """Film runs from their start to their end, those that came to one and have no film yet."""
     folder = output_directory(out / FILMS)
-    wanted = [
-        (item, record, folder / f"{item.key.replace('/', '-')}.mp4")
-        for item, record in zip(items, records, strict=True)
-        if record["error"] is None
-    ]
-    missing = [one for one in wanted if not one[2].exists()]
+    ended = [item for item, record in zip(items, records, strict=True) if record["error"] is None]
+    paths = [(item, folder / f"{item.key.replace('/', '-')}.mp4") for item in ended]
+    missing = [(item, path) for item, path in paths if not path.exists()]
     with counting(console, "films", len(missing), bool) as tell:
-        for item, record, path in missing:
-            _film_run(item, record, path)
+        for item, path in missing:
+            partial = path.with_name(f".{path.name}")
+            with EpisodeFilm(partial, item.key, size=(640, 360), speed=_SPEED) as film:
+                run_episode(item.job, Watch(film.begin))
+            partial.replace(path)
             tell(True)
-
-
-def _film_run(item: Item, record: TrialRecord, path: Path) -> None:
-    """Re-run a run and film it."""
-    partial = path.with_name(f".{path.name}")
-    with EpisodeFilm(partial, record["key"], size=(640, 360), speed=_SPEED) as film:
-        run_episode(item.job, Watch(film.begin))
-    partial.replace(path)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules import RuleSet
+
+if TYPE_CHECKING:
+    from craftsim.checking.settings import Setup
 
 Dir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
@@ -31,6 +34,12 @@ class PhysicsOptions:
     """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
     seed: int = 0
     """Decides all that is drawn."""
+
+    def setup(self) -> Setup:
+        """Return the configuration of the physics; raise InputError for a file that says what it should not."""
+        from craftsim.checking.settings import setup_of
+
+        return setup_of(self.randomize, self.rules, self.gains, self.parameters)
 
 
 @dataclass(frozen=True)

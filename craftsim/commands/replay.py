@@ -40,12 +40,11 @@ def replay(
         video: film it, in three seconds.
         out: folder for report.json and the film.
     """
-    console = Console()
     if view and video:
         raise InputError("--view and --video are two ways to watch; give one of them")
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--view needs a display, and there is none here; try --video")
-    filming = video and rendering_works(console)
+    filming = video and rendering_works(Console())
 
     from craftsim.validation.replays import replay as again
     from craftsim.validation.replays.bundle import read_bundle
@@ -58,10 +57,10 @@ def replay(
     report = write_report(
         out, {"bundle": bundle.name, **_figures(recorded, result)}, command="replay", config={"view": view}
     )
-    _print(console, recorded, result)
-    console.print(f"Report: {report}", soft_wrap=True)
+    _print(recorded, result)
+    print(f"Report: {report}")
     if filming:
-        console.print(f"Film:   {film}", soft_wrap=True)
+        print(f"Film:   {film}")
     return 0 if result.reproduced else 1
 
 
@@ -77,33 +76,30 @@ def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
     }
 
 
-def _print(console: Console, recorded: Recorded, result: Replay) -> None:
-    def say(text: str) -> None:
-        console.print(text, soft_wrap=True, markup=False, highlight=False)
-
+def _print(recorded: Recorded, result: Replay) -> None:
     bundle = recorded.bundle
-    say(bundle.key)
+    print(bundle.key)
     for attempt in bundle.attempts:
-        say(
+        print(
             f"car {attempt.car} {attempt.action}: {attempt.result}. Predicted {attempt.predicted}, read {attempt.read}."
         )
         if attempt.reason:
-            say(f"  {attempt.reason}")
+            print(f"  {attempt.reason}")
     for package, (was, now) in result.changed.items():
-        say(f"Recorded with {package} {was}, replayed with {now}: bits may differ.")
+        print(f"Recorded with {package} {was}, replayed with {now}: bits may differ.")
     if not result.differing:
-        say("Reproduced: the same bit for bit.")
+        print("Reproduced: the same bit for bit.")
         return
     apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"
     if result.reproduced:
-        say(f"Reproduced within the tolerance: {apart}.")
+        print(f"Reproduced within the tolerance: {apart}.")
         return
-    say(f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}.")
+    print(f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}.")
     platform = bundle.versions.get("platform")
     if platform != versions()["platform"]:
-        say(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
+        print(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
     for attempt in result.attempts:
-        say(f"  now: car {attempt.car} {attempt.action}: {attempt.result}. {attempt.reason}")
+        print(f"  now: car {attempt.car} {attempt.action}: {attempt.result}. {attempt.reason}")
 
 
 @contextmanager

@@ -30,14 +30,13 @@ def show(
     path = shipped_blueprint(str(blueprint)) if str(blueprint) in TASK_NAMES else blueprint
     drawing = read_blueprint(path)
     grid = drawing.grid(np.random.default_rng(seed))
-    console = Console(highlight=False)
-    console.print(world_text(grid, drawing.goal))
-    console.print(LEGEND, markup=False)
+    Console(highlight=False).print(world_text(grid, drawing.goal))
+    print(LEGEND)
     length, width, height = drawing.size
     counts = f"{drawing.n_cars} cars, {drawing.n_blocks} blocks, {drawing.n_slopes} slopes"
-    console.print(f"{length} x {width} cells, {height} levels: {counts}")
+    print(f"{length} x {width} cells, {height} levels: {counts}")
     for note in drawing.notes:
-        console.print(f"note: {note}", markup=False)
+        print(f"note: {note}")
     if out is not None:
         import cv2
 
@@ -45,5 +44,5 @@ def show(
 
         picture = output_directory(out) / f"{path.stem}.png"
         cv2.imwrite(str(picture), world_image(grid, drawing.goal)[:, :, ::-1])
-        console.print(f"picture: {picture}", markup=False, soft_wrap=True)
+        print(f"picture: {picture}")
     return 0

@@ -88,12 +88,12 @@ def train(
         _run(trainer, console, steps, until, folder)
     except KeyboardInterrupt:
         trainer.save(folder)
-        console.print(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}", soft_wrap=True)
+        print(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}")
         return INTERRUPTED
     trainer.save(folder)
     asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
     asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
-    _report(trainer, console, folder, asked, time.perf_counter() - begun)
+    _report(trainer, folder, asked, time.perf_counter() - begun)
     return 0
 
 
@@ -146,7 +146,7 @@ def _run(trainer: Trainer, console: Console, steps: int, until: float, folder: P
                 )
 
 
-def _report(trainer: Trainer, console: Console, folder: Path, asked: dict[str, Any], seconds: float) -> None:
+def _report(trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float) -> None:
     from craftsim.training.curve import plot_curve, write_curve
     from craftsim.training.trainer import training_versions
     from craftsim.validation.statistics.proportions import Proportion, wilson
@@ -169,10 +169,9 @@ def _report(trainer: Trainer, console: Console, folder: Path, asked: dict[str, A
     }
     wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
     report = write_report(folder, figures, command="train", seed=config.seed, config=asked, wall=wall)
-    console.print(
+    print(
         f"{trainer.task.name}, {config.algo}: success {success.rate:.3f} ({success.wilson_low:.3f} to "
         f"{success.wilson_high:.3f}) in {played.episodes} fresh episodes of {played.mean_ticks:.1f} ticks, after "
-        f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s.",
-        soft_wrap=True,
+        f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s."
     )
-    console.print(f"Policy: {folder / 'policy.pt'}\nReport: {report}", soft_wrap=True)
+    print(f"Policy: {folder / 'policy.pt'}\nReport: {report}")

@@ -99,9 +99,9 @@ def validate(
         out, validate_page(result, shlex.join(["craftsim", "validate", *worlds, *campaign.words()]))
     )
     console.print(runs_table(result.records))
-    print_disagreements(console, out, result.records)
+    print_disagreements(out, result.records)
     if result.comparison is not None:
-        console.print(str(result.comparison), soft_wrap=True, markup=False, highlight=False)
-    console.print(f"Report: {out / 'report.json'}\nPage:   {page}", soft_wrap=True)
-    console.print(conclusion(result), soft_wrap=True)
+        print(result.comparison)
+    print(f"Report: {out / 'report.json'}\nPage:   {page}")
+    print(conclusion(result))
     return 0 if result.agrees else 1

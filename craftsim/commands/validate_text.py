@@ -7,7 +7,6 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-from rich.console import Console
 from rich.table import Table
 
 from craftsim.checking.attempt import Result
@@ -51,7 +50,7 @@ def runs_table(records: Sequence[TrialRecord]) -> Table:
     return table
 
 
-def print_disagreements(console: Console, out: Path, records: Sequence[TrialRecord]) -> None:
+def print_disagreements(out: Path, records: Sequence[TrialRecord]) -> None:
     """Print the first disagreement of each run, and how to see it again."""
     wrong = [record for record in records if not record["agrees"]]
     for record in wrong[:_SHOWN]:
@@ -59,11 +58,11 @@ def print_disagreements(console: Console, out: Path, records: Sequence[TrialReco
         if bad := next((a for a in record["attempts"] if a["result"] != Result.AS_PREDICTED), None):
             text = f"tick {bad['tick']} car {bad['car']} {bad['action']}: "
             text += f"{bad['result']}: {bad['reason']}" if bad["legal"] else f"not tried: {bad['reason']}"
-        console.print(f"{record['key']}: {text}", soft_wrap=True, markup=False, highlight=False)
+        print(f"{record['key']}: {text}")
         if record["bundle"]:
-            console.print(f"  craftsim replay {out / record['bundle']}", soft_wrap=True, markup=False)
+            print(f"  craftsim replay {out / record['bundle']}")
     if len(wrong) > _SHOWN:
-        console.print(f"and {len(wrong) - _SHOWN} more in the report")
+        print(f"and {len(wrong) - _SHOWN} more in the report")
 
 
 def conclusion(result: Validation) -> str:

@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from craftsim.checking.checked_site import CheckedSite
+from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.models.site import Site
 from craftsim.rendering.film import Film
@@ -62,7 +63,7 @@ class EpisodeFilm:
     def _captions(self) -> list[str]:
         """Return what each car does, two cars a line: more lines would hide the building."""
         words = [
-            f"car {car}: {self._running[car].action.name.replace('_', ' ').lower()}"
+            f"car {car}: {ACTIONS[self._running[car].action].words}"
             if car in self._running
             else f"car {car}: waits"
             for car in range(self._n_cars)

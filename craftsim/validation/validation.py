@@ -33,7 +33,7 @@ from craftsim.validation.runs.policies import RANDOM, Policy
 from craftsim.validation.runs.run import Terms, do_run
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
-from craftsim.validation.statistics.paired import Comparison, Earlier
+from craftsim.validation.statistics.paired import Comparison, compare, read_earlier
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -202,7 +202,7 @@ def validate(
     }
     terms = Terms(seed, setup, None if folder is None else folder.resolve())
     items = list(items_of(subjects, pilots, trials, terms))
-    earlier = None if against is None else Earlier.read(Path(against), COMMAND, folder, seed, items)
+    earlier = None if against is None else read_earlier(Path(against), COMMAND, folder, seed, items)
     with progress(len(items)) as on_record:
         if folder is None:
             records = run_here(items, do_run, on_record)
@@ -219,7 +219,7 @@ def validate(
                 on_record=on_record,
             )
     figures = campaign_figures(records, seed)
-    comparison = None if earlier is None or folder is None else earlier.compare(folder, records)
+    comparison = None if earlier is None or folder is None else compare(earlier, folder, records)
     if folder is not None:
         wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
         found = {"validation": figures, "paired": comparison}

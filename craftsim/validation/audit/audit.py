@@ -17,7 +17,7 @@ from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
 from craftsim.validation.campaign import Engine, Header, TrialRecord, run_campaign
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
-from craftsim.validation.statistics.paired import Comparison, Earlier
+from craftsim.validation.statistics.paired import Comparison, compare, read_earlier
 from craftsim.validation.validation import Progress
 
 COMMAND = "audit"
@@ -82,7 +82,7 @@ def run_audit(
     output_directory(out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     items = items_of(plan, trials, seed, setup)
-    earlier = None if against is None else Earlier.read(against, COMMAND, out, seed, items)
+    earlier = None if against is None else read_earlier(against, COMMAND, out, seed, items)
     with progress(len(items)) as on_record:
         records = run_campaign(
             items,
@@ -101,7 +101,7 @@ def run_audit(
     corrections = results.corrected(plan, setup.rules)
     judged = judged_by_rules(records)
     figures = campaign_figures(judged, seed)
-    comparison = None if earlier is None else earlier.compare(out, records, judged_by_rules)
+    comparison = None if earlier is None else compare(earlier, out, records, judged_by_rules)
     write_report(
         out,
         {"audit": results.figures(plan, corrections), "validation": figures, "paired": comparison},

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RULE_FLAGS, Rules, RuleSet
 from craftsim.validation.audit.rows import Row, Situation, action_in, world_of
@@ -33,7 +34,8 @@ def rows_by_switch(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
 
 def _differs(situation: Situation, rule_set: RuleSet, switch: str) -> bool:
     """Return whether one switch changes what is allowed, or what comes of it."""
-    grid, joint = _told(situation, rule_set)
+    grid, actions = _start(situation, rule_set)
+    joint = [(car, int(action)) for car, action in enumerate(actions)]
     before, after = (
         rules.tick(grid, joint)
         for rules in (Rules(rule_set), Rules(rule_set, RULE_FLAGS[rule_set]._replace(**{switch: True})))
@@ -42,9 +44,9 @@ def _differs(situation: Situation, rule_set: RuleSet, switch: str) -> bool:
 
 
 @cache
-def _told(situation: Situation, rule_set: RuleSet) -> tuple[Grid, list[tuple[int, int]]]:
-    """Return the world of a situation, and what its cars are told."""
+def _start(situation: Situation, rule_set: RuleSet) -> tuple[Grid, tuple[Action, ...]]:
+    """Return the world of a situation, and what its first cars do in it."""
     if isinstance(situation, Scene):
-        return situation.world(), [(car, int(action)) for car, action in enumerate(situation.actions)]
+        return situation.world(), situation.actions
     grid = world_of(situation, np.random.default_rng(0), rule_set)
-    return grid, [(0, int(action_in(situation, grid)))]
+    return grid, (action_in(situation, grid),)

@@ -41,10 +41,7 @@ def intended(grid: Grid, car: int, action: Action) -> Grid:
 
 def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
     """Raise NoPredictionError where a move leads to no place for the car and its load."""
-    x, y, z = cell
-    if not (0 <= x < grid.kind.shape[0] and 0 <= y < grid.kind.shape[1]):
-        raise NoPredictionError("the map ends there")
-    there = Kind(grid.kind[cell]) if z < grid.kind.shape[2] else Kind.AIR
+    there = _kind_at(grid, cell)
     if there == Kind.WALL:
         raise NoPredictionError("a wall is there")
     if load != Kind.AIR and there not in _ROOMY:
@@ -56,17 +53,21 @@ def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
 def _check_state(grid: Grid, car: int) -> None:
     """Raise NoPredictionError where the rules have no such state of a car."""
     x, y, z, yaw, load, load_yaw, slope = (int(v) for v in grid.cars[car])
-    here = Kind(grid.kind[x, y, z]) if z < grid.kind.shape[2] else Kind.AIR
-    below = Kind(grid.kind[x, y, z - 1])
-    if (slope == 1) != (here == Kind.FOOT) or (slope == 2) != (below == Kind.BODY):
-        raise NoPredictionError("there is no ground to stand on")
-    if slope == 0 and below not in _LEVEL:
+    here, below = _kind_at(grid, (x, y, z)), _kind_at(grid, (x, y, z - 1))
+    off_slope = (slope == 1) != (here == Kind.FOOT) or (slope == 2) != (below == Kind.BODY)
+    if off_slope or (slope == 0 and below not in _LEVEL):
         raise NoPredictionError("there is no ground to stand on")
     if slope and (yaw - int(grid.yaw[x, y, z if slope == 1 else z - 1])) % 2:
         raise NoPredictionError("a car across a slope is no state of the rules")
     if load == Kind.FSLOPE:
-        gx, gy, _ = beside((x, y, z), load_yaw)
-        if not (0 <= gx < grid.kind.shape[0] and 0 <= gy < grid.kind.shape[1]):
-            raise NoPredictionError("the map ends there")
-        if not slope and Kind(grid.kind[gx, gy, z]) not in _ROOMY:
+        gear = _kind_at(grid, beside((x, y, z), load_yaw))
+        if not slope and gear not in _ROOMY:
             raise NoPredictionError("two things would share a cell")
+
+
+def _kind_at(grid: Grid, cell: Cell) -> Kind:
+    """Return what is in a cell, above the map nothing; raise NoPredictionError beside it."""
+    (x, y, z), (length, width, height) = cell, grid.kind.shape
+    if not (0 <= x < length and 0 <= y < width):
+        raise NoPredictionError("the map ends there")
+    return Kind(grid.kind[cell]) if z < height else Kind.AIR

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from importlib.resources import files
 from typing import Final
+
+import yaml
 
 from craftsim.validation.statistics.audit_rows import AuditRow, Judgement
 
@@ -20,52 +23,14 @@ class Suspect:
     patterns: tuple[str, ...]
 
 
-SUSPECTS: Final = (
-    Suspect(1, "UNFOLD while something is in the way of the flap", ("UNFOLD/*",)),
-    Suspect(2, "FOLD while something is where the flap comes up and over", ("FOLD/*",)),
-    Suspect(
-        3,
-        "a car enters a cell that another leaves in the same tick, both loaded",
-        ("MOVE+MOVE/*", "DROP+MOVE/*"),
-    ),
-    Suspect(
-        4,
-        "turning with a load among neighbours",
-        ("ROTATE_*load=block*", "ROTATE_*load=fslope*", "ROTATE_*/scene=*"),
-    ),
-    Suspect(
-        5,
-        "turning without a load under a block or a slope",
-        ("ROTATE_*own=block*load=none*", "ROTATE_*own=fslope*load=none*", "ROTATE_*own=body*load=none*"),
-    ),
-    Suspect(6, "driving sideways with a load", ("MOVE-left/*ground=flat/own=air/load=[bf]*next=air*",)),
-    Suspect(7, "moves under blocks sideways", ("MOVE-left/*own=block*", "MOVE-left/*next=block*")),
-    Suspect(8, "standing on a folded slope or a flag", ("MOVE/scene=onto a f*",)),
-    Suspect(
-        9, "carrying past neighbours that stand 2.5 mm away", ("MOVE-*ground=flat*load=[bf]*room=tight",)
-    ),
-    Suspect(
-        10,
-        "climbing with a load, under and beside what stands there",
-        (
-            "MOVE-forward/*ground=*-up*load=[bf]*",
-            "MOVE-forward/*load=[bf]*next=foot*",
-            "MOVE/scene=up below*",
-        ),
-    ),
-    Suspect(
-        11,
-        "a car above a ramp's body and another below it",
-        ("MOVE/scene=*car on top", "MOVE/scene=*car below"),
-    ),
-    Suspect(
-        12,
-        "driving down from whatever stands behind a ramp",
-        ("MOVE-forward/*next=above-body*", "MOVE/scene=down*", "MOVE/scene=onto a top*"),
-    ),
-    Suspect(13, "lifting and setting down beside neighbours", ("LIFT/*", "DROP/*", "DROP+MOVE/*")),
-    Suspect(14, "standing on the incline", ("STOP/*ground=low*", "STOP/*ground=high*")),
-)
+def _suspects() -> Iterator[Suspect]:
+    text = files("craftsim.data").joinpath("suspects.yaml").read_text(encoding="utf-8")
+    for number, entry in enumerate(yaml.safe_load(text), start=1):
+        yield Suspect(number, entry["question"], tuple(entry["rows"]))
+
+
+SUSPECTS: Final = tuple(_suspects())
+"""Those of ``craftsim/data/suspects.yaml``."""
 
 
 @dataclass(frozen=True)

@@ -93,18 +93,13 @@ def _settle(
     future: Future[list[Answer]], batch: _Batch, timeout_s: float
 ) -> tuple[list[tuple[Item, Answer]], list[_Batch]]:
     """Return what is known of a batch, and what must be done again."""
-    alone = len(batch.items) == 1
-    failure: Answer
     try:
         return list(zip(batch.items, future.result(), strict=True)), []
-    except TimeoutError:
-        if not alone:
+    except (TimeoutError, WorkerDiedError) as error:
+        if len(batch.items) > 1:
             return [], batch.split()
-        failure = Failure(f"no answer within {timeout_s:g} s")
-    except WorkerDiedError:
-        if not alone:
-            return [], batch.split()
-        if batch.deaths + 1 < MAX_DEATHS:
-            return [], [_Batch(batch.items, batch.deaths + 1)]
-        failure = Failure(f"its worker process died, {MAX_DEATHS} times")
-    return [(batch.items[0], failure)], []
+        if isinstance(error, TimeoutError):
+            return [(batch.items[0], Failure(f"no answer within {timeout_s:g} s"))], []
+    if batch.deaths + 1 < MAX_DEATHS:
+        return [], [_Batch(batch.items, batch.deaths + 1)]
+    return [(batch.items[0], Failure(f"its worker process died, {MAX_DEATHS} times"))], []

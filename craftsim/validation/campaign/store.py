@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from craftsim.discrete.errors import InputError
-from craftsim.report import output_directory, plain, versions
+from craftsim.report import output_directory, plain, versions, write_whole
 from craftsim.validation.campaign.items import Item, TrialRecord
 
 SCHEMA_VERSION: Final = 1
 TRIALS: Final = "trials.jsonl"
 CAMPAIGN: Final = "campaign.json"
+_NEEDED: Final = {"key", "index", "agrees", "error", "attempts"}
 _RESULTS: Final = ("report.json", "report.html", "durations.csv", "bundles", "films")
 """What a campaign leaves besides; it goes when another one begins in its folder."""
 
@@ -69,19 +70,19 @@ class Store:
 
     def append(self, records: Iterable[TrialRecord]) -> None:
         """Write records down for good; raise InputError where the disk does not take them."""
-        records = list(records)
-        text = "".join(_line(record) for record in records)
+        lines = {record["key"]: _line(record) for record in records}
         with _disk(self.out):
-            self._file.write(text.encode())
+            self._file.write("".join(lines.values()).encode())
             self._file.flush()
             os.fsync(self._file.fileno())
-        self._keep(records)
+        # As they would be read back, so that a resumed campaign has the very same.
+        self.records |= {key: json.loads(line) for key, line in lines.items()}
 
     def finish(self) -> list[TrialRecord]:
         """Return all records in the order of the items, and leave them on disk in that order."""
         records = [self.records[key] for key in self._index]
         with _disk(self.out):
-            _write_whole(self.out / TRIALS, "".join(map(_line, records)))
+            write_whole(self.out / TRIALS, "".join(map(_line, records)))
         return records
 
     def close(self) -> None:
@@ -114,7 +115,7 @@ class Store:
             for name in _RESULTS:
                 _remove(self.out / name)
         self._file.truncate(0)
-        _write_whole(path, json.dumps(self._header, indent=2, sort_keys=True) + "\n")
+        write_whole(path, json.dumps(self._header, indent=2, sort_keys=True) + "\n")
 
     def _read(self) -> None:
         """Read back every whole line without an error; what a kill left of the last one is cut off."""
@@ -122,25 +123,12 @@ class Store:
         data = path.read_bytes()
         whole = data.rfind(b"\n") + 1
         self._file.truncate(whole)
-        for number, line in enumerate(data[:whole].split(b"\n")[:-1], start=1):
-            try:
-                record: TrialRecord = json.loads(line)
-                known = record["key"] in self._index and record["index"] == self._index[record["key"]]
-            except (ValueError, TypeError, KeyError):
-                raise InputError(
-                    f"{path}:{number}: not a trial's record; delete this line, and its trial is run again"
-                ) from None
-            if not known:
-                raise InputError(
-                    f"{path}:{number}: trial '{record['key']}' is none of this campaign; delete this line"
-                )
-            if record.get("error") is None:
-                self.records[record["key"]] = record
-
-    def _keep(self, records: Iterable[TrialRecord]) -> None:
-        """Remember records as they would be read back, so that a resumed campaign has the very same."""
-        for record in records:
-            self.records[record["key"]] = json.loads(_line(record))
+        for number, record in _records(path, data[:whole], "its trial is run again"):
+            key = record["key"]
+            if key not in self._index or record["index"] != self._index[key]:
+                raise InputError(f"{path}:{number}: trial '{key}' is none of this campaign; delete this line")
+            if record["error"] is None:
+                self.records[key] = record
 
 
 def _header(header: Header, items: Sequence[Item]) -> dict[str, Any]:
@@ -169,6 +157,56 @@ def read_header(path: Path) -> dict[str, Any]:
     return loaded
 
 
+@dataclass(frozen=True)
+class FinishedCampaign:
+    """A campaign that has come to its end."""
+
+    folder: Path
+    header: Mapping[str, Any]
+    """What the campaign was: command, seed, versions, config."""
+    records: list[TrialRecord]
+
+
+def read_finished(folder: Path, command: str) -> FinishedCampaign:
+    """Return the finished campaign of a command.
+
+    Raises:
+        InputError: the folder holds no campaign, an unfinished one or another command's, or a line that is no record.
+    """
+    path = folder / CAMPAIGN
+    if not path.is_file():
+        raise InputError(f"{folder} holds no campaign; give the --out of an earlier 'craftsim {command}'")
+    header = read_header(path)
+    if header.get("command") != command:
+        raise InputError(
+            f"{folder} holds a campaign of 'craftsim {header.get('command')}'; give the --out of an earlier "
+            f"'craftsim {command}'"
+        )
+    lines = folder / TRIALS
+    data = lines.read_bytes() if lines.is_file() else b""
+    if (found := data.count(b"\n")) < header["items"]:
+        raise InputError(
+            f"{folder} holds an unfinished campaign ({found} of {header['items']} trials); "
+            f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
+        )
+    records = [record for _, record in _records(lines, data, "--resume runs its trial again")]
+    return FinishedCampaign(folder, header, records)
+
+
+def _records(path: Path, data: bytes, remedy: str) -> Iterator[tuple[int, TrialRecord]]:
+    """Yield the number and the record of each whole line; raise InputError, with the remedy, for one that is none."""
+    for number, line in enumerate(data.split(b"\n")[:-1], start=1):
+        try:
+            record: TrialRecord = json.loads(line)
+            if not record.keys() >= _NEEDED:
+                raise KeyError
+        except (ValueError, AttributeError, KeyError):
+            raise InputError(
+                f"{path}:{number}: not a trial's record; delete this line, and {remedy}"
+            ) from None
+        yield number, record
+
+
 def _check_same(path: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     for key, (old, new) in differences(there, wanted):
         raise InputError(
@@ -188,16 +226,6 @@ def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[
 
 def _line(record: TrialRecord) -> str:
     return json.dumps(record, sort_keys=True, allow_nan=False) + "\n"
-
-
-def _write_whole(path: Path, text: str) -> None:
-    """Write a file that appears whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
-    with partial.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
 
 
 def _remove(path: Path) -> None:

@@ -13,6 +13,7 @@ from craftsim.validation.contexts.context import BACK, FORWARD, Context, Ground,
 
 STANDS_ON: Final = (Kind.WALL, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.FOOT)
 """What needs a floor or a block below it; a gear hangs on its slope."""
+_FIRST_PART: Final = {second: first for first, second in SECOND_PART.items()}
 
 
 class ImpossibleError(Exception):
@@ -36,13 +37,12 @@ class Drawing:
         if kind in SECOND_PART:
             self.put(SECOND_PART[kind], beside(cell, yaw), yaw)
 
-    def put_by_gear(self, cell: Cell, yaw: int) -> None:
-        """Put a folded slope where its gear is in the cell given."""
-        self.put(Kind.FSLOPE, beside(cell, yaw + 2), yaw)
-
-    def put_by_foot(self, cell: Cell, yaw: int) -> None:
-        """Put an unfolded slope where its foot is in the cell given."""
-        self.put(Kind.BODY, beside(cell, yaw + 2), yaw)
+    def put_thing(self, thing: Thing, cell: Cell) -> None:
+        """Put a thing into a cell; a gear or a foot comes with the slope that it is the second part of."""
+        if thing.kind in _FIRST_PART:
+            self.put(_FIRST_PART[thing.kind], beside(cell, thing.yaw + 2), thing.yaw)
+        else:
+            self.put(thing.kind, cell, thing.yaw)
 
     def support(self, cell: Cell) -> None:
         """Fill the cells below with blocks, down to the ground."""
@@ -101,7 +101,7 @@ def draw(context: Context) -> Drawing:
     if context.direction is not None and context.next is not None:
         _draw_next(drawing, context, own)
     if context.over.kind != Kind.AIR:
-        _put_thing(drawing, context.over, _over(context, own))
+        drawing.put_thing(context.over, _over(context, own))
     if context.beyond_taken and context.verb.varies.beyond is not None:
         drawing.put(Kind.BLOCK, _after_next(own, context.verb.varies.beyond)[-1])
     drawing.support_all()
@@ -128,7 +128,7 @@ def _draw_ground(drawing: Drawing, context: Context, own: Cell) -> None:
     """Put down what the car stands on and under; half of a slope comes with a block behind it."""
     ground = context.ground
     if ground.half == 0:
-        _put_thing(drawing, context.own, own)
+        drawing.put_thing(context.own, own)
         drawing.support(own)
         if context.own.kind == Kind.FSLOPE:
             drawing.support(beside(own, BACK))
@@ -149,15 +149,6 @@ def _draw_ground(drawing: Drawing, context: Context, own: Cell) -> None:
         drawing.support(end)
 
 
-def _put_thing(drawing: Drawing, thing: Thing, cell: Cell) -> None:
-    if thing.kind == Kind.GEAR:
-        drawing.put_by_gear(cell, thing.yaw)
-    elif thing.kind == Kind.FOOT:
-        drawing.put_by_foot(cell, thing.yaw)
-    else:
-        drawing.put(thing.kind, cell, thing.yaw)
-
-
 def _draw_next(drawing: Drawing, context: Context, own: Cell) -> None:
     assert context.direction is not None
     assert context.next is not None
@@ -175,7 +166,7 @@ def _draw_next(drawing: Drawing, context: Context, own: Cell) -> None:
         raise ImpossibleError("a load on an incline would be where a gear is")
     if loaded and thing.kind == Kind.BODY and half == 1 and context.ground.downhill == FORWARD:
         raise ImpossibleError("a load on an incline would be where a slope is")
-    _put_thing(drawing, thing, cell)
+    drawing.put_thing(thing, cell)
     if thing.kind == Kind.FOOT and context.ground.half == 0:
         drawing.put(Kind.BLOCK, beside(beside(cell, thing.yaw + 2), thing.yaw + 2))
     if thing.kind != Kind.WALL and not _belongs_to_ramp(context):

@@ -3,27 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from craftsim.validation.audit.audit import Audit
-from craftsim.validation.html.audit_tables import corrections_table, suspects_table
-from craftsim.validation.html.disagreements import (
-    agreement_table,
-    conservative_section,
-    unsound_section,
-)
-from craftsim.validation.html.page import Headline, KeyFigure, Page, Section, Tone
-from craftsim.validation.html.paired import paired_section
-from craftsim.validation.html.plots import durations_plot, errors_plot, judgement_plot
-from craftsim.validation.html.run_description import RunDescription, provenance_section
-from craftsim.validation.html.tables import (
-    count,
-    duration_rows,
-    error_table,
-    matrix_table,
-    precision_table,
-    verb_table,
-)
+from craftsim.validation.audit.suspects import SuspectFinding
+from craftsim.validation.html.page import Case, Headline, KeyFigure, Page, Tone, count, provenance
 from craftsim.validation.statistics.audit_rows import (
     SOUND_SHARE,
     AuditRow,
@@ -32,25 +17,62 @@ from craftsim.validation.statistics.audit_rows import (
     verdict_counts,
 )
 from craftsim.validation.statistics.figures import Figures
-from craftsim.validation.statistics.records import attempts_of, carried_out
+from craftsim.validation.statistics.records import attempts_of, carried_out, grouped
 
-_NOTES: Final = {
-    Judgement.SOUND: "The rules allow these, and they work.",
-    Judgement.RIGHTLY_FORBIDDEN: "The rules forbid these, and they do not work.",
-    Judgement.NO_PREDICTION: "The rules forbid these, and nothing is intended that could be tried.",
-    Judgement.NOT_TRIED: "Errors kept all trials of these from an end.",
+MOST_STRIKING: Final = 6
+"""Unsound rows shown before all others, of as many actions as there are."""
+
+_TONES: Final = {
+    Judgement.UNSOUND: Tone.BAD,
+    Judgement.CONSERVATIVE: Tone.CAUTION,
+    Judgement.SOUND: Tone.GOOD,
+    Judgement.RIGHTLY_FORBIDDEN: Tone.PLAIN,
+    Judgement.NO_PREDICTION: Tone.MUTED,
+    Judgement.NOT_TRIED: Tone.CAUTION,
 }
+
+
+@dataclass(frozen=True)
+class ActionGroup:
+    """The rows of one action on which the rules and physics disagree, the most striking first."""
+
+    action: str
+    rows: Sequence[AuditRow]
+    tried: int
+    """How many rows of the action were tried that the rules allow, or forbid, as they do these."""
+
+    @property
+    def cases(self) -> tuple[Case, ...]:
+        """The rows, to be watched and replayed."""
+        return tuple(map(_case, self.rows))
 
 
 def audit_page(audit: Audit, command: str) -> Page:
     """Return the page of an audit; ``command`` is how it can be run again."""
     rows, rules = audit.results.rows, audit.config["rules"]
+    unsound = _striking_first(rows, Judgement.UNSOUND)
+    one_each = {row.action: row for row in reversed(unsound)}.values()
+    uncorrected = sum(not switches for switches in audit.corrections.values())
     return Page(
+        "audit.html.j2",
         "Audit of the rules",
         f"rule set: {rules}",
         _headline(rows, rules),
         tuple(_key_figures(rows, audit.figures)),
-        tuple(_sections(audit, RunDescription.of(command, audit.seed, audit.config))),
+        {
+            "rows": rows,
+            "counts": verdict_counts(rows),
+            "sound_share": SOUND_SHARE,
+            "suspects": [(suspect, _tone(suspect)) for suspect in audit.results.suspects],
+            "figures": audit.figures,
+            "comparison": audit.comparison,
+            "unsound": _by_action(rows, unsound),
+            "most_striking": [_case(row) for row in unsound if row in one_each][:MOST_STRIKING],
+            "corrections": audit.rows_by_flag | {"no switch": uncorrected},
+            "conservative": _by_action(rows, _striking_first(rows, Judgement.CONSERVATIVE)),
+            "legal": [a for a in attempts_of(carried_out(audit.judged)) if a["legal"]],
+            "provenance": provenance(command, audit.seed, audit.config),
+        },
     )
 
 
@@ -67,9 +89,8 @@ def _headline(rows: Sequence[AuditRow], rules: str) -> Headline:
         sentence = f"Of {count(allowed, 'row')} that the {rules} rules allow, physics refuses {unsound:,}."
         return Headline("Unsound", Tone.BAD, sentence + rest)
     if not allowed or untried:
-        return Headline(
-            "Not decided", Tone.CAUTION, f"Of what the {rules} rules allow, {allowed:,} works." + rest
-        )
+        sentence = f"Of what the {rules} rules allow, {allowed:,} works."
+        return Headline("Not decided", Tone.CAUTION, sentence + rest)
     sentence = f"All that the {rules} rules allow works in physics: {count(allowed, 'row')}."
     return Headline("Sound", Tone.GOOD, sentence + rest)
 
@@ -87,47 +108,38 @@ def _key_figures(rows: Sequence[AuditRow], figures: Figures) -> Iterator[KeyFigu
     yield KeyFigure(f"{figures.trials:,}", "trials", f"at least {min(tried, default=0)} a row")
 
 
-def _sections(audit: Audit, description: RunDescription) -> Iterator[Section]:
-    rows, figures, comparison = audit.results.rows, audit.figures, audit.comparison
-    lead = "Rules that were under suspicion before the audit."
-    yield Section("suspects", "Suspects", lead, (suspects_table(audit.results.suspects),))
-    yield Section(
-        "matrix",
-        "Rules against physics",
-        "A row is one action in situations that physics cannot tell apart. The action works there when at least "
-        f"{100 * SOUND_SHARE:.0f} % of the trials did what was predicted, and nothing else.",
-        (
-            matrix_table(figures.matrix),
-            judgement_plot(rows),
-            *((error_table(figures.errors),) if figures.errors else ()),
-        ),
+def _striking_first(rows: Sequence[AuditRow], judgement: Judgement) -> list[AuditRow]:
+    """Return the rows with a verdict: the unsafe ones first, then those that did least as predicted."""
+    return sorted(
+        (row for row in rows if row.verdict == judgement),
+        key=lambda row: (-row.unsafe / row.trials, row.as_predicted / row.trials, -row.failed / row.trials),
     )
-    if comparison is not None:
-        yield paired_section(comparison)
-    found = verdict_counts(rows)
-    if found[Judgement.UNSOUND]:
-        yield unsound_section(rows, corrections_table(audit.corrections))
-    if found[Judgement.CONSERVATIVE]:
-        yield conservative_section(rows)
-    yield Section(
-        "others",
-        "All other rows",
-        "The rules and physics agree on these, or there is nothing to compare.",
-        tuple(
-            agreement_table(rows, judgement, note) for judgement, note in _NOTES.items() if found[judgement]
-        ),
+
+
+def _by_action(rows: Sequence[AuditRow], chosen: Sequence[AuditRow]) -> list[ActionGroup]:
+    """Return the groups of rows chosen from all ``rows``."""
+    return [
+        ActionGroup(
+            action,
+            group,
+            sum(r.action == action and r.legal == group[0].legal and r.trials > 0 for r in rows),
+        )
+        for action, group in grouped(chosen, lambda row: row.action).items()
+    ]
+
+
+def _case(row: AuditRow) -> Case:
+    did = f"{row.as_predicted:,} of {row.trials:,} as predicted"
+    return Case(
+        title=f"{row.action}/{row.context}",
+        result=row.verdict,
+        tone=_TONES[Judgement(row.verdict)],
+        reason=f"{did}; {row.reason}" if row.reason else did,
+        bundle=row.bundles[0] if row.bundles else "",
     )
-    legal = [attempt for attempt in attempts_of(carried_out(audit.judged)) if attempt["legal"]]
-    yield Section(
-        "errors",
-        "Errors and durations",
-        "Of what the rules allow and did as predicted.",
-        (
-            verb_table(figures.by_verb),
-            precision_table(figures.precision),
-            errors_plot(legal),
-            durations_plot(figures.durations),
-            duration_rows(figures.durations),
-        ),
-    )
-    yield provenance_section(description)
+
+
+def _tone(finding: SuspectFinding) -> Tone:
+    """Return the tone of the gravest verdict; verdicts are told in that order."""
+    gravest = next((j for j in Judgement if finding.verdict.split(", ")[0].endswith(f" {j}")), None)
+    return _TONES[gravest] if gravest else Tone.MUTED

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote
@@ -16,15 +15,6 @@ BUDGET_BYTES: Final = 20_000_000
 """Of all films within one page, as base64: more would make it slow to open and hard to send."""
 
 
-@dataclass(frozen=True)
-class FilmLink:
-    """A film as a page shows it."""
-
-    source: str
-    """A ``data:`` address with the film itself, or a path relative to the page."""
-    embedded: bool
-
-
 class Films:
     """The films of one page, within a budget; the first ones that fit are embedded."""
 
@@ -33,13 +23,16 @@ class Films:
         self.out = out
         self.left_bytes = budget_bytes
 
-    def beside(self, cases: Iterable[Case], filmed_only: bool = False) -> list[tuple[Case, FilmLink | None]]:
-        """Return each case with the film of its bundle, those without one only where they are wanted."""
+    def beside(self, cases: Iterable[Case], filmed_only: bool = False) -> list[tuple[Case, str | None]]:
+        """Return each case with the address of its bundle's film, those without one only where they are wanted.
+
+        An address is a ``data:`` one with the film itself, or a path relative to the page.
+        """
         found = [(case, self._film(case.bundle)) for case in cases]
         return [(case, film) for case, film in found if film or not filmed_only]
 
-    def _film(self, bundle: str) -> FilmLink | None:
-        """Return the film in a bundle, None when there is none, or it lies outside of the page's folder."""
+    def _film(self, bundle: str) -> str | None:
+        """Return the address of the film in a bundle, None when there is none, or it lies outside of the folder."""
         if not bundle:
             return None
         path = (self.out / bundle / FILM).resolve()
@@ -48,8 +41,6 @@ class Films:
             return None
         size = -(-path.stat().st_size // 3) * 4
         if size > self.left_bytes:
-            return FilmLink(quote(path.relative_to(root).as_posix()), embedded=False)
+            return quote(path.relative_to(root).as_posix())
         self.left_bytes -= size
-        return FilmLink(
-            "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode(), embedded=True
-        )
+        return "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode()

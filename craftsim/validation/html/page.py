@@ -1,13 +1,16 @@
-"""What a report's page is made of; :func:`craftsim.validation.html.writing.write_html` sets it.
+"""What decides a report's page; :func:`craftsim.validation.html.writing.write_html` sets it by its template.
 
 All text is plain text: it is escaped when it is set, wherever it comes from.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import ClassVar, TypeAlias
+from typing import Any
+
+from craftsim.report import plain, versions
 
 
 class Tone(StrEnum):
@@ -21,70 +24,6 @@ class Tone(StrEnum):
 
 
 @dataclass(frozen=True)
-class Share:
-    """A share with its interval, shown as a small bar; all from 0 to 1."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A cell of a table."""
-
-    text: str
-    tone: Tone = Tone.PLAIN
-    badge: bool = False
-    """Whether the text is set as a coloured label."""
-    share: Share | None = None
-    path: bool = False
-    """Whether the text is a path or name that may be broken at its slashes."""
-    wide: bool = False
-    """Whether the text is long and deserves room."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a table; numbers are set to the right."""
-
-    title: str
-    number: bool = False
-    tip: str = ""
-    """What the title means, where it does not say it itself."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table; a bare string is a plain cell."""
-
-    kind: ClassVar[str] = "table"
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[str | Cell, ...], ...]
-    caption: str = ""
-    note: str = ""
-    folded: bool = False
-    """Whether it opens only when its caption is clicked."""
-    tall: bool = False
-    """Whether it scrolls in a box of its own, below a head that stays."""
-
-    @property
-    def stacks(self) -> bool:
-        """Whether each row becomes a card where the page is narrow: there is long text that needs the width."""
-        return any(isinstance(cell, Cell) and cell.wide for row in self.rows for cell in row)
-
-
-@dataclass(frozen=True)
-class Plot:
-    """A drawing; its caption says what there is to see."""
-
-    kind: ClassVar[str] = "plot"
-    svg: str
-    """Drawn by :mod:`craftsim.validation.html.plots`, trusted."""
-    caption: str
-
-
-@dataclass(frozen=True)
 class Case:
     """A disagreement, to be watched and replayed."""
 
@@ -95,39 +34,6 @@ class Case:
     differences: tuple[str, ...] = ()
     bundle: str = ""
     """Folder relative to the page, empty when there is none."""
-
-
-@dataclass(frozen=True)
-class Cases:
-    """Disagreements, each with the film that lies in its bundle."""
-
-    kind: ClassVar[str] = "cases"
-    cases: tuple[Case, ...]
-    filmed_only: bool = False
-    """Whether those without a film are left out, because a table beside tells them."""
-
-
-@dataclass(frozen=True)
-class Group:
-    """Blocks that belong together, and open only when their title is clicked."""
-
-    kind: ClassVar[str] = "group"
-    title: str
-    blocks: tuple[Table | Cases, ...]
-
-
-Block: TypeAlias = Table | Plot | Cases | Group
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of a page."""
-
-    id: str
-    """Letters and hyphens; the address within the page."""
-    title: str
-    lead: str
-    blocks: tuple[Block, ...]
 
 
 @dataclass(frozen=True)
@@ -152,8 +58,56 @@ class Headline:
 class Page:
     """A whole report."""
 
+    template: str
+    """Name of the template of its sections."""
     title: str
     subtitle: str
     headline: Headline
     key_figures: tuple[KeyFigure, ...]
-    sections: tuple[Section, ...]
+    content: Mapping[str, Any]
+    """What its template tells."""
+
+
+def percent(share: float | None) -> str:
+    """Return a share as percents, 100 % only if it is all."""
+    if share is None:
+        return "none"
+    digits = 0 if share in (0.0, 1.0) else 1
+    text = f"{100 * share:.{digits}f}"
+    return f"{'> 99.9' if text == '100.0' else '< 0.1' if text == '0.0' else text} %"
+
+
+def interval(low: float, high: float) -> str:
+    """Return an interval of shares as percents."""
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
+
+
+def count(number: int, thing: str) -> str:
+    """Return a number with its thing, in the plural where it needs one."""
+    return f"{number:,} {thing}{'' if number == 1 else 's'}"
+
+
+def provenance(command: str, seed: int, config: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """Return what decides the figures of a run, each by its dotted name: thresholds, configuration, and versions.
+
+    Args:
+        command: as it can be typed again.
+        seed: of the run.
+        config: of the run, the ``setup`` of the physics included.
+    """
+    setup = config["setup"]
+    brief = {key: value for key, value in config.items() if key != "setup"}
+    run = {"command": command, "seed": seed, **brief, "gains": setup.gains, "machines": setup.machines}
+    described = {"thresholds": setup.thresholds, "run": run, "versions": versions()}
+    return {name: dict(_flat(plain(values))) for name, values in described.items()}
+
+
+def _flat(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the leaves of nested mappings with their dotted names."""
+    if isinstance(value, Mapping) and value:
+        for key, item in value.items():
+            yield from _flat(item, f"{prefix}.{key}" if prefix else str(key))
+    elif isinstance(value, list):
+        yield prefix, ", ".join("none" if item is None else str(item) for item in value) or "none"
+    else:
+        yield prefix, "none" if value is None or value == {} else str(value)

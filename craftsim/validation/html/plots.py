@@ -8,8 +8,8 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from markupsafe import Markup
 
-from craftsim.validation.html.page import Plot
 from craftsim.validation.html.svg import ACCENT, BAD, CAUTION, GOOD, GRID, MUTED, PAPER, SOFT, canvas
 from craftsim.validation.statistics.audit_rows import AuditRow, Judgement
 from craftsim.validation.statistics.durations import Duration
@@ -36,7 +36,7 @@ JUDGEMENT_COLOURS: Final = {
 }
 
 
-def success_plot(by_verb: Mapping[str, MatrixRow]) -> Plot:
+def success(by_verb: Mapping[str, MatrixRow]) -> Markup:
     """Draw the success of each verb with its interval."""
     rows = [(verb, row.success) for verb, row in by_verb.items() if row.trials]
     with canvas(_WIDTH_IN, _HEAD_IN + _ROW_IN * len(rows), "success by action, with intervals") as drawing:
@@ -48,12 +48,10 @@ def success_plot(by_verb: Mapping[str, MatrixRow]) -> Plot:
         low = min((p.wilson_low for _, p in rows), default=0.0)
         axes.set_xlim(math.floor(10 * low) / 10 - 0.02, 1.02)
         axes.xaxis.set_major_formatter(_percent)
-    return Plot(
-        drawing.svg, "Share of legal actions that did what the rules predicted, and its 95 % interval."
-    )
+    return drawing.svg
 
 
-def judgement_plot(rows: Sequence[AuditRow]) -> Plot:
+def judgements(rows: Sequence[AuditRow]) -> Markup:
     """Draw how many rows of each action have which verdict."""
     from matplotlib.ticker import MaxNLocator
 
@@ -71,10 +69,10 @@ def judgement_plot(rows: Sequence[AuditRow]) -> Plot:
         axes.set_xlabel("rows")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, handlelength=1)
-    return Plot(drawing.svg, "Verdicts on the rows of each action.")
+    return drawing.svg
 
 
-def survival_plot(survival: PlanSurvival) -> Plot:
+def survival(survival: PlanSurvival) -> Markup:
     """Draw the Kaplan-Meier curves with and without re-synchronising."""
     with canvas(_WIDTH_IN, 2.9, "plan survival") as drawing:
         axes = drawing.axes
@@ -85,11 +83,7 @@ def survival_plot(survival: PlanSurvival) -> Plot:
         axes.yaxis.set_major_formatter(_percent)
         axes.set_xlabel("actions carried out")
         axes.legend(loc="lower left")
-    return Plot(
-        drawing.svg,
-        "Share of runs still good after so many actions (Kaplan-Meier, 95 % band). Without re-synchronising a run ends "
-        "with its first disagreement; with it, with the first action that is no longer possible, or unsafe.",
-    )
+    return drawing.svg
 
 
 def _curve(axes: Axes, curve: Survival, colour: str, label: str) -> None:
@@ -99,7 +93,7 @@ def _curve(axes: Axes, curve: Survival, colour: str, label: str) -> None:
     axes.fill_between(steps, low, high, step="post", color=colour, alpha=0.16, lw=0)
 
 
-def errors_plot(attempts: Iterable[AttemptRecord]) -> Plot:
+def errors(attempts: Iterable[AttemptRecord]) -> Markup:
     """Draw how the errors of the attempts that did as predicted are distributed."""
     good = [attempt for attempt in attempts if as_predicted(attempt)]
     kinds = (
@@ -121,12 +115,10 @@ def errors_plot(attempts: Iterable[AttemptRecord]) -> Plot:
         axes.set_xlabel("at most so many millimetres off")
         if axes.lines:
             axes.legend(loc="lower right")
-    return Plot(
-        drawing.svg, "Share of attempts that did as predicted with errors of at most so many millimetres."
-    )
+    return drawing.svg
 
 
-def durations_plot(table: Sequence[Duration]) -> Plot:
+def durations(table: Sequence[Duration]) -> Markup:
     """Draw the durations of each kind of action."""
     with canvas(_WIDTH_IN, _HEAD_IN + 0.23 * len(table), "durations by kind of action") as drawing:
         axes = drawing.axes
@@ -136,10 +128,7 @@ def durations_plot(table: Sequence[Duration]) -> Plot:
         _names(axes, [duration_name(row) for row in table])
         axes.set_xlim(left=0)
         axes.set_xlabel("seconds")
-    return Plot(
-        drawing.svg,
-        "Durations of the actions that did as predicted: median, and from the 5th to the 95th percentile.",
-    )
+    return drawing.svg
 
 
 def duration_name(row: Duration) -> str:
@@ -148,7 +137,7 @@ def duration_name(row: Duration) -> str:
     return f"{row.verb}{load}, {'slope' if row.slope else 'flat'}, level {row.level}"
 
 
-def policies_plot(scores: Sequence[PolicyScore]) -> Plot:
+def policies(scores: Sequence[PolicyScore]) -> Markup:
     """Draw each policy's success in the grid world and in physics."""
     with canvas(_WIDTH_IN, 3.4, "success of policies in the grid world and in physics") as drawing:
         axes = drawing.axes
@@ -170,7 +159,7 @@ def policies_plot(scores: Sequence[PolicyScore]) -> Plot:
         axes.set(xlabel="success in the grid world", ylabel="success in physics")
         axes.xaxis.set_major_formatter(_percent)
         axes.yaxis.set_major_formatter(_percent)
-    return Plot(drawing.svg, "Each policy's success in both worlds; on the line they agree.")
+    return drawing.svg
 
 
 def _names(axes: Axes, names: Sequence[str]) -> None:

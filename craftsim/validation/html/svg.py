@@ -6,59 +6,16 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from pathlib import Path
+from typing import Final
 
-INK: Final = "#010101"
-SOFT: Final = "#020202"
-GRID: Final = "#030303"
-PAPER: Final = "#040404"
-GOOD: Final = "#050505"
-CAUTION: Final = "#060606"
-BAD: Final = "#070707"
-ACCENT: Final = "#080808"
-MUTED: Final = "#090909"
+from markupsafe import Markup, escape
 
-_VARIABLES: Final = {
-    INK: "var(--ink)",
-    SOFT: "var(--soft)",
-    GRID: "var(--line)",
-    PAPER: "var(--paper)",
-    GOOD: "var(--good)",
-    CAUTION: "var(--caution)",
-    BAD: "var(--bad)",
-    ACCENT: "var(--accent)",
-    MUTED: "var(--muted)",
-}
-"""Colours that nobody would draw with, and the page's own that take their places, light or dark."""
+_VARIABLES: Final = ("ink", "soft", "line", "paper", "good", "caution", "bad", "accent", "muted")
+"""The page's own colours, light or dark, that take the places of colours that nobody would draw with."""
+INK, SOFT, GRID, PAPER, GOOD, CAUTION, BAD, ACCENT, MUTED = (f"#{3 * f'0{n}'}" for n in range(1, 10))
 
-_SETTINGS: Final[dict[str, Any]] = {
-    "svg.hashsalt": "craftsim",
-    "svg.fonttype": "none",
-    "font.family": "DejaVu Sans",
-    "font.size": 9.5,
-    "text.parse_math": False,
-    "text.color": INK,
-    "axes.edgecolor": GRID,
-    "axes.labelcolor": SOFT,
-    "axes.facecolor": "none",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.7,
-    "xtick.color": GRID,
-    "ytick.color": GRID,
-    "xtick.labelcolor": SOFT,
-    "ytick.labelcolor": INK,
-    "xtick.major.size": 0,
-    "ytick.major.size": 0,
-    "legend.frameon": False,
-    "legend.labelcolor": INK,
-    "figure.facecolor": "none",
-    "savefig.facecolor": "none",
-    "patch.linewidth": 0,
-}
+_STYLE: Final = Path(__file__).with_name("template") / "drawing.mplstyle"
 
 
 class Canvas:
@@ -70,7 +27,7 @@ class Canvas:
 
         self.figure = Figure(figsize=(width_in, height_in), layout="constrained")
         self.axes = self.figure.subplots()
-        self.svg = ""
+        self.svg = Markup()
 
 
 @contextmanager
@@ -78,7 +35,7 @@ def canvas(width_in: float, height_in: float, label: str) -> Iterator[Canvas]:
     """Yield a canvas to draw on; ``label`` is what a reader hears who cannot see the drawing."""
     from matplotlib import style
 
-    with style.context(_SETTINGS, after_reset=True):
+    with style.context(_STYLE, after_reset=True):
         drawing = Canvas(width_in, height_in)
         yield drawing
         buffer = io.StringIO()
@@ -88,12 +45,10 @@ def canvas(width_in: float, height_in: float, label: str) -> Iterator[Canvas]:
         drawing.svg = _inline(buffer.getvalue(), label)
 
 
-def _inline(text: str, label: str) -> str:
+def _inline(text: str, label: str) -> Markup:
     """Return a drawing without what only a file of its own needs, coloured by the page's variables."""
-    from markupsafe import escape
-
     body = text[text.index("<svg") :]
     body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
     body = re.sub(r'<g id="[^"]*"', "<g", body)
-    body = re.sub(r"(?<=: )#0\d0\d0\d\b", lambda match: _VARIABLES.get(match[0], match[0]), body)
-    return body.replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1).strip()
+    body = re.sub(r"(?<=: )#(0[1-9])\1\1\b", lambda found: f"var(--{_VARIABLES[int(found[1]) - 1]})", body)
+    return Markup(body.replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1).strip())

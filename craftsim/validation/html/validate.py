@@ -3,60 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 from craftsim.checking.attempt import Result
 from craftsim.validation.html.page import (
-    Block,
     Case,
-    Cell,
-    Column,
     Headline,
     KeyFigure,
     Page,
-    Section,
-    Table,
     Tone,
-)
-from craftsim.validation.html.paired import paired_section
-from craftsim.validation.html.plots import (
-    durations_plot,
-    errors_plot,
-    policies_plot,
-    success_plot,
-    survival_plot,
-)
-from craftsim.validation.html.run_description import RunDescription, provenance_section
-from craftsim.validation.html.tables import (
-    NONE,
-    TONES,
-    case_blocks,
     count,
-    duration_rows,
-    error_table,
     interval,
-    matrix_table,
     percent,
-    precision_table,
-    share_cells,
-    verb_table,
+    provenance,
 )
 from craftsim.validation.statistics.figures import Figures
-from craftsim.validation.statistics.paired import Comparison
-from craftsim.validation.statistics.ranking import Estimate, RankAgreement
 from craftsim.validation.statistics.records import Record, as_predicted, attempts_of, carried_out
 from craftsim.validation.validation import Validation
+
+_TONES: Final = {
+    Result.AS_PREDICTED: Tone.GOOD,
+    Result.FAILED: Tone.CAUTION,
+    Result.SIDE_EFFECT: Tone.CAUTION,
+    Result.UNSAFE: Tone.BAD,
+}
 
 
 def validate_page(result: Validation, command: str) -> Page:
     """Return the page of a validation; ``command`` is how it can be run again."""
-    figures = result.figures
-    description = RunDescription.of(command, result.seed, result.config)
+    done = list(carried_out(result.records))
     return Page(
+        "validate.html.j2",
         "Validation in physics",
         f"{', '.join(result.config['worlds'])}: {', '.join(result.config['by'])}",
-        _headline(figures, result.records),
-        tuple(_key_figures(figures)),
-        tuple(_sections(result.records, figures, description, result.comparison)),
+        _headline(result.figures, result.records),
+        tuple(_key_figures(result.figures)),
+        {
+            "figures": result.figures,
+            "comparison": result.comparison,
+            "cases": [case for record in done if (case := _case(record))],
+            "legal": [attempt for attempt in attempts_of(done) if attempt["legal"]],
+            "provenance": provenance(command, result.seed, result.config),
+        },
     )
 
 
@@ -84,10 +72,8 @@ def _headline(figures: Figures, records: Sequence[Record]) -> Headline:
 
 
 def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
-    for label, p in (
-        ("runs that agree", figures.all.runs),
-        ("actions as predicted", figures.all.actions),
-    ):
+    shares = {"runs that agree": figures.all.runs, "actions as predicted": figures.all.actions}
+    for label, p in shares.items():
         note = f"{p.successes:,} of {p.trials:,}; {interval(p.wilson_low, p.wilson_high)}"
         yield KeyFigure(percent(p.rate), label, note)
     if car := figures.precision.car_error_mm:
@@ -98,71 +84,8 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
         yield KeyFigure(f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst")
 
 
-def _sections(
-    records: Sequence[Record], figures: Figures, provenance: RunDescription, comparison: Comparison | None
-) -> Iterator[Section]:
-    blocks: list[Block] = [
-        matrix_table(figures.matrix),
-        verb_table(figures.by_verb),
-        success_plot(figures.by_verb),
-    ]
-    if len(figures.by_group) > 1:
-        blocks.insert(0, _group_table(figures))
-    lead = "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
-    yield Section("results", "Results", lead, tuple(blocks))
-    if comparison is not None:
-        yield paired_section(comparison)
-    cases = [case for record in carried_out(records) if (case := _case(record))]
-    yield Section(
-        "disagreements",
-        "Disagreements",
-        "The first one of each run that disagrees. Replay them from the folder of this page.",
-        (*case_blocks(cases), *((error_table(figures.errors),) if figures.errors else ())),
-    )
-    yield Section(
-        "survival",
-        "Survival",
-        "How long a plan is good for.",
-        (survival_plot(figures.survival),),
-    )
-    if figures.policies:
-        yield _policies(figures)
-    legal = [attempt for attempt in attempts_of(carried_out(records)) if attempt["legal"]]
-    yield Section(
-        "errors",
-        "Errors and forces",
-        "Where physics agrees with the rules, how far it is from them in numbers.",
-        (precision_table(figures.precision), errors_plot(legal)),
-    )
-    yield Section(
-        "durations",
-        "Durations",
-        "What a planner can count on; by action, load, ground and level.",
-        (durations_plot(figures.durations), duration_rows(figures.durations)),
-    )
-    yield provenance_section(provenance)
-
-
-def _group_table(figures: Figures) -> Table:
-    rows = tuple(
-        (
-            Cell(name, path=True),
-            f"{group.runs.trials:,}",
-            *share_cells(group.runs),
-            f"{group.actions.trials:,}",
-            *share_cells(group.actions),
-        )
-        for name, group in figures.by_group.items()
-    )
-    numbers = ("runs", "runs that agree", "95 % interval", "actions", "actions as predicted", "95 % interval")
-    return Table(
-        (Column("plan or policy"), *(Column(title, number=True) for title in numbers)),
-        rows,
-        caption="By plan or policy",
-    )
-
-
 def _case(record: Record) -> Case | None:
+    """Return the first disagreement of a run, None without one."""
     attempt = next((a for a in record["attempts"] if not as_predicted(a)), None)
     if attempt is None:
         return None
@@ -170,44 +93,8 @@ def _case(record: Record) -> Case | None:
     return Case(
         title=f"{record['key']}: tick {attempt['tick']}, car {attempt['car']} {attempt['action']}",
         result=result.value,
-        tone=TONES[result],
+        tone=_TONES[result],
         reason=attempt["reason"],
         differences=tuple(attempt["differences"]),
         bundle=record["bundle"] or "",
-    )
-
-
-def _policies(figures: Figures) -> Section:
-    scores = Table(
-        (Column("policy"), *(Column(title, number=True) for title in ("episodes", "grid world", "physics"))),
-        tuple((s.policy, f"{s.episodes:,}", percent(s.grid), percent(s.physics)) for s in figures.policies),
-        caption="Success",
-    )
-    blocks: list[Block] = [policies_plot(figures.policies), scores]
-    if figures.rank_agreement:
-        blocks.append(_agreement_table(figures.rank_agreement))
-    return Section(
-        "policies",
-        "Policies in both worlds",
-        "Does a policy that does better in the grid world also do better in physics?",
-        tuple(blocks),
-    )
-
-
-def _agreement_table(agreement: RankAgreement) -> Table:
-    def row(name: str, e: Estimate) -> tuple[str, str, str]:
-        if e.value is None or e.low is None or e.high is None:
-            return (name, "not defined", NONE)
-        return (name, f"{e.value:.3f}", f"{e.low:.3f} to {e.high:.3f}")
-
-    return Table(
-        (Column("figure"), Column("value", number=True), Column("95 % interval", number=True)),
-        (
-            row("Pearson correlation", agreement.pearson),
-            row("Spearman correlation", agreement.spearman),
-            ("mean maximum rank violation", f"{agreement.mmrv:.3f}", NONE),
-        ),
-        caption=f"Agreement over {agreement.policies} policies",
-        note="Intervals by bootstrap over policies. A rank violation is the distance in physics of two policies "
-        "that the worlds order differently.",
     )

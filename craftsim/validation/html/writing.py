@@ -5,15 +5,20 @@ from __future__ import annotations
 import shlex
 from functools import cache
 from pathlib import Path
+from typing import Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from craftsim.report import output_directory
+from craftsim.report import output_directory, write_whole
+from craftsim.validation.html import plots
 from craftsim.validation.html.film_links import Films
-from craftsim.validation.html.page import Page
+from craftsim.validation.html.page import Page, count, interval, percent
 
-FILE_NAME = "report.html"
+FILE_NAME: Final = "report.html"
+
+MAX_CASES: Final = 24
+"""Disagreements that a page, or a group of them, shows with their films; the others are listed."""
 
 
 def write_html(out: Path, page: Page) -> Path:
@@ -31,11 +36,8 @@ def write_html(out: Path, page: Page) -> Path:
         InputError: the directory cannot be written to.
     """
     path = output_directory(out) / FILE_NAME
-    text = _environment().get_template("report.html.j2").render(page=page, films=Films(out))
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
-    return path
+    template = _environment().get_template(page.template)
+    return write_whole(path, template.render(page.content, page=page, films=Films(out), contents=[]))
 
 
 @cache
@@ -46,10 +48,17 @@ def _environment() -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        extensions=["jinja2.ext.do"],
     )
-    environment.filters["breakable"] = _breakable
-    environment.filters["shell"] = shlex.quote
-    environment.filters["percent"] = lambda share: f"{100 * share:.2f}%"
+    environment.filters.update(
+        breakable=_breakable,
+        css_percent=lambda share: f"{100 * share:.2f}%",
+        figure=lambda value: f"{value:,.0f}" if value >= 100 else f"{value:.3f}",
+        percent=percent,
+        shell=shlex.quote,
+        thousands="{:,}".format,
+    )
+    environment.globals.update(count=count, interval=interval, max_cases=MAX_CASES, plots=plots)
     return environment
 
 

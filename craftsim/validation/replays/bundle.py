@@ -71,17 +71,9 @@ _BUNDLE: Final = TypeAdapter(Bundle)
 
 def state_of(site: Site) -> Arrays:
     """Return copies of all that decides how a Site goes on, that MuJoCo's state vector leaves out included."""
-    data = site.data
-    return {
-        "time": np.array(data.time),
-        "qpos": data.qpos.copy(),
-        "qvel": data.qvel.copy(),
-        "act": data.act.copy(),
-        "ctrl": data.ctrl.copy(),
-        "qacc_warmstart": data.qacc_warmstart.copy(),
-        "tree_asleep": data.tree_asleep.copy(),
-        "sleep_policy": site.model.tree_sleep_policy.copy(),
-    }
+    names = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "tree_asleep")
+    state = {name: np.array(getattr(site.data, name)) for name in names}
+    return state | {"sleep_policy": site.model.tree_sleep_policy.copy()}
 
 
 def physics_of(site: Site) -> Arrays:

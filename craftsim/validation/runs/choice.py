@@ -115,17 +115,16 @@ def steps_of(plan: Plan, order: PlanOrder) -> tuple[Step, ...]:
 def plan_pilot(plan: Path | Plan, subject: Subject, order: PlanOrder) -> Pilot:
     """Return what carries out a plan; raise PlanError for one that does not fit."""
     read = plan if isinstance(plan, Plan) else read_plan(plan, subject.n_cars)
-    return _pilot(read, {subject.name: steps_of(read, order)})
+    return _pilot(read, subject, order)
 
 
 def actions_pilot(path: Path, subject: Subject) -> Pilot:
     """Return what tries a file's actions one after the other; raise PlanError for one that does not fit."""
-    read = read_actions(path, subject.n_cars)
-    return _pilot(read, {subject.name: steps_of(read, "sequential")})
+    return _pilot(read_actions(path, subject.n_cars), subject, "sequential")
 
 
-def _pilot(plan: Plan, steps: Mapping[str, tuple[Step, ...]]) -> Pilot:
-    return Pilot(plan.path.stem, _digest(repr(plan.ticks).encode()), steps)
+def _pilot(plan: Plan, subject: Subject, order: PlanOrder) -> Pilot:
+    return Pilot(plan.path.stem, _digest(repr(plan.ticks).encode()), {subject.name: steps_of(plan, order)})
 
 
 def policy_pilot(policy: str | Policy, subjects: Sequence[Subject], order: PlanOrder) -> Pilot:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -52,6 +52,13 @@ class Duration:
 
 
 _COLUMNS: Final = tuple(field.name for field in fields(Duration))
+_READ: Final[dict[str, Callable[[str], Any]]] = {
+    "str": str,
+    "int": int,
+    "float": float,
+    "bool": {"True": True, "False": False}.__getitem__,
+}
+"""How the columns are read, by the type of their values."""
 
 
 def duration_table(attempts: Iterable[AttemptRecord]) -> list[Duration]:
@@ -108,14 +115,7 @@ def read_durations(path: Path) -> dict[DurationKey, Duration]:
 
 def _duration(path: Path, line: int, row: dict[str, str]) -> Duration:
     try:
-        return Duration(
-            row["verb"],
-            row["load"],
-            int(row["level"]),
-            {"True": True, "False": False}[row["slope"]],
-            int(row["n"]),
-            *(float(row[name]) for name in _COLUMNS if name.endswith("_s")),
-        )
+        return Duration(*(_READ[str(field.type)](row[field.name]) for field in fields(Duration)))
     except (KeyError, ValueError) as error:
         raise InputError(
             f"{path}: line {line}: not a row of durations ({error}); level and n are whole numbers, "

@@ -55,44 +55,40 @@ class Comparison:
         )
 
 
-@dataclass(frozen=True)
-class Earlier:
-    """A finished campaign, to be compared with one of the same trials under other settings."""
+def read_earlier(
+    folder: Path, command: str, out: Path | None, seed: int, items: Sequence[Item]
+) -> FinishedCampaign:
+    """Return the campaign that a command left in a folder; call this before the other one begins in ``out``.
 
-    campaign: FinishedCampaign
-
-    @classmethod
-    def read(cls, folder: Path, command: str, out: Path | None, seed: int, items: Sequence[Item]) -> Earlier:
-        """Read the campaign that a command left in a folder; call this before the other one begins in ``out``.
-
-        Raises InputError where the folder holds none, or none that has pairs with the items to be tried.
-        """
-        if out is not None and folder.resolve() == out.resolve():
-            raise InputError(f"--against {folder} is the folder of this run; choose another --out")
-        found = read_finished(folder, command)
-        if (other := found.header.get("seed")) != seed:
-            raise InputError(
-                f"the campaign in {folder} has the seed {other}, not {seed}, so that nothing is paired; "
-                f"give --seed {other}"
-            )
-        if not {item.key for item in items} & {record["key"] for record in found.records}:
-            raise InputError(
-                f"the campaign in {folder} has no trial in common with this one, so there are no pairs to compare; "
-                "run both with the same contexts, worlds, plans or policies"
-            )
-        return cls(found)
-
-    def compare(
-        self, out: Path, records: list[Record], chosen: Callable[[list[Record]], list[Record]] = list
-    ) -> Comparison:
-        """Return how the records of the campaign that has ended in ``out`` compare; ``chosen`` says which count."""
-        header = read_header(out / CAMPAIGN)
-        before, after = (
-            {key: h.get(key) for key in ("config", "versions")} for h in (self.campaign.header, header)
+    Raises InputError where the folder holds none, or none that has pairs with the items to be tried.
+    """
+    if out is not None and folder.resolve() == out.resolve():
+        raise InputError(f"--against {folder} is the folder of this run; choose another --out")
+    found = read_finished(folder, command)
+    if (other := found.header.get("seed")) != seed:
+        raise InputError(
+            f"the campaign in {folder} has the seed {other}, not {seed}, so that nothing is paired; "
+            f"give --seed {other}"
         )
-        first, second = chosen(self.campaign.records), chosen(records)
-        changed = dict(differences(before, after))
-        return Comparison(str(self.campaign.folder), changed, compare_paired(first, second))
+    if not {item.key for item in items} & {record["key"] for record in found.records}:
+        raise InputError(
+            f"the campaign in {folder} has no trial in common with this one, so there are no pairs to compare; "
+            "run both with the same contexts, worlds, plans or policies"
+        )
+    return found
+
+
+def compare(
+    earlier: FinishedCampaign,
+    out: Path,
+    records: list[Record],
+    chosen: Callable[[list[Record]], list[Record]] = list,
+) -> Comparison:
+    """Return how the records of the campaign that has ended in ``out`` compare; ``chosen`` says which count."""
+    headers = (earlier.header, read_header(out / CAMPAIGN))
+    before, after = ({key: header.get(key) for key in ("config", "versions")} for header in headers)
+    trials = compare_paired(chosen(earlier.records), chosen(records))
+    return Comparison(str(earlier.folder), dict(differences(before, after)), trials)
 
 
 def compare_paired(first: Iterable[Record], second: Iterable[Record]) -> Paired:

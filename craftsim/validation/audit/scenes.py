@@ -1,9 +1,15 @@
-"""A scene: a world drawn by hand, and what is done in it."""
+"""Situations that take more than one car, or more than the contexts vary: drawn by hand, each for a suspect rule."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
+from itertools import product
 from typing import Final
+
+import yaml
 
 from craftsim.checking.recipe import Step
 from craftsim.discrete.actions import Action
@@ -11,11 +17,13 @@ from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.schedule import Order
+from craftsim.discrete.verdict import HEADINGS
 from craftsim.validation.audit.intended import NoPredictionError, intended
 
 _SIZE: Final = (8, 7, 4)
+_CAR: Final = re.compile(r"(\d+,\d+,\d+) (..)(?: (block|flag|fslope)([+-][xy])?)?(?: (low|high))?")
 
-Thing = tuple[Kind, Cell] | tuple[Kind, Cell, int]
+Thing = tuple[Kind, Cell, int]
 """An object with its cell and, of a slope, its yaw; the second part comes with it."""
 CarRow = tuple[int, int, int, int, Kind, int, int]
 """A row of ``Grid.cars``."""
@@ -44,11 +52,10 @@ class Scene:
         grid = Grid.empty(_SIZE, len(self.cars))
         for row, values in zip(grid.cars, self.cars, strict=True):
             row[:] = values
-        for kind, cell, *yaw in self.things:
-            turn = yaw[0] if yaw else 0
-            _put(grid, kind, cell, turn)
+        for kind, cell, yaw in self.things:
+            _put(grid, kind, cell, yaw)
             if kind in SECOND_PART:
-                _put(grid, SECOND_PART[kind], beside(cell, turn), turn)
+                _put(grid, SECOND_PART[kind], beside(cell, yaw), yaw)
         grid.derive_marks()
         return grid
 
@@ -82,3 +89,52 @@ def _put(grid: Grid, kind: Kind, cell: Cell, yaw: int) -> None:
         return
     grid.kind[cell] = kind
     grid.yaw[cell] = yaw if kind in KINDS_WITH_YAW else 0
+
+
+def _scenes() -> Iterator[Scene]:
+    """Yield what ``craftsim/data/scenes.yaml`` describes."""
+    text = files("craftsim.data").joinpath("scenes.yaml").read_text(encoding="utf-8")
+    for group in yaml.safe_load(text):
+        for shared, (name, own) in product(group.get("each", [{}]), group["scenes"].items()):
+            said = (group, shared, own)
+            one = group | shared | own
+            yield Scene(
+                name,
+                tuple(map(_thing, _listed(said, "things"))),
+                tuple(map(_car, _listed(said, "cars"))),
+                tuple(Action[action] for action in one["action"].split("+")),
+                one.get("order"),
+            )
+
+
+def _listed(said: Sequence[Mapping[str, str]], key: str) -> list[str]:
+    return [text for part in said if key in part for text in part[key].split("; ")]
+
+
+def _cell(text: str) -> Cell:
+    x, y, z = map(int, text.split(","))
+    return x, y, z
+
+
+def _thing(text: str) -> Thing:
+    """Return the thing of a text such as ``block 5,3,1`` or ``body 2,3,1 +x``."""
+    kind, cell, *heading = text.split()
+    return Kind[kind.upper()], _cell(cell), HEADINGS.index(heading[0]) if heading else 0
+
+
+def _car(text: str) -> CarRow:
+    """Return the car that :func:`~craftsim.discrete.verdict.describe_car` describes so."""
+    found = _CAR.fullmatch(text)
+    assert found is not None, text
+    cell, heading, load, side, half = found.groups()
+    turned = HEADINGS.index(side) if side else 0
+    return (
+        *_cell(cell),
+        HEADINGS.index(heading),
+        Kind[load.upper()] if load else Kind.AIR,
+        turned,
+        {None: 0, "low": 1, "high": 2}[half],
+    )
+
+
+SCENES: Final = tuple(_scenes())

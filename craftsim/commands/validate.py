@@ -95,9 +95,11 @@ def validate(
         film_failures(console, out, result.records)
         if video == "all":
             film_runs(console, out, result.items, result.records)
-    page = write_html(
-        out, validate_page(result, shlex.join(["craftsim", "validate", *worlds, *campaign.words()]))
-    )
+    words = ["craftsim", "validate", *worlds, "--order", order, *campaign.words()]
+    for name, value in (("plan", plan), ("actions", actions), ("cars", cars), ("blocks", blocks)):
+        words += [f"--{name}", str(value)] if value is not None else []
+    words += ["--policy", *policy] if policy else []
+    page = write_html(out, validate_page(result, shlex.join(words)))
     console.print(runs_table(result.records))
     print_disagreements(out, result.records)
     if result.comparison is not None:

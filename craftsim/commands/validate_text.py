@@ -66,7 +66,10 @@ def print_disagreements(out: Path, records: Sequence[TrialRecord]) -> None:
 
 
 def conclusion(result: Validation) -> str:
-    """Return the last line: how many runs agree, and whether any asked for what the rules forbid."""
+    """Print whether anything drifts; return how many runs agree, and how many asked for what the rules forbid."""
     asked = sum(any(not a["legal"] for a in record["attempts"]) for record in result.records)
+    if all(thirds := result.figures.drift.values()):
+        found = ", ".join(f"{d.median:.2f} (at most {d.max:.2f}, {d.n} things)" for d in thirds if d)
+        print(f"Set down in the first, middle and last third of the runs: median {found} mm off.")
     text = f"{result.n_agree} of {len(result.records)} runs did in physics what the rules predict"
     return f"{text}; {asked} asked for actions that the rules forbid." if asked else f"{text}."

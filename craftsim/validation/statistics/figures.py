@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from craftsim.validation.statistics.durations import Duration, duration_table
 from craftsim.validation.statistics.matrix import LegalityMatrix, MatrixRow, legality_matrix
-from craftsim.validation.statistics.precision import Precision, precision
+from craftsim.validation.statistics.precision import Distribution, Precision, drift, precision
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.ranking import PolicyScore, RankAgreement, policy_scores, rank_agreement
 from craftsim.validation.statistics.records import Record, attempts_of, carried_out, error_counts, grouped
@@ -38,6 +38,7 @@ class Figures:
     matrix: LegalityMatrix
     precision: Precision
     """Of legal attempts."""
+    drift: dict[str, Distribution | None]
     durations: list[Duration]
     survival: PlanSurvival
     policies: list[PolicyScore]
@@ -62,6 +63,7 @@ def campaign_figures(records: Iterable[Record], seed: int) -> Figures:
         },
         matrix=legality_matrix(attempts),
         precision=precision(legal),
+        drift=drift(done),
         durations=duration_table(legal),
         survival=plan_survival(done),
         policies=scores,

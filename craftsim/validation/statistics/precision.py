@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from craftsim.validation.statistics.durations import deviations
-from craftsim.validation.statistics.records import AttemptRecord, as_predicted
+from craftsim.validation.statistics.records import AttemptRecord, Record, as_predicted
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,16 @@ class Precision:
     errs by that takes durations from the table."""
     peak_force_n: Distribution | None
     """Of all attempts, also those that did not do as predicted."""
+
+
+def drift(records: Iterable[Record]) -> dict[str, Distribution | None]:
+    """Return how far off in mm things were set down, folded or unfolded in each third of the runs: does it grow?"""
+    thirds: dict[str, list[float]] = {"first": [], "middle": [], "last": []}
+    for attempts in (record["attempts"] for record in records):
+        for number, attempt in enumerate(attempts):
+            if attempt["performed"] and attempt["placed_error_m"] is not None:
+                thirds[list(thirds)[3 * number // len(attempts)]].append(1e3 * attempt["placed_error_m"])
+    return {name: Distribution.of(errors) for name, errors in thirds.items()}
 
 
 def precision(attempts: Iterable[AttemptRecord]) -> Precision:

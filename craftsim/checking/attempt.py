@@ -25,7 +25,7 @@ _SHOWN: Final = 2
 
 
 class Result(StrEnum):
-    """What came of an attempt."""
+    """The result of an attempt."""
 
     AS_PREDICTED = "as predicted"
     """The grid that was read is the predicted one, and every figure is within its limit."""
@@ -191,7 +191,7 @@ def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:
 
 
 def result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Result:
-    """Return what came of an action; what is unsafe is so even if all ended as predicted."""
+    """Return the result of an action; what is unsafe is so even if all ended as predicted."""
     if verdict.finding is Finding.UNSAFE:
         return Result.UNSAFE
     if not evidence.applied or any(name != "bystander" for name, _ in _excesses(evidence, limits)):

@@ -95,7 +95,7 @@ class CheckedSite:
         return (*broken, *self.reading.problems)
 
     def perform(self, car: int, action: Action, intended: Grid | None = None, tick: int = 0) -> Attempt:
-        """Perform one action and return what came of it.
+        """Perform one action and return the attempt.
 
         An action that the rules forbid is performed only where ``intended`` says what it should lead to.
         """

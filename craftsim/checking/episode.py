@@ -1,4 +1,4 @@
-"""What came of an episode: a plan, a list of actions or a policy's play in physics, from its start to its end."""
+"""The result of an episode: a plan, a list of actions or a policy's play in physics, from its start to its end."""
 
 from __future__ import annotations
 

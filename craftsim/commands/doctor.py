@@ -46,11 +46,11 @@ class Check:
     found: str
     """What was found, or why it fails."""
     remedy: str = ""
-    """The command that mends it."""
+    """The command that fixes it."""
 
 
 def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> int:
-    """Say what works on this machine, and the command that mends what does not.
+    """Say what works on this machine, and the command that fixes what does not.
 
     Physics and rendering are really tried, each in a process of its own. Exit status 0 when physics runs, even if
     films cannot be made, 2 when it does not.
@@ -72,7 +72,7 @@ def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> 
     Console().print(table)
     for check in checks:
         if check.remedy:
-            print(f"{check.what}: run this to mend it:\n    {check.remedy}")
+            print(f"{check.what}: run this to fix it:\n    {check.remedy}")
     if out is not None:
         figures = {"checks": checks, "processors": _processors()}
         print(f"Report: {write_report(out, figures, command='doctor')}")

@@ -42,7 +42,7 @@ def rendering_works(console: Console) -> bool:
 
 
 def film_bundle(recorded: Recorded, path: Path) -> Replay:
-    """Replay a bundle, film its last step, and return what came of it; :func:`rendering_works` must have said yes."""
+    """Replay a bundle, film its last step, and return the replay; :func:`rendering_works` must have said yes."""
     bundle = recorded.bundle
     attempt = bundle.attempts[0]
     result = ", ".join(f"car {a.car} {ACTIONS[Action[a.action]].words}: {a.result}" for a in bundle.attempts)

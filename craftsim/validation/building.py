@@ -1,4 +1,4 @@
-"""A building to put up: a task, the plan that builds it, and what came of it in physics."""
+"""A building to put up: a task, the plan that builds it, and its episode in physics."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Building:
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:
-        """What came of each action."""
+        """Of each action."""
         return self.episode.attempts if self.episode is not None else ()
 
     @property

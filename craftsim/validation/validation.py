@@ -46,7 +46,7 @@ COMMAND: Final = "validate"
 
 @dataclass(frozen=True, repr=False)
 class Validation:
-    """What came of a validation.
+    """The result of a validation.
 
     Example:
         >>> import craftsim

@@ -10,7 +10,7 @@ from typing import Any
 
 from craftsim.checking.settings import Setup
 from craftsim.report import output_directory, write_report
-from craftsim.validation.audit.corrections import rows_by_switch
+from craftsim.validation.audit.corrections import rows_by_flag
 from craftsim.validation.audit.results import Results, bundle_disagreements, judged_by_rules
 from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
@@ -25,7 +25,7 @@ COMMAND = "audit"
 
 @dataclass(frozen=True)
 class Audit:
-    """What came of an audit."""
+    """The result of an audit."""
 
     records: list[TrialRecord]
     results: Results
@@ -44,7 +44,7 @@ class Audit:
     @property
     def rows_by_flag(self) -> dict[str, int]:
         """How many unsound rows each rule flag corrects."""
-        return rows_by_switch(self.corrections)
+        return rows_by_flag(self.corrections)
 
 
 def run_audit(

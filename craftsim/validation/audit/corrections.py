@@ -1,4 +1,4 @@
-"""Which corrections concern a row: switches of the rules that, each alone, forbid its action or change its effect."""
+"""Which corrections concern a row: flags of the rules that, each alone, forbid its action or change its effect."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ FLAG_NAMES: Final = RULE_FLAGS["physical"]._fields
 
 
 def corrections(rows: Iterable[Row], rule_set: RuleSet) -> dict[str, tuple[str, ...]]:
-    """Return, by the name of each allowed row, the switches that a rule set has off and that would each correct it."""
-    off = [switch for switch in FLAG_NAMES if not getattr(RULE_FLAGS[rule_set], switch)]
+    """Return, by the name of each allowed row, the flags that a rule set has off and that would each correct it."""
+    off = [flag for flag in FLAG_NAMES if not getattr(RULE_FLAGS[rule_set], flag)]
     return {
         row.name: tuple(s for s in off if any(_differs(member, rule_set, s) for member in row.members))
         for row in rows
     }
 
 
-def rows_by_switch(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
-    """Return how many rows each switch corrects, in the order of the switches; ``found`` has the switches by row."""
-    counts = {switch: sum(switch in switches for switches in found.values()) for switch in FLAG_NAMES}
-    return {switch: count for switch, count in counts.items() if count}
+def rows_by_flag(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
+    """Return how many rows each flag corrects, in the order of the flags; ``found`` has the flags by row."""
+    counts = {flag: sum(flag in flags for flags in found.values()) for flag in FLAG_NAMES}
+    return {flag: count for flag, count in counts.items() if count}
 
 
-def _differs(situation: Situation, rule_set: RuleSet, switch: str) -> bool:
-    """Return whether one switch changes what is allowed, or what comes of it."""
+def _differs(situation: Situation, rule_set: RuleSet, flag: str) -> bool:
+    """Return whether one rule flag changes what is allowed, or its effect."""
     grid, actions = _start(situation, rule_set)
     joint = [(car, int(action)) for car, action in enumerate(actions)]
     before, after = (
         rules.tick(grid, joint)
-        for rules in (Rules(rule_set), Rules(rule_set, RULE_FLAGS[rule_set]._replace(**{switch: True})))
+        for rules in (Rules(rule_set), Rules(rule_set, RULE_FLAGS[rule_set]._replace(**{flag: True})))
     )
     return not (np.array_equal(before[1], after[1]) and before[0].same_visible(after[0]))
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.rules import RuleSet
-from craftsim.validation.audit.corrections import corrections, rows_by_switch
+from craftsim.validation.audit.corrections import corrections, rows_by_flag
 from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.suspects import SuspectFinding, find
 from craftsim.validation.audit.trial import recipe_of
@@ -49,7 +49,7 @@ class Results:
         return [row for row in self.rows if row.verdict == judgement]
 
     def corrected(self, plan: Sequence[Row], rules: RuleSet) -> dict[str, tuple[str, ...]]:
-        """Return the switches that would each correct an unsound row, by its name."""
+        """Return the flags that would each correct an unsound row, by its name."""
         unsound = {name_of(row) for row in self.of_kind(Judgement.UNSOUND)}
         return corrections((row for row in plan if row.name in unsound), rules)
 
@@ -60,7 +60,7 @@ class Results:
             "verdicts": verdict_counts(self.rows),
             "provisional": sum(row.provisional for row in self.rows),
             "contexts": sum(members.values()),
-            "corrections": rows_by_switch(corrected),
+            "corrections": rows_by_flag(corrected),
             "rows": [
                 {
                     **asdict(row),

@@ -63,7 +63,7 @@ def _finding(suspect: Suspect, rows: Iterable[AuditRow], at_once: Iterable[Audit
     counts = Counter(row.verdict for row in mine)
     verdict = ", ".join(f"{counts[j]} {j}" for j in Judgement if counts[j])
     gravest = next((j for j in Judgement if counts[j]), None)
-    told = min((r for r in mine if r.verdict == gravest), key=_clarity, default=None)
+    clearest = min((r for r in mine if r.verdict == gravest), key=_clarity, default=None)
     return SuspectFinding(
         suspect.number,
         suspect.question,
@@ -71,7 +71,8 @@ def _finding(suspect: Suspect, rows: Iterable[AuditRow], at_once: Iterable[Audit
         sum(row.trials for row in mine),
         verdict or "not tried",
         "; ".join(
-            ([_evidence(told)] if told else []) + [f"begun all at once, {_evidence(row)}" for row in together]
+            ([_evidence(clearest)] if clearest else [])
+            + [f"begun all at once, {_evidence(row)}" for row in together]
         ),
     )
 

@@ -48,10 +48,10 @@ def distribute(
     """Yield each item with its answer once, as soon as it is known; the workers are closed at the end.
 
     Args:
-        workers: what to spread the items over.
+        workers: what to distribute the items over.
         items: what to do, in the order in which it is begun.
         timeout_s: for each item.
-        batch: how many items a worker takes at once. When one of them is not answered, each is done again alone.
+        batch: how many items a worker takes at once. When one of them is not answered, each is run again alone.
     """
     queue = deque(_Batch(tuple(items[i : i + batch])) for i in range(0, len(items), batch))
     idle = list(workers)
@@ -92,7 +92,7 @@ def _begin(
 def _settle(
     future: Future[list[Answer]], batch: _Batch, timeout_s: float
 ) -> tuple[list[tuple[Item, Answer]], list[_Batch]]:
-    """Return what is known of a batch, and what must be done again."""
+    """Return what is known of a batch, and what must be run again."""
     try:
         return list(zip(batch.items, future.result(), strict=True)), []
     except (TimeoutError, WorkerDiedError) as error:

@@ -1,4 +1,4 @@
-"""What a campaign consists of: items to try, what came of each, and the record of it, one line of JSON."""
+"""What a campaign consists of: items to try, the result of each, and its record, one line of JSON."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Done:
-    """What came of an item that was tried; made of what JSON knows, and equal whenever the item is."""
+    """The result of an item that was tried; made of what JSON knows, and equal whenever the item is."""
 
     agrees: bool
     """Whether everything went as the rules predicted."""

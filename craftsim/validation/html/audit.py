@@ -52,7 +52,7 @@ def audit_page(audit: Audit, command: str) -> Page:
     rows, rules = audit.results.rows, audit.config["rules"]
     unsound = _striking_first(rows, Judgement.UNSOUND)
     one_each = {row.action: row for row in reversed(unsound)}.values()
-    uncorrected = sum(not switches for switches in audit.corrections.values())
+    uncorrected = sum(not flags for flags in audit.corrections.values())
     return Page(
         "audit.html.j2",
         "Audit of the rules",
@@ -68,7 +68,7 @@ def audit_page(audit: Audit, command: str) -> Page:
             "comparison": audit.comparison,
             "unsound": _by_action(rows, unsound),
             "most_striking": [_case(row) for row in unsound if row in one_each][:MOST_STRIKING],
-            "corrections": audit.rows_by_flag | {"no switch": uncorrected},
+            "corrections": audit.rows_by_flag | {"no flag": uncorrected},
             "conservative": _by_action(rows, _striking_first(rows, Judgement.CONSERVATIVE)),
             "legal": [a for a in attempts_of(carried_out(audit.judged)) if a["legal"]],
             "provenance": provenance(command, audit.seed, audit.config),
@@ -140,6 +140,6 @@ def _case(row: AuditRow) -> Case:
 
 
 def _tone(finding: SuspectFinding) -> Tone:
-    """Return the tone of the gravest verdict; verdicts are told in that order."""
+    """Return the tone of the gravest verdict; verdicts are listed in that order."""
     gravest = next((j for j in Judgement if finding.verdict.split(", ")[0].endswith(f" {j}")), None)
     return _TONES[gravest] if gravest else Tone.MUTED

@@ -65,7 +65,7 @@ class Page:
     headline: Headline
     key_figures: tuple[KeyFigure, ...]
     content: Mapping[str, Any]
-    """What its template tells."""
+    """What its template shows."""
 
 
 def percent(share: float | None) -> str:

@@ -1,6 +1,6 @@
 """Replay bundles: a folder with all that it takes to see again what went wrong, and to check that it is the same.
 
-A bundle holds the recipe, what came of its last step, the drawn physics, the full state before and after, the
+A bundle holds the recipe, the attempts of its last step, the drawn physics, the full state before and after, the
 contacts, and the scene as MJCF for people. Nothing in it is code: text, and NumPy arrays that are read without pickles.
 """
 
@@ -49,7 +49,7 @@ class Bundle:
     versions: dict[str, str]
     recipe: Recipe
     attempts: tuple[Attempt, ...]
-    """What came of the last step, for each of its actions."""
+    """Of the last step, for each of its actions."""
     start_s: float
     """Simulated time at which the last step began."""
     end_s: float
@@ -91,7 +91,7 @@ def write_bundle(
         folder: is made; files of an older bundle in it are replaced.
         key: name of the trial.
         recipe: what led to the disagreement.
-        attempts: what came of the last step when it was first done. That it comes out the same again is then
+        attempts: of the last step when it was first done. That they come out the same again is then
             checked, for a bundle that shows something else is worse than none.
 
     Raises:
@@ -121,7 +121,7 @@ def write_bundle(
 
 
 class ReplayError(RuntimeError):
-    """Something came out otherwise when it was done again, on the same machine and version."""
+    """Something came out otherwise when it was re-run, on the same machine and version."""
 
 
 def _write(folder: Path, bundle: Bundle, checked: CheckedSite, before: Arrays) -> None:

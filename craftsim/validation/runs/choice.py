@@ -46,7 +46,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Pilot:
-    """What tells the cars what to do."""
+    """What decides the cars' actions."""
 
     name: str
     digest: str

@@ -1,4 +1,4 @@
-"""Policies by name: what tells the cars of a task what to do next, from what they observe."""
+"""Policies by name: what decides the next actions of the cars of a task, from their observations."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Run:
     world: Task | str | RandomWorlds
     """A task, what names one, or worlds of which each episode draws its own."""
     steps: tuple[Step, ...] | None
-    """What to do, whatever comes of it; None asks the policy."""
+    """What to do, whatever happens; None asks the policy."""
     policy: str | Policy
     episode: int
     """Decides, with the seed, all that is drawn; the same for all plans and policies, so that they can be compared."""

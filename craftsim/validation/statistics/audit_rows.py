@@ -137,7 +137,7 @@ def _row(group: str, records: Sequence[Record]) -> AuditRow:
 def _reason(records: Iterable[Record]) -> str:
     """Return a reason of the commonest kind why trials did not do as predicted.
 
-    Reasons that differ in their numbers alone are of one kind, told by the first of them.
+    Reasons that differ in their numbers alone are of one kind, named by the first of them.
     """
     kinds: dict[str, list[str]] = {}
     for record in carried_out(records):

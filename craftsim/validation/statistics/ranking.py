@@ -112,7 +112,7 @@ def _spearman(x: _Samples, y: _Samples, axis: int = -1) -> _Samples:
 
 
 def _estimate(statistic: Callable[..., _Samples], grid: _Samples, physics: _Samples, seed: int) -> Estimate:
-    """Return a statistic and its percentile interval; resamples in which a world tells no policies apart have none."""
+    """Return a statistic and its percentile interval; resamples in which all policies score alike have none."""
     from scipy.stats import ConstantInputWarning, bootstrap
 
     with warnings.catch_warnings():

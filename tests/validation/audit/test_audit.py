@@ -23,7 +23,7 @@ UNSOUND = {
     "MOVE/scene=behind a load that leans": "leaning_load",
     "MOVE/scene=onto a second ramp": "second_ramp",
 }
-"""Rows of the published rules, and the switch that corrects each."""
+"""Rows of the published rules, and the flag that corrects each."""
 CONSERVATIVE = "MOVE-back/level=2+/ground=high-up/own=air/load=none/next=air/room=free"
 AT_ONCE = "MOVE+MOVE/scene=unloaded at a right angle/order=at-once"
 
@@ -87,7 +87,7 @@ def test_physical_forbids_each_of_them():
 
 def test_each_of_them_is_traced_to_the_switch_that_corrects_it():
     plan = [row for row in audit_plan("published") if row.name in UNSOUND]
-    assert corrections(plan, "published") == {name: (switch,) for name, switch in UNSOUND.items()}
+    assert corrections(plan, "published") == {name: (flag,) for name, flag in UNSOUND.items()}
     assert corrections(plan, "physical") == dict.fromkeys(UNSOUND, ())
 
 

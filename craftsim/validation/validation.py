@@ -33,7 +33,7 @@ from craftsim.validation.runs.policies import RANDOM, Policy
 from craftsim.validation.runs.run import Terms, do_run
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
-from craftsim.validation.statistics.paired import Comparison, compare, read_earlier
+from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -219,7 +219,7 @@ def validate(
                 on_record=on_record,
             )
     figures = campaign_figures(records, seed)
-    comparison = None if earlier is None or folder is None else compare(earlier, folder, records)
+    comparison = None if earlier is None or folder is None else compare_runs(earlier, folder, records)
     if folder is not None:
         wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
         found = {"validation": figures, "paired": comparison}

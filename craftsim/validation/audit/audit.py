@@ -17,7 +17,7 @@ from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
 from craftsim.validation.campaign import Engine, Header, TrialRecord, run_campaign
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
-from craftsim.validation.statistics.paired import Comparison, compare, read_earlier
+from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
 from craftsim.validation.validation import Progress
 
 COMMAND = "audit"
@@ -101,7 +101,7 @@ def run_audit(
     corrections = results.corrected(plan, setup.rules)
     judged = judged_by_rules(records)
     figures = campaign_figures(judged, seed)
-    comparison = None if earlier is None else compare(earlier, out, records, judged_by_rules)
+    comparison = None if earlier is None else compare_runs(earlier, out, records, judged_by_rules)
     write_report(
         out,
         {"audit": results.figures(plan, corrections), "validation": figures, "paired": comparison},

@@ -125,16 +125,13 @@ def _thing(text: str) -> Thing:
 def _car(text: str) -> CarRow:
     """Return the car that :func:`~craftsim.discrete.verdict.describe_car` describes so."""
     found = _CAR.fullmatch(text)
-    assert found is not None, text
+    if found is None:
+        raise RuntimeError(f"craftsim/data/scenes.yaml: '{text}' describes no car")
     cell, heading, load, side, half = found.groups()
-    turned = HEADINGS.index(side) if side else 0
-    return (
-        *_cell(cell),
-        HEADINGS.index(heading),
-        Kind[load.upper()] if load else Kind.AIR,
-        turned,
-        {None: 0, "low": 1, "high": 2}[half],
-    )
+    carried = Kind[load.upper()] if load else Kind.AIR
+    load_yaw = HEADINGS.index(side) if side else 0
+    slope = {None: 0, "low": 1, "high": 2}[half]
+    return *_cell(cell), HEADINGS.index(heading), carried, load_yaw, slope
 
 
 SCENES: Final = tuple(_scenes())

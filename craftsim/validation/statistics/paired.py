@@ -78,7 +78,7 @@ def read_earlier(
     return found
 
 
-def compare(
+def compare_runs(
     earlier: FinishedCampaign,
     out: Path,
     records: list[Record],

@@ -1,14 +1,17 @@
 """The audit's rows cover every context once, and forbidden actions have an intended effect or a reason for none."""
 
 from collections import Counter
+from importlib.resources import files
 
 import numpy as np
 import pytest
+import yaml
 
 from craftsim.checking.settings import setup_of
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.verdict import describe_car
 from craftsim.validation.audit.intended import NoPredictionError, intended
 from craftsim.validation.audit.rows import action_in, audit_plan, distribute_trials, world_of
 from craftsim.validation.audit.scenes import SCENES, Scene
@@ -109,3 +112,16 @@ def test_a_forbidden_move_leads_to_the_next_cell():
     grid = _alone((1, 1, 1, 0, 0, 0, 0), (Kind.BLOCK, (1, 1, 1)))
     assert not Rules("physical").legal(grid, 0, Action.MOVE_FORWARD)
     assert intended(grid, 0, Action.MOVE_FORWARD).cars[0, [CarField.X, CarField.Y]].tolist() == [1, 2]
+
+
+def test_cars_of_scenes_are_written_as_reports_write_them():
+    groups = yaml.safe_load((files("craftsim.data") / "scenes.yaml").read_text(encoding="utf-8"))
+    told = {
+        name: (group, own) for group in groups for name, own in group["scenes"].items() if "action" in group
+    }
+    for scene in SCENES:
+        if scene.name in told and told[scene.name][0]["action"] == scene.actions[0].name:
+            written = [
+                text for part in told[scene.name] if "cars" in part for text in part["cars"].split("; ")
+            ]
+            assert [describe_car(scene.world(), car) for car in range(len(scene.cars))] == written

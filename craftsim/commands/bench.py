@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.console import Console
 
-    from craftsim.discrete.tasks.episodes import Episode, Episodes
+    from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
 """Those with two and with four cars."""
@@ -109,7 +109,7 @@ def _bench_rules(
 
     from craftsim.commands.bench_calibration import COLUMNS, measure
     from craftsim.discrete.tasks import make_task
-    from craftsim.discrete.tasks.episodes import Episode, Episodes
+    from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
 
     table = Table("task", "work", "worlds", *COLUMNS, box=SIMPLE)
     rates: dict[str, dict[str, Any]] = {}
@@ -120,7 +120,7 @@ def _bench_rules(
         for depth, n in ((None, worlds), (DEPTH, worlds), (DEPTH, 1)):
             rng = np.random.default_rng(seed)
             if n == 1:
-                step = _single_step(Episode(task, rng, rules, depth), rng)
+                step = _single_step(GridEpisode(task, rng, rules, depth), rng)
             else:
                 step = _batch_step(Episodes(task, rng, n, rules, depth), rng)
             rate = measure(step, n, seconds, name, helper=depth is not None)
@@ -162,7 +162,7 @@ def _batch_step(episodes: Episodes, rng: np.random.Generator) -> Callable[[], No
     return step
 
 
-def _single_step(episode: Episode, rng: np.random.Generator) -> Callable[[], None]:
+def _single_step(episode: GridEpisode, rng: np.random.Generator) -> Callable[[], None]:
     masks = [episode.reachable()]
 
     def step() -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.worlds import Worlds
+
+MOTION_FPS: Final = 10
+"""Pictures a simulated second of the motion between two ticks (``rgb_array_list`` in physics)."""
 
 
 @dataclass(frozen=True)

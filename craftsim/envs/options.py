@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.envs.backend import Backend
+from craftsim.envs.backend import MOTION_FPS, Backend
 from craftsim.envs.grid_backend import GridBackend
 from craftsim.envs.observe import Observe
 
@@ -28,8 +28,6 @@ RenderMode = Literal["rgb_array", "rgb_array_list", "human", "ansi"]
 RENDER_MODES: Final[tuple[str, ...]] = get_args(RenderMode)
 RENDER_FPS: Final = 2
 """Pictures a second in films of one picture a tick, which is about what a move takes."""
-MOTION_FPS: Final = 10
-"""Pictures a simulated second of the motion between two ticks (``rgb_array_list`` in physics)."""
 
 _PHYSICS_KINDS: Final = {
     "noise": ("craftsim.models.noise", "SensorNoise"),

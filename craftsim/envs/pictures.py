@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.errors import InputError, suggestion
-from craftsim.envs.options import MOTION_FPS
+from craftsim.envs.backend import MOTION_FPS
 from craftsim.rendering.renderer import make_renderer
 
 if TYPE_CHECKING:

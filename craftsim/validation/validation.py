@@ -17,6 +17,7 @@ from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
 from craftsim.models.parameters import Machines
 from craftsim.report import write_report
+from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains
 from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign, run_here
 from craftsim.validation.runs.choice import (
@@ -96,11 +97,8 @@ class Validation:
         return DataFrame(rows, columns=columns)
 
     def __repr__(self) -> str:
-        legal = self.figures.matrix.legal
-        return (
-            f"Validation({self.n_agree} of {len(self.records)} runs agree, "
-            f"{legal.as_predicted} of {legal.trials} actions as predicted)"
-        )
+        runs, legal = f"{self.n_agree} of {len(self.records)} runs agree", self.figures.matrix.legal
+        return f"Validation({runs}, {legal.as_predicted} of {legal.trials} actions as predicted)"
 
     def _repr_html_(self) -> str:
         frame = self.to_frame()
@@ -130,6 +128,7 @@ def validate(
     n_cars: int | None = None,
     n_blocks: int | None = None,
     max_steps: int | None = None,
+    observers: Iterable[Observer] = (),
     progress: Progress = lambda total: nullcontext(lambda record: None),
 ) -> Validation:
     """Run plans, lists of actions or policies in physics and judge every action on the poses that it ends with.
@@ -157,6 +156,7 @@ def validate(
         n_cars: other than a named world's number of cars; those that its start does not list are drawn at random.
         n_blocks: the same for blocks.
         max_steps: length of an episode in ``random`` worlds, less two ticks.
+        observers: functions that are called with a run's Site after every control period; they may look, not touch.
         progress: shows what is done.
 
     Raises:
@@ -200,7 +200,7 @@ def validate(
         "setup": setup,
         "digests": setup.digests,
     }
-    terms = Terms(seed, setup, None if folder is None else folder.resolve())
+    terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers))
     items = list(items_of(subjects, pilots, trials, terms))
     earlier = None if against is None else read_earlier(Path(against), COMMAND, folder, seed, items)
     with progress(len(items)) as on_record:

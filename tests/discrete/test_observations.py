@@ -6,7 +6,7 @@ from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.episodes import Episode
+from craftsim.discrete.tasks.episodes import GridEpisode
 from craftsim.discrete.tasks.observation import Layout, as_arrays, design_rows
 from craftsim.discrete.tasks.worlds import Worlds
 
@@ -58,7 +58,7 @@ def test_more_things_than_rows_are_told(scene, kind):
 
 
 def test_a_cars_vector_is_its_own_row_and_then_all_rows(rng):
-    episode = Episode(make_task("complex_two_story"), rng)
+    episode = GridEpisode(make_task("complex_two_story"), rng)
     vectors, layout = episode.vectors(), episode.batch.layout
     assert vectors.shape == (4, layout.vector_length) == (4, 13 * (1 + 4 + 3 * 2 + 6 + 2))
     rows = episode.batch.entity_rows()[0]

@@ -8,7 +8,7 @@ from craftsim.discrete.errors import BlueprintError, InputError
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
-from craftsim.discrete.tasks.episodes import Episode, Episodes
+from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
 from craftsim.discrete.tasks.measures import CodePlatform, Complexity, PaperPlatform
 from craftsim.discrete.tasks.rewards import CodeBarrier, PaperBarrier, Reward
 
@@ -94,7 +94,7 @@ def test_free_building_succeeds_with_one_platform_of_all_blocks(rng):
 
 
 def test_the_barrier_pays_steps_arrival_and_time_as_the_paper_says(rng):
-    episode = Episode(make_task("breaking_barrier"), rng)
+    episode = GridEpisode(make_task("breaking_barrier"), rng)
     grid = episode.grid
     before = np.array([-6.0, -5.0, -1.0, 0.0])
     after = np.array([-5.0, -5.0, 0.0, 0.0])
@@ -140,7 +140,7 @@ def test_complexity_weighs_platform_storeys_and_ramps(scene):
 @pytest.mark.parametrize("name", [name for name in TASK_NAMES if name != "breaking_barrier"])
 def test_rewards_of_an_episode_add_up_to_the_change_of_worth(name, rng):
     task = make_task(name)
-    episode = Episode(task, rng)
+    episode = GridEpisode(task, rng)
     start, total = task.reward.measure.of(episode.grid), 0.0
     for _ in range(40):
         mask = episode.legal()
@@ -150,7 +150,7 @@ def test_rewards_of_an_episode_add_up_to_the_change_of_worth(name, rng):
 
 @pytest.mark.parametrize("max_steps", [0, 18])
 def test_an_episode_has_max_steps_and_two_more_ticks(max_steps, rng):
-    episode = Episode(make_task("strip", max_steps=max_steps), rng)
+    episode = GridEpisode(make_task("strip", max_steps=max_steps), rng)
     dones = [episode.step([Action.STOP, Action.STOP]).done for _ in range(max_steps + 2)]
     assert dones == [False] * (max_steps + 1) + [True]
     episode.reset()
@@ -160,7 +160,7 @@ def test_an_episode_has_max_steps_and_two_more_ticks(max_steps, rng):
 
 def test_success_ends_an_episode_by_the_paper_but_not_by_the_code(rng):
     for reward, ends in (("paper", True), ("published_code", False)):
-        episode = Episode(make_task("strip", reward=reward), rng)
+        episode = GridEpisode(make_task("strip", reward=reward), rng)
         task = episode.batch.task
         episode.batch.worlds.put(0, finished(task, rng))
         step = episode.step([Action.STOP, Action.STOP])
@@ -189,7 +189,7 @@ def test_a_task_of_ones_own_takes_a_few_lines(rng):
         success=lambda grid: height(grid) == 2,
         max_steps=30,
     )
-    episode = Episode(task, rng)
+    episode = GridEpisode(task, rng)
     assert not task.succeeded(episode.grid)
     grid = episode.grid
     grid.kind[1, 1, 1:] = BLOCK
@@ -246,7 +246,7 @@ def test_a_reset_empties_the_helpers_queue_and_the_slope_state(rng):
 def test_a_batch_does_what_single_worlds_do(rule_set, depth, rng):
     task = make_task("complex_two_story")
     batch = Episodes(task, np.random.default_rng(1), 5, rule_set, depth)
-    singles = [Episode(task, np.random.default_rng(1), rule_set, depth) for _ in range(5)]
+    singles = [GridEpisode(task, np.random.default_rng(1), rule_set, depth) for _ in range(5)]
     for _ in range(30):
         legal, reachable, vectors = batch.legal(), batch.reachable(), batch.vectors()
         mask = legal if depth is None else reachable

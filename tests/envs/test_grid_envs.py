@@ -11,7 +11,7 @@ from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.plan import read_plan, shipped_plan
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.tasks import TASK_NAMES, make_task, shipped_blueprint
-from craftsim.discrete.tasks.episodes import Episode
+from craftsim.discrete.tasks.episodes import GridEpisode
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.testing import check_api, check_deterministic, check_masks, random_policy
 
@@ -83,7 +83,7 @@ def test_an_episode_that_takes_too_long_truncates_and_does_not_terminate():
 
 def test_rewards_observations_and_masks_are_those_of_an_episode_of_the_task():
     env = parallel_env("simple_two_story", "grid")
-    episode = Episode(make_task("simple_two_story"), np.random.default_rng(0))
+    episode = GridEpisode(make_task("simple_two_story"), np.random.default_rng(0))
     act = random_policy(np.random.default_rng(0))
     observations, _ = env.reset(seed=5)
     while env.agents:
@@ -97,7 +97,7 @@ def test_rewards_observations_and_masks_are_those_of_an_episode_of_the_task():
         # The order of the cars is drawn; find the one that explains what happened.
         for order in ((0, 1), (1, 0)):
             assert episode.grid.same_visible(before)
-            tried = Episode(make_task("simple_two_story"), np.random.default_rng(0))
+            tried = GridEpisode(make_task("simple_two_story"), np.random.default_rng(0))
             tried.batch.worlds.put(0, before)
             tried.batch.potential, tried.batch.t = episode.batch.potential, episode.batch.t
             step = tried.step(told, order)

@@ -1,6 +1,7 @@
 """The Python call ``craftsim.validate``: what it runs and returns, and when the world agrees."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -174,3 +175,13 @@ def test_the_start_is_not_changed():
     validate(GRID, plan=MOVES)
     assert GRID.same_visible(before)
     np.testing.assert_array_equal(GRID.cars, before.cars)
+
+
+def test_an_observer_of_ones_own_sees_every_control_period_of_a_plan_and_of_a_policy():
+    times: list[float] = []
+    validate("strip", observers=[lambda site: times.append(site.time_s)])
+    assert len(times) > 400
+    assert all(later > earlier for earlier, later in pairwise(times))
+    times.clear()
+    validate("strip", policy="random", observers=[lambda site: times.append(site.time_s)])
+    assert len(times) > 400

@@ -17,7 +17,7 @@ from craftsim.discrete.rules.reach import carried_gear_in
 ON_A_SLOPE: Final = "on a slope a car can only move forward"
 
 
-class Reason(NamedTuple):
+class RuleReason(NamedTuple):
     """Why an action is forbidden."""
 
     text: str
@@ -52,82 +52,84 @@ def car_at(w: World, me: int, cell: Cell) -> int:
     return next((i for i, place in enumerate(places) if i != me and tuple(place) == cell), -1)
 
 
-def on_top(w: World, me: int, cell: Cell) -> Reason:
+def on_top(w: World, me: int, cell: Cell) -> RuleReason:
     """Say what stands on a cell by its mark, which is not -1."""
     mark, above = int(top_at(w, *cell, me)), (cell[0], cell[1], cell[2] + 1)
     what = f"car {mark}" if mark >= 0 else named(w, above)
     if what == "nothing":
         what = "so says its mark, left by past events"
-    return Reason(f"something stands on {cell}: {what}", (cell, above))
+    return RuleReason(f"something stands on {cell}: {what}", (cell, above))
 
 
-def why_lift(w: World, me: int, car: Pose, action: int) -> Reason | None:
+def why_lift(w: World, me: int, car: Pose, action: int) -> RuleReason | None:
     """Say why LIFT is forbidden."""
     cell = at(car)
     if car.slope:
-        return Reason(ON_A_SLOPE, (cell,))
+        return RuleReason(ON_A_SLOPE, (cell,))
     if car.load != Kind.AIR:
-        return Reason(f"the car carries {NAMES[Kind(car.load)]}", (cell,))
+        return RuleReason(f"the car carries {NAMES[Kind(car.load)]}", (cell,))
     if kind_in(w, cell) not in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE):
         there = "" if kind_in(w, cell) == Kind.AIR else f": {named(w, cell)}"
-        return Reason(f"there is nothing to lift in {cell}{there}", (cell,))
+        return RuleReason(f"there is nothing to lift in {cell}{there}", (cell,))
     return on_top(w, me, cell) if top_at(w, *cell, me) != -1 else None
 
 
-def why_drop(w: World, me: int, car: Pose, action: int) -> Reason | None:
+def why_drop(w: World, me: int, car: Pose, action: int) -> RuleReason | None:
     """Say why DROP is forbidden."""
     cell = at(car)
     if car.slope:
-        return Reason(ON_A_SLOPE, (cell,))
+        return RuleReason(ON_A_SLOPE, (cell,))
     if car.load == Kind.AIR:
-        return Reason("the car carries nothing", (cell,))
+        return RuleReason("the car carries nothing", (cell,))
     if car.z >= w.kind.shape[2]:
-        return Reason(f"{cell} is above the top level, where nothing can be put down", (cell,))
+        return RuleReason(f"{cell} is above the top level, where nothing can be put down", (cell,))
     return None
 
 
-def why_fold(w: World, me: int, car: Pose, action: int) -> Reason | None:
+def why_fold(w: World, me: int, car: Pose, action: int) -> RuleReason | None:
     """Say why FOLD is forbidden."""
     cell = at(car)
     if car.slope:
-        return Reason(ON_A_SLOPE, (cell,))
+        return RuleReason(ON_A_SLOPE, (cell,))
     if kind_in(w, cell) != Kind.BODY:
-        return Reason(f"there is no unfolded slope in {cell}: {named(w, cell)}", (cell,))
+        return RuleReason(f"there is no unfolded slope in {cell}: {named(w, cell)}", (cell,))
     if top_at(w, *cell, me) != -1:
         return on_top(w, me, cell)
     foot = beside(cell, int(yaw_at(w, *cell)))
     on_foot = int(top_at(w, *under(foot), me))
-    return Reason(f"car {on_foot} is on the foot in {foot}", (foot,)) if on_foot >= 0 else None
+    return RuleReason(f"car {on_foot} is on the foot in {foot}", (foot,)) if on_foot >= 0 else None
 
 
-def why_unfold(w: World, me: int, car: Pose, action: int) -> Reason | None:
+def why_unfold(w: World, me: int, car: Pose, action: int) -> RuleReason | None:
     """Say why UNFOLD is forbidden."""
     cell = at(car)
     if car.slope:
-        return Reason(ON_A_SLOPE, (cell,))
+        return RuleReason(ON_A_SLOPE, (cell,))
     if car.load != Kind.AIR:
-        return Reason(f"the car carries {NAMES[Kind(car.load)]}", (cell,))
+        return RuleReason(f"the car carries {NAMES[Kind(car.load)]}", (cell,))
     if kind_in(w, cell) != Kind.FSLOPE:
-        return Reason(f"there is no folded slope in {cell}: {named(w, cell)}", (cell,))
+        return RuleReason(f"there is no folded slope in {cell}: {named(w, cell)}", (cell,))
     foot = beside(cell, int(yaw_at(w, *cell)))
     if kind_in(w, foot) not in (Kind.AIR, Kind.GEAR):
-        return Reason(f"the foot has no room in {foot}: {named(w, foot)}", (foot,))
+        return RuleReason(f"the foot has no room in {foot}: {named(w, foot)}", (foot,))
     if not standable(kind_at(w, *under(foot))):
-        return Reason(f"the foot has nothing to stand on in {under(foot)}: {named(w, under(foot))}", (foot,))
+        return RuleReason(
+            f"the foot has nothing to stand on in {under(foot)}: {named(w, under(foot))}", (foot,)
+        )
     for below in (under(foot), under(cell)):
         if back_at(w, *below):
-            return Reason(f"{below} is the landing of a ramp", (below,))
+            return RuleReason(f"{below} is the landing of a ramp", (below,))
     return None
 
 
-def why_rotate(w: World, me: int, car: Pose, action: int) -> Reason | None:
+def why_rotate(w: World, me: int, car: Pose, action: int) -> RuleReason | None:
     """Say why a turn is forbidden."""
     cell, turn = at(car), 1 if action == Action.ROTATE_LEFT else -1
     if car.slope:
-        return Reason(ON_A_SLOPE, (cell,))
+        return RuleReason(ON_A_SLOPE, (cell,))
     if car.load == Kind.AIR:
         if kind_in(w, cell) in (Kind.FSLOPE, Kind.BODY):
-            return Reason(f"a car cannot turn under {named(w, cell)} in {cell}", (cell,))
+            return RuleReason(f"a car cannot turn under {named(w, cell)} in {cell}", (cell,))
         return None
     carries_slope = car.load == Kind.FSLOPE
     for d in range(4):
@@ -136,35 +138,35 @@ def why_rotate(w: World, me: int, car: Pose, action: int) -> Reason | None:
         if kind == Kind.GEAR and yaw_at(w, *there) == (d + 2) & 3:
             continue
         if kind != Kind.AIR:
-            return Reason(f"the load would hit {named(w, there)} in {there}", (there,))
+            return RuleReason(f"the load would hit {named(w, there)} in {there}", (there,))
     corner = beside(beside(cell, int(car.load_yaw)), int(car.load_yaw) + turn)
     if carries_slope and kind_in(w, corner) not in (Kind.AIR, Kind.GEAR):
-        return Reason(f"the slope would hit {named(w, corner)} in {corner}", (corner,))
+        return RuleReason(f"the slope would hit {named(w, corner)} in {corner}", (corner,))
     for other, row in enumerate(w.cars.tolist()):
         load = row[CarField.LOAD]
         if other == me or row[CarField.Z] != car.z or load == Kind.AIR:
             continue
         place = (row[CarField.X], row[CarField.Y], row[CarField.Z])
         if abs(place[0] - car.x) + abs(place[1] - car.y) == 1 or (carries_slope and place == corner):
-            return Reason(f"the load would hit that of car {other} in {place}", (place,))
+            return RuleReason(f"the load would hit that of car {other} in {place}", (place,))
         gear = beside(place, row[CarField.LOAD_YAW])
         aside = abs(gear[0] - car.x) + abs(gear[1] - car.y) == 1
         if load == Kind.FSLOPE and aside and beside(gear, row[CarField.LOAD_YAW]) != cell:
-            return Reason(f"the load would hit the gear that car {other} carries in {gear}", (gear,))
+            return RuleReason(f"the load would hit the gear that car {other} carries in {gear}", (gear,))
     return None
 
 
-def why_stop(w: World, me: int, car: Pose, action: int) -> Reason | None:
+def why_stop(w: World, me: int, car: Pose, action: int) -> RuleReason | None:
     """Say why STOP is forbidden."""
-    return Reason(ON_A_SLOPE, (at(car),)) if car.slope else None
+    return RuleReason(ON_A_SLOPE, (at(car),)) if car.slope else None
 
 
-def why_never(w: World, me: int, car: Pose, action: int) -> Reason | None:
+def why_never(w: World, me: int, car: Pose, action: int) -> RuleReason | None:
     """Say why a diagonal move is forbidden."""
-    return Reason("cars do not move diagonally", (at(car),))
+    return RuleReason("cars do not move diagonally", (at(car),))
 
 
-def why_move(w: World, me: int, car: Pose, action: int) -> Reason | None:
+def why_move(w: World, me: int, car: Pose, action: int) -> RuleReason | None:
     """Say why a move is forbidden."""
     m, yaw = MOVE_DIRECTION[Action(action)], int(car.yaw)
     cell, target = at(car), beside(at(car), m)
@@ -173,18 +175,18 @@ def why_move(w: World, me: int, car: Pose, action: int) -> Reason | None:
     loaded = car.load != Kind.AIR
     if car.slope:
         if not forward:
-            return Reason(ON_A_SLOPE, (cell,))
+            return RuleReason(ON_A_SLOPE, (cell,))
         if goes_on(w, me, car, m):
             return None
     if own in (Kind.FSLOPE, Kind.BODY) and not forward:
-        return Reason(f"from under {named(w, cell)} in {cell} a car can only move forward", (cell,))
+        return RuleReason(f"from under {named(w, cell)} in {cell} a car can only move forward", (cell,))
     if own in (Kind.BLOCK, Kind.FLAG) and not along:
-        return Reason(f"from under {named(w, cell)} in {cell} a car cannot move sideways", (cell,))
+        return RuleReason(f"from under {named(w, cell)} in {cell} a car cannot move sideways", (cell,))
     if below not in (Kind.GROUND, Kind.BLOCK, Kind.BODY):
         what = f"there is nothing to stand on in {under(target)}: {named(w, under(target))}"
-        return Reason(what if kind != Kind.WALL else f"{named(w, target)} is in {target}", (target,))
+        return RuleReason(what if kind != Kind.WALL else f"{named(w, target)} is in {target}", (target,))
     if (other := car_at(w, me, target)) >= 0:
-        return Reason(f"car {other} is in {target}", (target,))
+        return RuleReason(f"car {other} is in {target}", (target,))
     if loaded and not car.slope and not load_has_room(w, me, car, m):
         return _why_no_room(w, me, car, m)
     if kind == Kind.AIR:
@@ -192,71 +194,75 @@ def why_move(w: World, me: int, car: Pose, action: int) -> Reason | None:
         return _why_no_descent(w, me, car, m) if blocked else None
     if kind in (Kind.BLOCK, Kind.FLAG):
         if loaded:
-            return Reason(f"a load does not fit under {named(w, target)} in {target}", (target,))
+            return RuleReason(f"a load does not fit under {named(w, target)} in {target}", (target,))
         return (
-            None if along else Reason(f"{named(w, target)} in {target} cannot be entered sideways", (target,))
+            None
+            if along
+            else RuleReason(f"{named(w, target)} in {target} cannot be entered sideways", (target,))
         )
     if kind in (Kind.FSLOPE, Kind.BODY):
         if loaded:
-            return Reason(f"a load does not fit under {named(w, target)} in {target}", (target,))
+            return RuleReason(f"a load does not fit under {named(w, target)} in {target}", (target,))
         high_side = along and not forward and (yaw - yaw_at(w, *target)) % 4 == 2
         entered = f"{named(w, target)} in {target} is entered backwards, from its high side only"
-        return None if high_side else Reason(entered, (target,))
+        return None if high_side else RuleReason(entered, (target,))
     if kind == Kind.GEAR:
-        return Reason(f"a load does not pass {named(w, target)} in {target}", (target,)) if loaded else None
+        return (
+            RuleReason(f"a load does not pass {named(w, target)} in {target}", (target,)) if loaded else None
+        )
     if kind == Kind.FOOT:
         return None if ascent_legal(w, me, car, m) else _why_no_ascent(w, me, car, m)
-    return Reason(f"{named(w, target)} is in {target}", (target,))
+    return RuleReason(f"{named(w, target)} is in {target}", (target,))
 
 
-def _why_no_room(w: World, me: int, car: Pose, m: int) -> Reason:
+def _why_no_room(w: World, me: int, car: Pose, m: int) -> RuleReason:
     target = beside(at(car), m)
     if carried_gear_in(w, me, *target, -1):
-        return Reason(f"another car carries a gear in {target}", (target,))
+        return RuleReason(f"another car carries a gear in {target}", (target,))
     swept = beside(beside(at(car), int(car.yaw) + 2), m)
     what = named(w, swept)
     if (other := car_at(w, me, swept)) >= 0:
         what = f"car {other}"
     elif what == "nothing":
         what = "a gear that another car carries"
-    return Reason(f"the gear of the load has no room in {swept}: {what}", (swept,))
+    return RuleReason(f"the gear of the load has no room in {swept}: {what}", (swept,))
 
 
-def _why_no_descent(w: World, me: int, car: Pose, m: int) -> Reason:
+def _why_no_descent(w: World, me: int, car: Pose, m: int) -> RuleReason:
     cell, target = at(car), beside(at(car), m)
     body = under(target)
     foot, end = beside(body, m), beside(beside(body, m), m)
     if kind_in(w, cell) not in (Kind.AIR, Kind.BLOCK, Kind.FLAG):
-        return Reason(f"from a cell with {named(w, cell)} no ramp is driven down", (cell,))
+        return RuleReason(f"from a cell with {named(w, cell)} no ramp is driven down", (cell,))
     if m != car.yaw or m != yaw_at(w, *body):
-        return Reason(f"the ramp in {body} is driven down forward, in its own direction, only", (body,))
+        return RuleReason(f"the ramp in {body} is driven down forward, in its own direction, only", (body,))
     if top_at(w, *body, me) != -1:
         return on_top(w, me, body)
     if (other := int(top_at(w, *under(foot), me))) >= 0:
-        return Reason(f"car {other} is on the foot of the ramp in {foot}", (foot,))
+        return RuleReason(f"car {other} is on the foot of the ramp in {foot}", (foot,))
     if not standable(kind_at(w, *under(end))):
-        return Reason(f"the ramp ends in {end}, where there is nothing to stand on", (end,))
+        return RuleReason(f"the ramp ends in {end}, where there is nothing to stand on", (end,))
     return on_top(w, me, under(end))
 
 
-def _why_no_ascent(w: World, me: int, car: Pose, m: int) -> Reason:
+def _why_no_ascent(w: World, me: int, car: Pose, m: int) -> RuleReason:
     cell, foot = at(car), beside(at(car), m)
     body = beside(foot, m)
     landing = beside(body, m)
     top = (landing[0], landing[1], landing[2] + 1)
     if kind_in(w, cell) != Kind.AIR:
-        return Reason(f"from a cell with {named(w, cell)} no ramp is driven up", (cell,))
+        return RuleReason(f"from a cell with {named(w, cell)} no ramp is driven up", (cell,))
     if m != car.yaw or (m + 2) & 3 != yaw_at(w, *foot):
-        return Reason(f"the ramp in {foot} is driven up forward, from its low end, only", (foot,))
+        return RuleReason(f"the ramp in {foot} is driven up forward, from its low end, only", (foot,))
     if (other := int(top_at(w, *under(foot), me))) >= 0:
-        return Reason(f"car {other} is on the foot of the ramp in {foot}", (foot,))
+        return RuleReason(f"car {other} is on the foot of the ramp in {foot}", (foot,))
     if top_at(w, *body, me) != -1:
         return on_top(w, me, body)
     if not standable(kind_at(w, *landing)):
-        return Reason(f"the ramp has no landing in {landing}: {named(w, landing)}", (landing,))
+        return RuleReason(f"the ramp has no landing in {landing}: {named(w, landing)}", (landing,))
     if (other := int(top_at(w, *landing, me))) >= 0:
-        return Reason(f"car {other} is on the landing, in {top}", (top,))
-    return Reason(f"there is no room above the landing, in {top}: {named(w, top)}", (top,))
+        return RuleReason(f"car {other} is on the landing, in {top}", (top,))
+    return RuleReason(f"there is no room above the landing, in {top}: {named(w, top)}", (top,))
 
 
 def always_a_goal(w: World, car: Pose) -> str:

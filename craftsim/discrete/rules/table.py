@@ -30,7 +30,7 @@ from craftsim.discrete.rules.legality import (
     unfold_legal,
 )
 from craftsim.discrete.rules.moves import move_legal
-from craftsim.discrete.rules.reasons import Reason
+from craftsim.discrete.rules.reasons import RuleReason
 
 
 def _number(name: str) -> int:
@@ -117,7 +117,7 @@ class ActionSpec:
     """The compiled rule that :func:`legal` asks; None where nothing is asked."""
     effect: Any
     """The compiled effect that :func:`apply` carries out; None where nothing changes."""
-    why_not: Callable[[World, int, Pose, int], Reason | None]
+    why_not: Callable[[World, int, Pose, int], RuleReason | None]
     """Says why it is forbidden: (world, car's number, its state, action) -> reason, None where it is legal."""
     footprint: Callable[[Grid, Grid, int], Footprint]
     """What it needs beyond what the car needs where it stands: (before, after, car) -> footprint."""

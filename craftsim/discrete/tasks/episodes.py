@@ -120,7 +120,7 @@ class EpisodeStep:
     order: NDArray[np.int64]
 
 
-class Episode:
+class GridEpisode:
     """A single episode: a batch of one, without the leading dimension."""
 
     def __init__(

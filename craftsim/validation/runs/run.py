@@ -22,6 +22,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
+from craftsim.skills.executor import Observer
 from craftsim.validation.campaign import Done
 from craftsim.validation.replays.bundle import write_bundle
 from craftsim.validation.runs.policies import Policy, make_policy
@@ -38,6 +39,8 @@ class Terms:
     setup: Setup
     out: Path | None = None
     """Folder of the campaign, where bundles go."""
+    observers: tuple[Observer, ...] = ()
+    """Called with each run's Site after every control period."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,7 @@ def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: Watch) -> Epi
     task, setup = drawn.task, run.terms.setup
     recipe = Recipe(blueprint_text(drawn.grid), (), setup, drawn.physics, tuple(task.goal_cells))
     checked = set_up(drawn.grid, setup, drawn.physics, recipe.goals)
+    checked.executor.observers.extend(run.terms.observers)
     watch.begin(checked)
     found = []
     for step in steps:
@@ -164,6 +168,7 @@ def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: Wat
     env = ParallelConstruction(drawn.task, Options("grid", rule_set=run.terms.setup.rules), backend)
     observations, _ = env.reset(seed=drawn.world)
     if backend is not None:
+        backend.checked.executor.observers.extend(run.terms.observers)
         watch.begin(backend.checked)
     success = False
     while env.agents:

@@ -97,11 +97,18 @@ def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
             if isinstance(node, ast.ClassDef | ast.FunctionDef):
                 places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
     assert places["Attempt"] == places["Evidence"] == places["result_of"] == ["checking/attempt.py"]
-    assert places["Episode"] == ["checking/episode.py", "discrete/tasks/episodes.py"], "physics, and the grid"
+    assert places["Episode"] == ["checking/episode.py"]
     assert places["CheckedSite"] == ["checking/checked_site.py"]
     gone = {"ActionRecord", "CheckedRun", "ScheduledRun", "StepRecord", "JointStep", "CarStep", "JointSite"}
     gone |= {"EpisodeRecord", "JobRecord", "JobResult", "TrialSettings", "attempt_of"}
     assert not gone & set(places)
+
+
+def test_a_class_has_a_name_of_its_own():
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in FILES]
+    names = [node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)]
+    public = [name for name in names if not name.startswith("_")]
+    assert sorted(public) == sorted(set(public))
 
 
 def test_only_the_judge_compares_what_is_read_with_what_is_predicted():

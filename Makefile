@@ -17,7 +17,7 @@ demo: $(VENV)/installed libraries  ## Build the simple two-story building in phy
 	$(BIN)/craftsim demo --out out/demo $(ARGS)
 
 test: lint libraries  ## Lint, type-check and run all tests, from a fresh checkout (ARGS are passed to pytest)
-	$(BIN)/pytest -n 2 $(ARGS)
+	$(BIN)/pytest -n 4 --dist worksteal $(ARGS)
 
 lint: $(VENV)/installed-dev  ## Check style, formatting and types
 	$(BIN)/ruff check .

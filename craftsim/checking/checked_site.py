@@ -44,11 +44,19 @@ class _Running:
     step: ScheduledAction
     start_s: float
     poses: Poses
+    """Of what has been moved by an action that ended meanwhile: where that left it."""
     reading: Reading
     cars: set[int]
     """Those that act meanwhile, its own included."""
     meant: set[int]
-    """Objects that are meant to move though no acting car carries them: what is shoved, what other cars handle."""
+    """Objects that may move though no acting car carries them: what is shoved, what other acting cars handle."""
+
+    def expect_rest(self, other: _Running, now: Poses) -> None:
+        """From here on hold it against this action if what another one was about moves: that one has ended."""
+        car, things = other.step.car, handled(other.reading, other.step.after, other.step.car)
+        self.poses.car_positions[car] = now.car_positions[car]
+        self.poses.positions[things] = now.positions[things]
+        self.meant.difference_update(things)
 
 
 class CheckedSite:
@@ -107,8 +115,7 @@ class CheckedSite:
 
     def perform_tick(self, joint: Joint, order: Order = "concurrent", tick: int = 0) -> tuple[Attempt, ...]:
         """Perform one tick of many cars, each as early as ``order`` lets it; return the attempts in acting order."""
-        attempts = self.perform_plan([joint], order)
-        return tuple(replace(attempt, tick=tick) for attempt in attempts)
+        return tuple(replace(attempt, tick=tick) for attempt in self.perform_plan([joint], order))
 
     def perform_plan(self, ticks: Iterable[Joint], order: Order) -> tuple[Attempt, ...]:
         """Perform the ticks of a plan as one schedule and return an attempt for each action, in their order.
@@ -140,16 +147,15 @@ class CheckedSite:
             if len(ended) == len(running):
                 settled = self._settle()
             self._look()
-            for car, outcome in ended.items():
-                one = running.pop(car)
-                evidence[one.index] = self._measure(one, outcome, legal)
+            acting = set(running)
+            for one in [running.pop(car) for car in ended]:
+                evidence[one.index] = self._measure(one, ended[one.step.car], legal, acting)
+                for other in running.values():
+                    other.expect_rest(one, self.poses)
         world = self._world_verdict(before, schedule.final, settled)
-        never = [
-            *((step, True) for step in waiting.values()),
-            *((step, False) for step in schedule.forbidden),
-        ]
         found = [evidence[index] for index in sorted(evidence)]
-        found += [self._measure(self._now(step), None, allowed) for step, allowed in never]
+        found += [self._measure(self._now(step), None, True, set()) for step in waiting.values()]
+        found += [self._measure(self._now(step), None, False, set()) for step in schedule.forbidden]
         attempts = [judge(one, self._verdict(one, world, found), self.thresholds) for one in found]
         place = {act: number for number, act in enumerate(schedule.acts)}
         return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
@@ -185,19 +191,18 @@ class CheckedSite:
             self.executor.advance()
         return speed_m_s(self.site) <= SETTLED_M_S
 
-    def _measure(self, one: _Running, outcome: Outcome | None, legal: bool) -> Evidence:
+    def _measure(self, one: _Running, outcome: Outcome | None, legal: bool, acting: set[int]) -> Evidence:
         step, car, log = one.step, one.step.car, self.log
         placed, about = self.reading.cars[car], handled(one.reading, step.after, car)
         # What the car should not carry afterwards is set down, folded, unfolded or shoved.
         set_down = about[0] if about and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
-        moved_m, moved = self._furthest_moved(one)
-        differences = tuple(own_differences(step.before, step.after, self.grid, car))
+        moved_m, moved = self._furthest_moved(one, acting)
         contacts = () if log is None else log.contacts
         return Evidence(
             step=step,
             legal=legal,
             outcome=outcome,
-            differences=differences,
+            differences=tuple(own_differences(step.before, step.after, self.grid, car)),
             own=(f"car {car}", *(one.poses.name(i) for i in about)),
             read=describe_car(self.grid, car),
             car_error_m=placed.offset_m,
@@ -212,14 +217,14 @@ class CheckedSite:
             peak_force_n=0.0 if log is None else log.peak_n,
         )
 
-    def _furthest_moved(self, one: _Running) -> tuple[float, str]:
-        """Return the largest displacement in metres of a bystander of an action, and the bystander's name."""
+    def _furthest_moved(self, one: _Running, acting: set[int]) -> tuple[float, str]:
+        """Return how far in metres a bystander of an action moved at most, from where it should rest, and its name."""
         then, now = one.poses, self.poses
         ways = np.linalg.norm(now.car_positions - then.car_positions, axis=1).tolist()
-        moved = [(way, f"car {car}") for car, way in enumerate(ways) if car not in one.cars]
+        moved = [(way, f"car {car}") for car, way in enumerate(ways) if car not in acting]
         ways = np.linalg.norm(now.positions - then.positions, axis=1).tolist()
         for index, (was, reads) in enumerate(zip(one.reading.objects, self.reading.objects, strict=True)):
-            if index not in one.meant and not one.cars & {was.carrier, reads.carrier}:
+            if index not in one.meant and not acting & {was.carrier, reads.carrier}:
                 moved.append((ways[index], then.name(index)))
         return max(moved, default=(0.0, ""))
 
@@ -240,10 +245,10 @@ class CheckedSite:
         """Return the verdict on one of many actions."""
         car, action = one.step.car, one.step.action
         if one.outcome is None:
-            if one.legal:
-                return Verdict(Finding.NOT_EXECUTED, (f"car {car} waits for an action that failed",))
-            why = self.rules.explain(one.step.before, car, action).why
-            return Verdict(Finding.NOT_EXECUTED, (f"the rules forbid it: {why}",))
+            why = f"car {car} waits for an action that failed"
+            if not one.legal:
+                why = f"the rules forbid it: {self.rules.explain(one.step.before, car, action).why}"
+            return Verdict(Finding.NOT_EXECUTED, (why,))
         tried = [other for other in all_evidence if other.legal or other.outcome is not None]
         nobodys = len(tried) == 1 or all(other.applied for other in tried)
         if world.agrees or (one.applied and not nobodys):

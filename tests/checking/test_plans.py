@@ -88,6 +88,33 @@ def test_the_failure_of_a_car_that_nobody_waits_for_concerns_nobody_else():
     assert {index for index, attempt in enumerate(attempts) if attempt.agrees} == {0, 2, 3, 5, 6}
 
 
+@pytest.mark.parametrize("force_n", [0.0, 120.0])
+def test_what_moves_after_its_action_has_ended_is_held_against_the_actions_still_running(force_n):
+    checked = set_up(_yard(), Setup())
+    running, started, start = {}, set(), []
+
+    def listen(now):
+        running.clear()
+        running.update(now)
+        started.update(now)
+
+    def shove(site):
+        ended = started - set(running)
+        if len(ended) == 1 and running:
+            base = site.cars[next(iter(ended))].base
+            x = float(site.free_body_state(base)[0][0])
+            start.append(x)
+            site.data.xfrc_applied[base.body, 0] = force_n if x < start[0] + 0.006 else 0.0
+
+    checked.on_change = listen
+    checked.executor.observers.append(shove)
+    attempts = checked.perform_tick([(0, RIGHT), (2, Action.LIFT)])
+    assert all(attempt.performed for attempt in attempts)
+    assert len(start) > 4
+    assert [attempt.agrees for attempt in attempts] == [True, force_n == 0.0]
+    assert ("car 0 was moved" in attempts[1].reason) == (force_n > 0.0)
+
+
 def test_one_by_one_a_failure_ends_everything():
     _, attempts = _run(_unpower(0), "sequential")
     assert _not_performed(attempts) == [1, 2, 3, 4, 5, 6]

@@ -51,8 +51,9 @@ class Episode:
     @property
     def makespan_s(self) -> float:
         """Simulated time from the start of the first action to the end of the last."""
-        ends = [a.start_s + a.duration_s for a in self.attempts if a.performed]
-        return round(max(ends, default=0.0) - min((a.start_s for a in self.attempts), default=0.0), 6)
+        performed = [attempt for attempt in self.attempts if attempt.performed]
+        ends = max((a.start_s + a.duration_s for a in performed), default=0.0)
+        return round(ends - min((a.start_s for a in performed), default=0.0), 6)
 
     @property
     def first_disagreement(self) -> int | None:

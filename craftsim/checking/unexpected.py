@@ -38,7 +38,7 @@ def unexpected_contacts(
         for thing, cells in own.items():
             below = [(x, y, z - 1) for x, y, z in cells]
             known |= {frozenset((thing, bearers[cell])) for cell in below if cell in bearers}
-        ramps = [cell for cell in way if before.grid.kind[cell] in (Kind.FOOT, Kind.BODY)]
+        ramps = [cell for cell in way if before.grid.kind_at(cell) in (Kind.FOOT, Kind.BODY)]
         known |= {frozenset((name, bearers[cell])) for cell in ramps}
     strange = [c for c in contacts if not c.at_start and frozenset((c.first, c.second)) not in known]
     return tuple(sorted(strange, key=lambda contact: -contact.peak_n))
@@ -59,7 +59,7 @@ def shoved(before: Reading, predicted: Grid, car: int) -> list[int]:
 
 def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
     """Return the objects that stand in a cell which should hold something else afterwards."""
-    if cell[2] > before.grid.size[2] or before.grid.kind[cell] == predicted.kind[cell]:
+    if before.grid.kind_at(cell) == predicted.kind_at(cell):
         return []
     things = enumerate(before.objects)
     return [index for index, thing in things if thing.carrier is None and thing.cell == cell]
@@ -72,7 +72,7 @@ def _cell(grid: Grid, car: int) -> Cell:
 
 def _parts(grid: Grid, cell: Cell) -> list[Cell]:
     """Return a cell, and the second one of the slope that stands there."""
-    if Kind(grid.kind[cell]) not in SECOND_PART:
+    if grid.kind_at(cell) not in SECOND_PART:
         return [cell]
     return [cell, beside(cell, int(grid.yaw[cell]))]
 

@@ -54,6 +54,10 @@ class RuleFlags(NamedTuple):
     """A ramp below a gear is driven down in its own direction only (docs/rules.md#through-a-gear)."""
     run_out: bool = False
     """Who comes down a ramp does not drive under a block or flag right behind its foot (docs/rules.md#run-out)."""
+    reaching_load: bool = False
+    """No load turns and no flap swings where a load reaches up from the level below (docs/rules.md#reaching-load)."""
+    overhead_wall: bool = False
+    """A wall overhead keeps loads, flaps and climbing cars away (docs/rules.md#overhead-wall)."""
     lasting_gears: bool = False
     """A gear gives way to what stands, and lasts as long as its slope (docs/rules.md#lift-erases-gear-cell)."""
 

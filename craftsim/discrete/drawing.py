@@ -57,7 +57,7 @@ def cars_by_cell(grid: Grid) -> dict[Cell, list[int]]:
 
 
 def _cell_text(grid: Grid, cell: Cell, cars: list[int], goal: bool) -> Text:
-    kind = Kind(grid.kind[cell]) if cell[2] <= grid.size[2] else Kind.AIR
+    kind = grid.kind_at(cell)
     sign = SIGNS[kind]
     if len(sign) == 1:
         sign += ARROWS[grid.yaw[cell]]
@@ -140,7 +140,7 @@ def world_image(grid: Grid, goal: Cell | None = None) -> NDArray[np.uint8]:
 
 def _paint_cell(tile: NDArray[np.uint8], grid: Grid, cell: Cell, cars: list[int], goal: bool) -> None:
     """Paint one cell; u and v run from -1 to 1 over the tile, to the right and up."""
-    kind = Kind(grid.kind[cell]) if cell[2] <= grid.size[2] else Kind.AIR
+    kind = grid.kind_at(cell)
     u = np.linspace(-1, 1, CELL_PX)[None, :]
     v = np.linspace(1, -1, CELL_PX)[:, None]
     tile[:] = COLOURS[kind]

@@ -79,6 +79,10 @@ class Grid:
         """Number of cars."""
         return len(self.cars)
 
+    def kind_at(self, cell: Cell) -> Kind:
+        """Return what is in a cell of the map, or above the map, where there is air and a car may be."""
+        return Kind(self.kind[cell]) if cell[2] <= self.size[2] else Kind.AIR
+
     def copy(self) -> Grid:
         """Return a world that shares nothing with this one."""
         return Grid(self.kind.copy(), self.yaw.copy(), self.cars.copy(), self.top.copy(), self.back.copy())

@@ -154,8 +154,8 @@ def _place(
     return x, y, offset
 
 
-def _level(grid: Grid, name: str, height: float, problems: list[str]) -> tuple[int, float]:
-    """Return the level whose floor is nearest to a height in metres, and the height above that floor.
+def _level(name: str, height: float, top: int, problems: list[str]) -> tuple[int, float]:
+    """Return the level up to ``top`` whose floor is nearest to a height in metres, and the height above that floor.
 
     A thing that does not stand on it is noted.
     """
@@ -163,7 +163,6 @@ def _level(grid: Grid, name: str, height: float, problems: list[str]) -> tuple[i
     excess = height - (level - 1) * LEVEL_HEIGHT_M
     if abs(excess) > HEIGHT_TOLERANCE_M:
         problems.append(f"{name} is {excess * 1e3:+.0f} mm from the floor of level {level}")
-    top = grid.size[2]
     if not 1 <= level <= top:
         problems.append(f"{name} is on level {level}, outside 1..{top}")
     return min(max(level, 1), top), excess
@@ -192,7 +191,7 @@ def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Placed
         slope = 1 if lower else 2
         height += LEVEL_HEIGHT_M * (-0.25 if lower else 0.25)
     grid.cars[car, [CarField.X, CarField.Y, CarField.YAW, CarField.SLOPE]] = x, y, yaw, slope
-    level, above = _level(grid, name, height, problems)
+    level, above = _level(name, height, grid.size[2] + 1, problems)  # a car may be above the top level
     grid.cars[car, CarField.Z] = level
     return Placed((x, y, level), offset, excess, height_m=above)
 
@@ -231,7 +230,7 @@ def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> P
         x, y, z = (int(grid.cars[car, f]) for f in (CarField.X, CarField.Y, CarField.Z))
         return Placed((x, y, z), offset, excess, car)
     x, y, offset = _place(grid, name, position, problems)
-    level, above = _level(grid, name, float(position[2]), problems)
+    level, above = _level(name, float(position[2]), grid.size[2], problems)
     tilt = math.acos(max(-1.0, min(1.0, turn[2, 2])))
     if tilt > TILT_TOLERANCE_RAD:
         problems.append(f"{name} leans by {tilt:.2f} rad")

@@ -233,3 +233,59 @@ def test_a_gear_lasts_as_long_as_its_slope_and_gives_way_to_what_stands(scene, c
     behind_ramp = scene(RAMP, [car(4, 3, yaw=0, load=FSLOPE)])
     assert PUBLISHED.apply(behind_ramp, 0, Action.DROP).kind[3, 3, 1] == GEAR
     assert PHYSICAL.apply(behind_ramp, 0, Action.DROP).kind[3, 3, 1] == FOOT
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_a_load_turns_above_no_load_that_reaches_up(scene, car, turn):
+    """Beside a car on the foot with any load; a block or flag beside a carried slope as well."""
+    for load in LOADS:
+        climber = car(3, 3, yaw=2, load=load, slope=1)
+        for side in (2, 4):
+            world = [*RAMP, (BLOCK, (3, side, 1))]
+            turning = scene(world, [car(3, side, 2, load=BLOCK), climber])
+            assert corrected(turning, 0, turn, "reaching_load")
+            bare = scene(world, [car(3, side, 2, load=BLOCK), car(3, 3, yaw=2, slope=1)])
+            assert allows(bare, 0, turn) == (True, True)
+    for above in LOADS:
+        for below in LOADS:
+            grid = scene([(BLOCK, (3, 4, 1))], [car(3, 4, 2, load=above), car(3, 3, load=below)])
+            free = above == FSLOPE or below != FSLOPE
+            assert allows(grid, 0, turn) == (True, free), (above, below)
+
+
+@SWINGS
+def test_a_flap_swings_above_no_load_that_reaches_up(scene, car, kind, action):
+    world = [(BLOCK, (4, 3, 1)), (BLOCK, (3, 3, 1)), (kind, (4, 3, 2), 2), (BODY, (2, 4, 1), 3)]
+    for load in LOADS:
+        grid = scene(world, [car(4, 3, 2), car(2, 3, yaw=1, load=load, slope=1)])
+        assert corrected(grid, 0, action, "reaching_load")
+    assert allows(scene(world, [car(4, 3, 2), car(2, 3, yaw=1, slope=1)]), 0, action) == (True, True)
+
+
+def test_a_wall_overhead_keeps_loads_away(scene, car):
+    over = (WALL, (3, 3, 2))
+    assert corrected(scene([over, (BLOCK, (3, 3, 1))], [car(3, 3)]), 0, Action.LIFT, "overhead_wall")
+    for load in LOADS:
+        assert corrected(scene([over], [car(2, 3, load=load)]), 0, RIGHT, "overhead_wall")
+        for turn in TURNS:
+            assert corrected(scene([over], [car(2, 3, load=load)]), 0, turn, "overhead_wall")
+        for cell in ((3, 3, 2), (4, 3, 2)):
+            onto_foot = scene([*RAMP, (WALL, cell)], [car(4, 3, yaw=2, load=load)])
+            assert corrected(onto_foot, 0, LEFT, "overhead_wall")
+    assert allows(scene([over], [car(2, 3)]), 0, RIGHT) == (True, True)
+    assert allows(scene([over, (BLOCK, (3, 3, 1))], [car(2, 3)]), 0, RIGHT) == (True, True)
+
+
+def test_no_car_climbs_onto_a_body_right_below_a_wall(scene, car):
+    world = [*RAMP, (WALL, (2, 3, 2))]
+    assert corrected(scene(world, [car(4, 3, yaw=2)]), 0, LEFT, "overhead_wall")
+    assert corrected(scene(world, [car(3, 3, yaw=2, slope=1)]), 0, LEFT, "overhead_wall")
+
+
+@SWINGS
+def test_a_flap_needs_the_two_levels_above_it_free_of_walls(scene, car, kind, action):
+    slope = (kind, (4, 3, 1), 2)
+    for cell in ((4, 3, 2), (3, 3, 2), (4, 3, 3), (3, 3, 3)):
+        assert corrected(scene([slope, (WALL, cell)], [car(4, 3)]), 0, action, "overhead_wall")
+    for cell in ((5, 3, 2), (2, 3, 2), (3, 4, 2)):
+        assert allows(scene([slope, (WALL, cell)], [car(4, 3)]), 0, action) == (True, True)

@@ -172,6 +172,12 @@ def test_a_gear_leaves_its_cell_to_what_stands_there():
         assert reading.grid.yaw[1, 0, 1] == 0
 
 
+def test_a_car_may_stand_above_the_top_level():
+    reading = _read([_car((1, 1, 4))])
+    assert reading.problems == ()
+    assert reading.grid.cars[0, CarField.Z] == 4
+
+
 @pytest.mark.parametrize(
     ("car", "problem"),
     [
@@ -180,8 +186,8 @@ def test_a_gear_leaves_its_cell_to_what_stands_there():
         (_car((1, 4, 1)), "car 0 is outside the area, at (1, 4)"),
         (_car((1, 1, 1), shift=(0, 0, 0.05)), "car 0 is +50 mm from the floor of level 1"),
         (_car((1, 1, 2), shift=(0, 0, -0.02)), "car 0 is -20 mm from the floor of level 2"),
-        (_car((1, 1, 4)), "car 0 is on level 4, outside 1..3"),
-        (_car((1, 1, 0)), "car 0 is on level 0, outside 1..3"),
+        (_car((1, 1, 5)), "car 0 is on level 5, outside 1..4"),
+        (_car((1, 1, 0)), "car 0 is on level 0, outside 1..4"),
         (_car((1, 1, 1), off=0.3), "car 0 heads +0.30 rad away from yaw 0"),
         (_car((1, 1, 1), 2, off=-0.3), "car 0 heads -0.30 rad away from yaw 2"),
         (_car((1, 1, 1), nose_up=0.1), "car 0 leans: pitch +0.10 rad, roll 0.00 rad"),

@@ -28,7 +28,13 @@ from craftsim.discrete.cells import (
     yaw_at,
 )
 from craftsim.discrete.compiled import compiled
-from craftsim.discrete.rules.reach import flap_has_room, leans_into
+from craftsim.discrete.rules.reach import (
+    flap_clears_levels,
+    flap_has_room,
+    leans_into,
+    reaches_up,
+    wall_over,
+)
 
 ROTATE_LEFT = int(Action.ROTATE_LEFT)
 ROTATE_RIGHT = int(Action.ROTATE_RIGHT)
@@ -53,7 +59,7 @@ def lift_legal(w: World, me: int, car: Pose) -> bool:
     own = kind_at(w, car.x, car.y, car.z)
     if own not in (BLOCK, FLAG, FSLOPE):
         return False
-    return top_at(w, car.x, car.y, car.z, me) == NOTHING
+    return top_at(w, car.x, car.y, car.z, me) == NOTHING and not wall_over(w, car.x, car.y, car.z)
 
 
 @compiled
@@ -65,7 +71,9 @@ def drop_legal(w: World, car: Pose) -> bool:
 @compiled
 def swing_legal(w: World, me: int, car: Pose, slope_yaw: int) -> bool:
     """FOLD and UNFOLD: room for the flap, which CraftEnv's rules do not look for (docs/rules.md#flap)."""
-    return not w.flags.swinging_flap or flap_has_room(w, me, car, slope_yaw)
+    if w.flags.swinging_flap and not flap_has_room(w, me, car, slope_yaw):
+        return False
+    return flap_clears_levels(w, me, car, slope_yaw)
 
 
 @compiled
@@ -99,6 +107,7 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
     if car.load == AIR:
         own = kind_at(w, car.x, car.y, car.z)
         return own not in (FSLOPE, BODY)
+    carries_slope = car.load == FSLOPE
     for d in range(4):
         nx, ny = car.x + dir_x(d), car.y + dir_y(d)
         neighbour = kind_at(w, nx, ny, car.z)
@@ -109,7 +118,8 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
             return False
         if w.flags.turning_load and leans_into(w, me, nx, ny, car.z, (d + 2) & 3):
             return False
-    carries_slope = car.load == FSLOPE
+        if reaches_up(w, me, nx, ny, car.z, carries_slope) or wall_over(w, nx, ny, car.z):
+            return False
     corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)
     corner_y = car.y + dir_y(car.load_yaw) + dir_y(car.load_yaw + turn)
     if carries_slope and not is_air_or_gear(kind_at(w, corner_x, corner_y, car.z)):

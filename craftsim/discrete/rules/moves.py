@@ -22,7 +22,7 @@ from craftsim.discrete.cells import (
     yaw_at,
 )
 from craftsim.discrete.compiled import compiled
-from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_fits
+from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_below_walls, load_fits, wall_over
 
 
 @compiled
@@ -89,6 +89,8 @@ def ascent_legal(w: World, me: int, car: Pose, m: int) -> bool:
     x3, y3 = x2 + dir_x(m), y2 + dir_y(m)
     if not standable(kind_at(w, x3, y3, car.z)) or top_at(w, x3, y3, car.z, me) >= 0:
         return False
+    if wall_over(w, x2, y2, car.z):
+        return False
     over = kind_at(w, x3, y3, car.z + 1)
     return over == AIR or (over in (BLOCK, FLAG) and car.load == AIR)
 
@@ -103,6 +105,8 @@ def goes_on(w: World, me: int, car: Pose, m: int) -> bool:
     nx, ny = car.x + dir_x(m), car.y + dir_y(m)
     up = car.slope == 1 and kind_at(w, nx, ny, car.z) == BODY
     down = car.slope == 2 and kind_at(w, nx, ny, car.z - 1) == FOOT
+    if up and wall_over(w, nx, ny, car.z):
+        return False
     if not w.flags.own_ramp:
         return up or down
     if up:
@@ -120,6 +124,8 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     below = kind_at(w, nx, ny, car.z - 1)
     loaded = car.load != AIR
     if loaded and w.flags.leaning_load and not load_fits(w, me, car, moved(w, car, m)):
+        return False
+    if loaded and not load_below_walls(w, moved(w, car, m)):
         return False
     if car.slope != 0:
         if not forward:

@@ -19,6 +19,7 @@ from craftsim.discrete.cells import (
     FOOT,
     FSLOPE,
     GEAR,
+    WALL,
     Pose,
     World,
     dir_x,
@@ -118,6 +119,42 @@ def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> boo
 
 
 @compiled
+def reaches_up(w: World, me: int, x: int, y: int, z: int, only_climbing: bool) -> bool:
+    """Return whether another car's load reaches into a cell from the level below.
+
+    On a ramp's foot it does by 113 mm; a carried slope does by 42 mm on the flat as well, which
+    ``only_climbing`` leaves out.
+    """
+    if not w.flags.reaching_load:
+        return False
+    for other in range(w.cars.shape[0]):
+        if other == me or w.cars[other, F_LOAD] == AIR:
+            continue
+        if w.cars[other, F_X] != x or w.cars[other, F_Y] != y or w.cars[other, F_Z] != z - 1:
+            continue
+        if w.cars[other, F_SLOPE] == 1 or (w.cars[other, F_LOAD] == FSLOPE and not only_climbing):
+            return True
+    return False
+
+
+@compiled
+def wall_over(w: World, x: int, y: int, z: int) -> bool:
+    """Return whether a wall is right above a cell, where a lifted load would meet it."""
+    return w.flags.overhead_wall and kind_at(w, x, y, z + 1) == WALL
+
+
+@compiled
+def load_below_walls(w: World, new: Pose) -> bool:
+    """Return whether no wall is above where a load comes, or above where it leans on a ramp's foot."""
+    if wall_over(w, new.x, new.y, new.z):
+        return False
+    if new.slope != 1:
+        return True
+    downhill = downhill_of(w, new.x, new.y, new.z, 1)
+    return not wall_over(w, new.x + dir_x(downhill), new.y + dir_y(downhill), new.z)
+
+
+@compiled
 def load_fits(w: World, me: int, old: Pose, new: Pose) -> bool:
     """Return whether a load fits on a ramp, off a ramp, and beside a load that leans on one.
 
@@ -177,3 +214,13 @@ def flap_has_room(w: World, me: int, car: Pose, yaw: int) -> bool:
         if gear_across(w, me, fx, fy, z, yaw):
             return False
     return not gear_across(w, me, car.x, car.y, car.z + 1, yaw)
+
+
+@compiled
+def flap_clears_levels(w: World, me: int, car: Pose, yaw: int) -> bool:
+    """Return whether the flap of the slope in a car's cell, 0.43 m high on its way, meets no wall and no load below."""
+    fx, fy = car.x + dir_x(yaw), car.y + dir_y(yaw)
+    for z in (car.z, car.z + 1):
+        if wall_over(w, car.x, car.y, z) or wall_over(w, fx, fy, z):
+            return False
+    return not reaches_up(w, me, fx + dir_x(yaw), fy + dir_y(yaw), car.z, False)

@@ -30,6 +30,8 @@ RULE_FLAGS: Final[dict[RuleSet, RuleFlags]] = {
         second_ramp=True,
         ramp_below_gear=True,
         run_out=True,
+        reaching_load=True,
+        overhead_wall=True,
         lasting_gears=True,
     ),
 }

@@ -1,0 +1,52 @@
+"""Small worlds in which legal actions once failed in physics: each is right by rule or by physics now.
+
+They came from random play and from looking where no context of the audit looks; tests/data/worlds holds them.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from craftsim import validate
+
+WORLDS = Path(__file__).parents[1] / "data" / "worlds"
+FORBIDDEN = {
+    "carry_under_wall": "overhead_wall",
+    "fold_under_wall": "overhead_wall",
+    "lift_under_wall_on_block": "overhead_wall",
+    "unfold_under_wall": "overhead_wall",
+    "unfold_under_wall_L3": "overhead_wall",
+    "unfold_under_wall_over_body": "overhead_wall",
+    "fold_L2_beyond_loaded_foot": "reaching_load",
+    "turn_L2_beside_loaded_foot": "reaching_load",
+    "turn_L2_beside_slope_load_L1": "reaching_load",
+    "turn_L3_beside_slope_load_L2": "reaching_load",
+}
+"""By world, the rule flag that forbids its action."""
+WORKS = ("climb_above_top_H1", "climb_above_top_H2")
+
+
+def test_every_world_is_decided():
+    names = {path.stem for path in WORLDS.glob("*.yaml")}
+    assert names == {*FORBIDDEN, *WORKS, "solver_1007"}
+
+
+@pytest.mark.parametrize("name", FORBIDDEN)
+def test_what_physics_refuses_the_rules_forbid(name):
+    (attempt,) = validate(WORLDS / f"{name}.yaml", actions=WORLDS / f"{name}.actions").attempts
+    assert not attempt.legal
+    assert FORBIDDEN[name] in attempt.reason
+
+
+@pytest.mark.parametrize("name", FORBIDDEN)
+def test_physics_refuses_it(name):
+    found = validate(WORLDS / f"{name}.yaml", actions=WORLDS / f"{name}.actions", rules="published").attempts
+    assert [attempt.legal for attempt in found] == [True]
+    assert not found[0].agrees
+
+
+@pytest.mark.parametrize("name", WORKS)
+def test_a_car_drives_up_to_the_level_above_the_top(name):
+    result = validate(WORLDS / f"{name}.yaml", actions=WORLDS / f"{name}.actions")
+    assert len(result.attempts) == 3
+    assert result.agrees, [attempt.reason for attempt in result.attempts]

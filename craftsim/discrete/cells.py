@@ -55,9 +55,11 @@ class RuleFlags(NamedTuple):
     run_out: bool = False
     """Who comes down a ramp does not drive under a block or flag right behind its foot (docs/rules.md#run-out)."""
     reaching_load: bool = False
-    """No load turns and no flap swings where a load reaches up from the level below (docs/rules.md#reaching-load)."""
+    """Loads and flaps keep clear of loads that reach in from another level (docs/rules.md#reaching-load)."""
     overhead_wall: bool = False
     """A wall overhead keeps loads, flaps and climbing cars away (docs/rules.md#overhead-wall)."""
+    crossing_gear: bool = False
+    """A slope is lifted and set down only where its gear crosses nothing (docs/rules.md#crossing-gear)."""
     lasting_gears: bool = False
     """A gear gives way to what stands, and lasts as long as its slope (docs/rules.md#lift-erases-gear-cell)."""
 

@@ -289,3 +289,42 @@ def test_a_flap_needs_the_two_levels_above_it_free_of_walls(scene, car, kind, ac
         assert corrected(scene([slope, (WALL, cell)], [car(4, 3)]), 0, action, "overhead_wall")
     for cell in ((5, 3, 2), (2, 3, 2), (3, 4, 2)):
         assert allows(scene([slope, (WALL, cell)], [car(4, 3)]), 0, action) == (True, True)
+
+
+def test_a_slope_is_lifted_and_set_down_where_its_gear_crosses_nothing(scene, car):
+    across, towards = (FSLOPE, (2, 4, 1), 3), (FSLOPE, (1, 3, 1), 0)
+    carrying = [car(3, 3, load=FSLOPE)]
+    assert corrected(scene([across], carrying), 0, Action.DROP, "crossing_gear")
+    assert corrected(scene([(BODY, (2, 4, 1), 3)], carrying), 0, Action.DROP, "crossing_gear")
+    assert corrected(scene([], [*carrying, car(2, 3, load=BLOCK)]), 0, Action.DROP, "crossing_gear")
+    assert allows(scene([towards], carrying), 0, Action.DROP) == (True, True)
+    assert allows(scene([(BODY, (1, 3, 1), 0)], carrying), 0, Action.DROP) == (True, True)
+    slope = (FSLOPE, (3, 3, 1), 2)
+    carried = [car(3, 3), car(2, 4, yaw=1, load=FSLOPE)]
+    assert corrected(scene([slope], carried), 0, Action.LIFT, "crossing_gear")
+    assert allows(scene([slope], [car(3, 3), car(2, 4, yaw=1)]), 0, Action.LIFT) == (True, True)
+
+
+HIGH_RAMP = [(BLOCK, (3, 5, 1)), (BLOCK, (3, 4, 1)), (BODY, (3, 5, 2), 3)]
+"""A ramp on level 2 that falls in -y to its foot at (3, 4), beyond which, at (3, 3), nothing is to stand on."""
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_no_load_passes_below_one_that_leans_over_it(scene, car, load):
+    leaning, bare = (car(3, 4, 2, yaw=1, load=kind, slope=1) for kind in (BLOCK, AIR))
+    for start, action in ((2, RIGHT), (3, RIGHT)):
+        assert corrected(scene(HIGH_RAMP, [car(start, 3, load=load), leaning]), 0, action, "reaching_load")
+        assert allows(scene(HIGH_RAMP, [car(start, 3, load=load), bare]), 0, action) == (True, True)
+    things = [*HIGH_RAMP, (load, (3, 3, 1), 2) if load == FSLOPE else (load, (3, 3, 1))]
+    assert corrected(scene(things, [car(3, 3), leaning]), 0, Action.LIFT, "reaching_load")
+    assert allows(scene(things, [car(3, 3), bare]), 0, Action.LIFT) == (True, True)
+
+
+def test_no_gear_passes_above_a_slope_on_a_foot(scene, car):
+    world = [*RAMP, (BLOCK, (4, 4, 1)), (BLOCK, (4, 5, 1))]
+    for load, free in ((FSLOPE, False), (BLOCK, True)):
+        climber = car(3, 3, yaw=2, load=load, slope=1)
+        grid = scene(world, [car(4, 4, 2, yaw=0, load=FSLOPE), climber])
+        assert allows(grid, 0, UP) == (True, True)
+        below = scene([*world, (BLOCK, (4, 3, 1))], [car(4, 4, 2, yaw=0, load=FSLOPE), climber])
+        assert allows(below, 0, DOWN) == (True, free)

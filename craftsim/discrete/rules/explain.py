@@ -27,8 +27,9 @@ CORRECTIONS: Final = {
     "leaning_load": ("a load that leans on a ramp would meet something", "leaning-load"),
     "own_ramp": ("on a ramp a car goes on along that ramp only", "own-ramp"),
     "ramp_below_gear": ("a ramp below a gear is driven down in its own direction only", "through-a-gear"),
-    "reaching_load": ("something would meet a load that reaches up from the level below", "reaching-load"),
+    "reaching_load": ("something would meet a load that reaches in from another level", "reaching-load"),
     "overhead_wall": ("there is a wall overhead", "overhead-wall"),
+    "crossing_gear": ("the gear of the slope would cross something", "crossing-gear"),
     "run_out": ("who comes down a ramp does not drive under what stands right behind its foot", "run-out"),
 }
 """The rule flags that forbid, each with what it forbids and the heading of docs/rules.md that explains it."""

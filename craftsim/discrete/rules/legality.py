@@ -29,10 +29,12 @@ from craftsim.discrete.cells import (
 )
 from craftsim.discrete.compiled import compiled
 from craftsim.discrete.rules.reach import (
+    below_leaning,
     flap_clears_levels,
     flap_has_room,
+    gear_has_room,
     leans_into,
-    reaches_up,
+    turn_clears_levels,
     wall_over,
 )
 
@@ -59,13 +61,19 @@ def lift_legal(w: World, me: int, car: Pose) -> bool:
     own = kind_at(w, car.x, car.y, car.z)
     if own not in (BLOCK, FLAG, FSLOPE):
         return False
-    return top_at(w, car.x, car.y, car.z, me) == NOTHING and not wall_over(w, car.x, car.y, car.z)
+    if top_at(w, car.x, car.y, car.z, me) != NOTHING or wall_over(w, car.x, car.y, car.z):
+        return False
+    if w.flags.reaching_load and below_leaning(w, me, car):
+        return False
+    return own != FSLOPE or gear_has_room(w, me, car, yaw_at(w, car.x, car.y, car.z))
 
 
 @compiled
-def drop_legal(w: World, car: Pose) -> bool:
+def drop_legal(w: World, me: int, car: Pose) -> bool:
     """DROP: a load and a cell for it, whatever that cell holds (docs/rules.md#drop-overwrites)."""
-    return car.load != AIR and car.z < w.kind.shape[2]
+    if car.load == AIR or car.z >= w.kind.shape[2]:
+        return False
+    return car.load != FSLOPE or gear_has_room(w, me, car, car.load_yaw)
 
 
 @compiled
@@ -107,7 +115,8 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
     if car.load == AIR:
         own = kind_at(w, car.x, car.y, car.z)
         return own not in (FSLOPE, BODY)
-    carries_slope = car.load == FSLOPE
+    if not turn_clears_levels(w, me, car):
+        return False
     for d in range(4):
         nx, ny = car.x + dir_x(d), car.y + dir_y(d)
         neighbour = kind_at(w, nx, ny, car.z)
@@ -118,8 +127,9 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
             return False
         if w.flags.turning_load and leans_into(w, me, nx, ny, car.z, (d + 2) & 3):
             return False
-        if reaches_up(w, me, nx, ny, car.z, carries_slope) or wall_over(w, nx, ny, car.z):
+        if wall_over(w, nx, ny, car.z):
             return False
+    carries_slope = car.load == FSLOPE
     corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)
     corner_y = car.y + dir_y(car.load_yaw) + dir_y(car.load_yaw + turn)
     if carries_slope and not is_air_or_gear(kind_at(w, corner_x, corner_y, car.z)):

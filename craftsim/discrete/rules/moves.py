@@ -22,7 +22,14 @@ from craftsim.discrete.cells import (
     yaw_at,
 )
 from craftsim.discrete.compiled import compiled
-from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_below_walls, load_fits, wall_over
+from craftsim.discrete.rules.reach import (
+    car_in,
+    carried_gear_in,
+    load_below_walls,
+    load_clears_levels,
+    load_fits,
+    wall_over,
+)
 
 
 @compiled
@@ -125,7 +132,9 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     loaded = car.load != AIR
     if loaded and w.flags.leaning_load and not load_fits(w, me, car, moved(w, car, m)):
         return False
-    if loaded and not load_below_walls(w, moved(w, car, m)):
+    if loaded and not (
+        load_below_walls(w, moved(w, car, m)) and load_clears_levels(w, me, car, moved(w, car, m))
+    ):
         return False
     if car.slope != 0:
         if not forward:

@@ -31,6 +31,11 @@ from craftsim.discrete.cells import (
 )
 from craftsim.discrete.compiled import compiled
 
+LIP_MM = 10
+"""Height above its floor at which the lip of a flap passes the border of the foot's cell."""
+GEAR_MM = 115
+"""Height above its floor, less what a load on a foot leaves, at which the gear of a carried slope begins."""
+
 
 @compiled
 def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> bool:
@@ -119,22 +124,69 @@ def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> boo
 
 
 @compiled
-def reaches_up(w: World, me: int, x: int, y: int, z: int, only_climbing: bool) -> bool:
-    """Return whether another car's load reaches into a cell from the level below.
+def reach_mm(load: int, slope: int) -> int:
+    """Return how far the load of a car on the flat (0), a foot (1) or above a body (2) stands into the level above."""
+    if slope == 1:
+        return 113 if load != FSLOPE else 123
+    return 32 if load != FSLOPE else 42
 
-    On a ramp's foot it does by 113 mm; a carried slope does by 42 mm on the flat as well, which
-    ``only_climbing`` leaves out.
+
+@compiled
+def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> bool:
+    """Return whether another car's load stands into a cell from the level below, higher than this above its floor.
+
+    One that leans into the cell below does so by less than 50 mm.
     """
-    if not w.flags.reaching_load:
-        return False
     for other in range(w.cars.shape[0]):
         if other == me or w.cars[other, F_LOAD] == AIR:
             continue
         if w.cars[other, F_X] != x or w.cars[other, F_Y] != y or w.cars[other, F_Z] != z - 1:
             continue
-        if w.cars[other, F_SLOPE] == 1 or (w.cars[other, F_LOAD] == FSLOPE and not only_climbing):
+        if reach_mm(w.cars[other, F_LOAD], w.cars[other, F_SLOPE]) > height_mm:
             return True
-    return False
+    return height_mm < 50 and leans_into(w, me, x, y, z - 1, -1)
+
+
+@compiled
+def below_leaning(w: World, me: int, car: Pose) -> bool:
+    """Return whether another car's load leans over that of a car, from a ramp one level above."""
+    if leans_into(w, me, car.x, car.y, car.z + 1, -1):
+        return True
+    if car.slope != 1:
+        return False
+    downhill = downhill_of(w, car.x, car.y, car.z, 1)
+    return leans_into(w, me, car.x + dir_x(downhill), car.y + dir_y(downhill), car.z + 1, -1)
+
+
+@compiled
+def load_clears_levels(w: World, me: int, old: Pose, new: Pose) -> bool:
+    """Return whether a load that moves meets none that reaches up from the level below or leans over from above."""
+    if not w.flags.reaching_load:
+        return True
+    if below_leaning(w, me, old) or below_leaning(w, me, new):
+        return False
+    if new.slope != 0:
+        return not leans_into(w, me, new.x, new.y, new.z, -1)
+    if new.load != FSLOPE:
+        return True
+    for pose in (old, new):
+        x, y = pose.x + dir_x(pose.load_yaw), pose.y + dir_y(pose.load_yaw)
+        if reaches_up(w, me, x, y, pose.z, GEAR_MM):
+            return False
+    return True
+
+
+@compiled
+def turn_clears_levels(w: World, me: int, car: Pose) -> bool:
+    """Return whether a load that turns meets none that reaches up from the level below or leans over from above."""
+    if not w.flags.reaching_load:
+        return True
+    legs_mm = reach_mm(car.load, 0)
+    for d in range(4):
+        x, y = car.x + dir_x(d), car.y + dir_y(d)
+        if reaches_up(w, me, x, y, car.z, legs_mm) or leans_into(w, me, x, y, car.z + 1, -1):
+            return False
+    return not below_leaning(w, me, car)
 
 
 @compiled
@@ -184,12 +236,13 @@ def load_fits(w: World, me: int, old: Pose, new: Pose) -> bool:
 
 @compiled
 def below_gears(w: World, me: int, car: Pose) -> bool:
-    """Return whether no gear hangs from a side above the ramp on whose upper half a car is."""
+    """Return whether no gear reaches in from a side above the ramp on whose upper half a car is."""
     downhill = downhill_of(w, car.x, car.y, car.z, 2)
     x, y = car.x + dir_x(downhill), car.y + dir_y(downhill)
-    return not gear_across(w, me, car.x, car.y, car.z, downhill) and not gear_across(
-        w, me, x, y, car.z, downhill
-    )
+    for z in (car.z - 1, car.z):
+        if gear_across(w, me, x, y, z, downhill):
+            return False
+    return not gear_across(w, me, car.x, car.y, car.z, downhill)
 
 
 @compiled
@@ -218,9 +271,25 @@ def flap_has_room(w: World, me: int, car: Pose, yaw: int) -> bool:
 
 @compiled
 def flap_clears_levels(w: World, me: int, car: Pose, yaw: int) -> bool:
-    """Return whether the flap of the slope in a car's cell, 0.43 m high on its way, meets no wall and no load below."""
+    """Return whether a flap, 0.43 m high on its way, meets no wall overhead, and no load of another level."""
     fx, fy = car.x + dir_x(yaw), car.y + dir_y(yaw)
     for z in (car.z, car.z + 1):
         if wall_over(w, car.x, car.y, z) or wall_over(w, fx, fy, z):
             return False
-    return not reaches_up(w, me, fx + dir_x(yaw), fy + dir_y(yaw), car.z, False)
+    if not w.flags.reaching_load:
+        return True
+    for z in (car.z + 1, car.z + 2):
+        if leans_into(w, me, car.x, car.y, z, -1) or leans_into(w, me, fx, fy, z, -1):
+            return False
+    return not reaches_up(w, me, fx + dir_x(yaw), fy + dir_y(yaw), car.z, LIP_MM)
+
+
+@compiled
+def gear_has_room(w: World, me: int, car: Pose, yaw: int) -> bool:
+    """Return whether the gear of a slope that is lifted or set down in a car's cell crosses nothing in the next one."""
+    if not w.flags.crossing_gear:
+        return True
+    x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
+    if gear_across(w, me, x, y, car.z, yaw) or car_in(w, me, x, y, car.z, True):
+        return False
+    return kind_at(w, x, y, car.z) != FOOT or (yaw_at(w, x, y, car.z) - yaw) & 1 == 0

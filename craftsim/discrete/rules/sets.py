@@ -32,6 +32,7 @@ RULE_FLAGS: Final[dict[RuleSet, RuleFlags]] = {
         run_out=True,
         reaching_load=True,
         overhead_wall=True,
+        crossing_gear=True,
         lasting_gears=True,
     ),
 }

@@ -61,7 +61,7 @@ def legal(w: World, me: int, car: Pose, action: int) -> bool:
     if action == LIFT:
         return lift_legal(w, me, car)
     if action == DROP:
-        return drop_legal(w, car)
+        return drop_legal(w, me, car)
     if action == FOLD:
         return fold_legal(w, me, car)
     if action == UNFOLD:

@@ -230,7 +230,7 @@ def test_worlds_that_each_run_draws_anew_differ_and_are_the_same_at_any_number_o
     assert _validate(*words, "--workers", "2", out="two") == 0
     one, other = _records(folder / "one")
     assert one["attempts"] != other["attempts"]
-    assert (one["context"], one["group"]) == ("random", "random")
+    assert (one["context"], one["group"]) == ("random", "play")
     assert _records(folder / "two") == [one, other]
     assert _report(folder / "one") == _report(folder / "two")
 

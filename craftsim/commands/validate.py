@@ -26,7 +26,7 @@ def validate(
     campaign: tyro.conf.OmitArgPrefixes[CampaignOptions] = OPTIONS,
     cars: int | None = None,
     blocks: int | None = None,
-    max_steps: int = 73,
+    max_steps: int = 14,
     timeout: float = 600.0,
     video: Literal["none", "failures", "all"] = "failures",
     out: Dir = Path("out/validate"),
@@ -42,21 +42,23 @@ def validate(
             all six tasks unless given.
         plan: plan file to carry out, 'tick car ACTION' a line.
         actions: file with one 'car ACTION' a line, tried one after the other.
-        policy: 'random', 'planner' (the shipped plan), 'module:function', or a file that 'craftsim train' wrote;
-            several are compared with each other. The planner unless given, in random worlds the random policy.
+        policy: 'play' (random play by the rules that prefers the rare), 'random', 'planner' (the shipped plan),
+            'module:function', or a file that 'craftsim train' wrote; several are compared with each other. The planner
+            unless given, in random worlds 'play'.
         order: how plans are carried out: one action after the other; tick after tick, the cars of one at the same
             time; or each action as early as those that it depends on have ended.
-        cars: other than a world's number of cars; those that its start does not list are drawn at random. A random
-            world has 4.
-        blocks: the same for blocks; a random world has 10 beside its two ramps.
+        cars: other than a world's number of cars; those that its start does not list are drawn at random. Random
+            worlds have 1 to 12.
+        blocks: the same for blocks; of a random world's stacks, about.
         max_steps: length of an episode in random worlds, less two ticks.
         timeout: seconds after which a run counts as hanging.
         video: films of the failures, or besides of every run from its start to its end.
-        out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
+        out: folder for report.html, report.json, trials.jsonl, durations.csv, the bundles of the disagreements, and
+            of random play the worlds and plans.
     """
     from craftsim.commands.films import film_failures, film_runs, rendering_works
     from craftsim.commands.progress import counting
-    from craftsim.commands.validate_text import conclusion, print_disagreements, runs_table
+    from craftsim.commands.validate_text import conclusion, coverage_table, print_disagreements, runs_table
     from craftsim.report import output_directory
     from craftsim.validation import validation
     from craftsim.validation.html.validate import validate_page
@@ -101,6 +103,8 @@ def validate(
     words += ["--policy", *policy] if policy else []
     page = write_html(out, validate_page(result, shlex.join(words)))
     console.print(runs_table(result.records))
+    if result.coverage is not None:
+        console.print(coverage_table(result.coverage))
     print_disagreements(out, result.records)
     if result.comparison is not None:
         print(result.comparison)

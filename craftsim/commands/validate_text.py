@@ -11,6 +11,8 @@ from rich.table import Table
 
 from craftsim.checking.attempt import Result
 from craftsim.validation.campaign import TrialRecord
+from craftsim.validation.play.coverage import ALL, Coverage
+from craftsim.validation.play.neighbourhood import NEIGHBOURS
 from craftsim.validation.validation import Validation
 
 _SHOWN: Final = 20
@@ -47,6 +49,19 @@ def runs_table(records: Sequence[TrialRecord]) -> Table:
             f"{median(r['extra']['makespan_s'] for r in done):.1f}" if done else "-",
             str(len(own) - len(done)),
         )
+    return table
+
+
+def coverage_table(coverage: Coverage) -> Table:
+    """Return a table of what random play did, and how often beside what."""
+    totals = ", ".join(f"{n:,} {name}" for name, n in coverage.totals.items())
+    caption = f"{coverage.actions:,} actions in {coverage.worlds:,} worlds: {totals}"
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), title="coverage", caption=caption)
+    table.add_column("action, level, load", no_wrap=True)
+    for heading in (ALL, *NEIGHBOURS):
+        table.add_column(heading, justify="right", overflow="fold")
+    for name, counts in coverage.rows.items():
+        table.add_row(name, *(str(n) if n else "-" for n in counts.values()))
     return table
 
 

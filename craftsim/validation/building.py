@@ -17,8 +17,8 @@ from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import Plan, read_plan, shipped_plan
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.discrete.tasks.measures import Finished
-from craftsim.validation.runs.choice import PlanOrder, steps_of
 from craftsim.validation.runs.run import Run, Terms, run_episode
+from craftsim.validation.runs.steps import PlanOrder, steps_of
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Building:
             for attempt in attempts:
                 on_action(attempt.agrees)
 
-        run = Run(self.name, self.task, steps_of(self.plan, order), "", 0, Terms(seed, setup))
+        run = Run(self.name, self.task, steps_of(self.plan.ticks, order), "", 0, Terms(seed, setup))
         return replace(self, episode=run_episode(run, Watch(begin, count)))
 
     @property

@@ -20,9 +20,10 @@ from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains
 from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign, run_here
+from craftsim.validation.play.coverage import Coverage
 from craftsim.validation.runs.choice import (
     PLANNER,
-    PlanOrder,
+    PLAY,
     World,
     actions_pilot,
     items_of,
@@ -32,6 +33,7 @@ from craftsim.validation.runs.choice import (
 )
 from craftsim.validation.runs.policies import RANDOM, Policy
 from craftsim.validation.runs.run import Terms, do_run
+from craftsim.validation.runs.steps import PlanOrder
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
 from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
@@ -68,6 +70,8 @@ class Validation:
     """What was run, parallel to the records."""
     comparison: Comparison | None = None
     """With an earlier run, where one was given."""
+    coverage: Coverage | None = None
+    """Of random play, where there was some."""
 
     @property
     def agrees(self) -> bool:
@@ -138,7 +142,8 @@ def validate(
             ``random`` for worlds that each run draws anew.
         plan: to be carried out in the one world; the shipped plan of shipped tasks unless anything else is given.
         actions: file of actions to be tried one after the other in the one world.
-        policy: ``random``, ``planner``, ``module:function``, what ``craftsim train`` wrote, or a function from the
+        policy: ``play`` (random play by the rules that prefers the rare; the default in ``random`` worlds), ``random``,
+            ``planner``, ``module:function``, what ``craftsim train`` wrote, or a function from the
             observations by agent to the actions by agent; several names are compared with each other.
         rules: the rule set that predicts, and by which policies may act.
         randomize: how noisy the sensors and how random the physics are; sets the limits of the errors, too.
@@ -184,7 +189,7 @@ def validate(
     elif actions is not None:
         pilots = [actions_pilot(Path(actions), subjects[0])]
     else:
-        default = RANDOM if all(s.name == RANDOM for s in subjects) else PLANNER
+        default = PLAY if all(s.name == RANDOM for s in subjects) else PLANNER
         chosen = policy or default
         named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
         pilots = [policy_pilot(one, subjects, order) for one in dict.fromkeys(named)]
@@ -219,11 +224,12 @@ def validate(
                 on_record=on_record,
             )
     figures = campaign_figures(records, seed)
+    coverage = Coverage.of(records)
     comparison = None if earlier is None or folder is None else compare_runs(earlier, folder, records)
     if folder is not None:
         wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
-        found = {"validation": figures, "paired": comparison}
+        found = {"validation": figures, "paired": comparison, "coverage": coverage}
         asked = config | {"against": against}
         write_report(folder, found, command=COMMAND, seed=seed, config=asked, wall=wall)
         write_durations(folder, figures.durations)
-    return Validation(records, figures, config, seed, items, comparison)
+    return Validation(records, figures, config, seed, items, comparison, coverage)

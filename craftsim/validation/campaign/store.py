@@ -25,7 +25,7 @@ SCHEMA_VERSION: Final = 1
 TRIALS: Final = "trials.jsonl"
 CAMPAIGN: Final = "campaign.json"
 _NEEDED: Final = {"key", "index", "agrees", "error", "attempts"}
-_RESULTS: Final = ("report.json", "report.html", "durations.csv", "bundles", "films")
+_RESULTS: Final = ("report.json", "report.html", "durations.csv", "bundles", "films", "worlds")
 """What a campaign leaves besides; it goes when another one begins in its folder."""
 
 

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from craftsim.checking.recipe import Step
 from craftsim.discrete.errors import InputError
@@ -17,18 +17,17 @@ from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.validation.campaign import Item
+from craftsim.validation.play.worlds import MAX_CARS, RandomWorlds
 from craftsim.validation.runs.policies import RANDOM, Policy, make_policy, policy_digest
-from craftsim.validation.runs.random_worlds import RandomWorlds
 from craftsim.validation.runs.run import Run, Terms
+from craftsim.validation.runs.steps import PlanOrder, steps_of
 
 PLANNER: Final = "planner"
 """The policy that carries out the shipped plans."""
+PLAY: Final = "play"
+"""Stands for random play by the rules that prefers the rare: a plan that each run draws for its world."""
 SHIPPED: Final = "shipped"
 """Stands for the digest of what belongs to a version of craftsim."""
-
-PlanOrder = Literal["sequential", "ticks", "concurrent"]
-"""How a plan is carried out: one action after the other; tick after tick, all cars of one at the same time; or each
-action as early as those that it depends on have ended."""
 
 World = Task | Grid | RandomWorlds | str | Path
 """A task, a start without a goal, or what names one: a task's name, a file, ``module:factory``, or ``random``."""
@@ -54,6 +53,8 @@ class Pilot:
     plans: Mapping[str, tuple[Step, ...]] = field(default_factory=dict)
     """By subject; a policy has none."""
     policy: str | Policy = ""
+    play: PlanOrder | None = None
+    """How random play is carried out; None where something else decides."""
 
 
 def subjects_of(
@@ -64,7 +65,7 @@ def subjects_of(
 ) -> list[Subject]:
     """Return the subjects that worlds, or names of them, stand for.
 
-    ``n_cars`` and ``n_blocks`` change the numbers of what is drawn at random, ``max_steps`` the length of an episode in
+    ``n_cars`` and ``n_blocks`` set the numbers of what is drawn at random, ``max_steps`` the length of an episode in
     ``random`` worlds.
 
     Raises InputError for what names no world, and for two of one name.
@@ -82,14 +83,9 @@ def subjects_of(
 
 def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> Subject:
     if isinstance(world, str) and world == RANDOM:
-        usual = RandomWorlds()
-        world = RandomWorlds(
-            usual.n_cars if n_cars is None else n_cars,
-            usual.n_blocks if n_blocks is None else n_blocks,
-            max_steps=usual.max_steps if max_steps is None else max_steps,
-        )
+        world = RandomWorlds(n_cars, n_blocks, RandomWorlds.max_steps if max_steps is None else max_steps)
     if isinstance(world, RandomWorlds):
-        return Subject(RANDOM, world, _digest(repr(world).encode()), world.n_cars)
+        return Subject(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
     if isinstance(world, Grid):
         world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
     if isinstance(world, str | Path) and (n_cars is not None or n_blocks is not None):
@@ -100,16 +96,6 @@ def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: 
     task = as_task(name)
     digest = SHIPPED if name in TASK_NAMES else task.digest
     return Subject(task.name, name, digest, task.layout.n_cars)
-
-
-def steps_of(plan: Plan, order: PlanOrder) -> tuple[Step, ...]:
-    """Return the steps in which a plan is carried out."""
-    if order == "concurrent":
-        return (Step.joint(0, *plan.ticks),)
-    numbered = [(tick, joint) for tick, joint in enumerate(plan.ticks) if joint]
-    if order == "ticks":
-        return tuple(Step.joint(tick, joint) for tick, joint in numbered)
-    return tuple(Step.single(tick, *act) for tick, joint in numbered for act in joint)
 
 
 def plan_pilot(plan: Path | Plan, subject: Subject, order: PlanOrder) -> Pilot:
@@ -124,7 +110,9 @@ def actions_pilot(path: Path, subject: Subject) -> Pilot:
 
 
 def _pilot(plan: Plan, subject: Subject, order: PlanOrder) -> Pilot:
-    return Pilot(plan.path.stem, _digest(repr(plan.ticks).encode()), {subject.name: steps_of(plan, order)})
+    return Pilot(
+        plan.path.stem, _digest(repr(plan.ticks).encode()), {subject.name: steps_of(plan.ticks, order)}
+    )
 
 
 def policy_pilot(policy: str | Policy, subjects: Sequence[Subject], order: PlanOrder) -> Pilot:
@@ -132,6 +120,8 @@ def policy_pilot(policy: str | Policy, subjects: Sequence[Subject], order: PlanO
     if not isinstance(policy, str):
         name = getattr(policy, "__name__", type(policy).__name__)
         return Pilot(name, _digest(name.encode()), policy=policy)
+    if policy == PLAY:
+        return Pilot(PLAY, SHIPPED, play=order)
     if policy != PLANNER:
         place = str(Path(policy).resolve()) if exists(policy) else policy
         for subject in subjects:
@@ -143,7 +133,7 @@ def policy_pilot(policy: str | Policy, subjects: Sequence[Subject], order: PlanO
             raise InputError(
                 f"there is no shipped plan for {subject.name}; give one with --plan, or a --policy"
             )
-    plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars), order) for s in subjects}
+    plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars).ticks, order) for s in subjects}
     return Pilot(PLANNER, SHIPPED, plans)
 
 
@@ -155,7 +145,8 @@ def items_of(
         for subject in subjects:
             for pilot in pilots:
                 key = f"{subject.name}/{pilot.name}/{episode:04d}"
-                run = Run(key, subject.world, pilot.plans.get(subject.name), pilot.policy, episode, terms)
+                steps = pilot.plans.get(subject.name)
+                run = Run(key, subject.world, steps, pilot.policy, episode, terms, pilot.play)
                 yield Item(key, pilot.name, terms.seed, run, subject.name, episode)
 
 

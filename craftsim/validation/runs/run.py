@@ -15,7 +15,8 @@ from craftsim.checking.recipe import Recipe, Step, do
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, set_up
 from craftsim.discrete.actions import Action
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.plan import write_plan
+from craftsim.discrete.files.saving import blueprint_text, write_blueprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
@@ -24,11 +25,16 @@ from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.skills.executor import Observer
 from craftsim.validation.campaign import Done
+from craftsim.validation.play.coverage import covered
+from craftsim.validation.play.play import Play, play
+from craftsim.validation.play.worlds import RandomWorlds
 from craftsim.validation.replays.bundle import write_bundle
 from craftsim.validation.runs.policies import Policy, make_policy
-from craftsim.validation.runs.random_worlds import RandomWorlds
+from craftsim.validation.runs.steps import PlanOrder, steps_of
 
 BUNDLES: Final = "bundles"
+WORLDS: Final = "worlds"
+"""Folder of the random worlds and their plans."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +57,13 @@ class Run:
     world: Task | str | RandomWorlds
     """A task, what names one, or worlds of which each episode draws its own."""
     steps: tuple[Step, ...] | None
-    """What to do, whatever happens; None asks the policy."""
+    """What to do, whatever happens; None asks the policy, or plays at random."""
     policy: str | Policy
     episode: int
     """Decides, with the seed, all that is drawn; the same for all plans and policies, so that they can be compared."""
     terms: Terms
+    play: PlanOrder | None = None
+    """How random play is carried out; None where there is none."""
 
     @property
     def file_name(self) -> str:
@@ -73,6 +81,8 @@ class _Drawn:
     world: int
     """Seed of the environment that starts the same."""
     physics: Seed
+    played: Play | None
+    """The random play, where there is one."""
 
     @classmethod
     def of(cls, run: Run) -> _Drawn:
@@ -85,12 +95,17 @@ class _Drawn:
             if isinstance(run.world, RandomWorlds)
             else as_task(run.world)
         )
-        return cls(task, task.draw(start), policy_number, number, Seed.drawn(physics))
+        grid, played = task.draw(start), None
+        if run.play is not None:
+            rules, rng = Rules(run.terms.setup.rules), np.random.default_rng(policy_number)
+            played = play(grid, rules, rng, task.max_steps + 2)
+        return cls(task, grid, policy_number, number, Seed.drawn(physics), played)
 
 
 def do_run(run: Run) -> Done:
     """Run in physics, and by the rules alone; write the bundle of the first disagreement, if there is one."""
-    episode = run_episode(run)
+    drawn = _Drawn.of(run)
+    episode = _run(run, drawn, UNWATCHED)
     extra: dict[str, Any] = {
         "ticks": episode.n_ticks,
         "forbidden": len(episode.forbidden),
@@ -98,10 +113,15 @@ def do_run(run: Run) -> Done:
     }
     if episode.reached is not None:
         extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
+    if drawn.played is not None:
+        extra["coverage"] = covered(drawn.played, episode.attempts)
+        _save_world(run, drawn.grid, drawn.played)
+    # What a policy asks for, and the rules forbid at the car's turn, does nothing in either world; so does what random
+    # play would have done had all before gone as predicted.
+    follows = run.steps is not None
     return Done(
-        agrees=episode.agrees and (run.steps is None or not episode.forbidden),
-        # What a policy asks for and the rules forbid at the car's turn does nothing in either world.
-        attempts=[a for a in episode.attempts if a.legal or run.steps is not None],
+        agrees=episode.agrees and not (follows and episode.forbidden),
+        attempts=[a for a in episode.attempts if a.legal or follows],
         bundle=_bundle(run, episode),
         extra=extra,
     )
@@ -109,10 +129,15 @@ def do_run(run: Run) -> Done:
 
 def run_episode(run: Run, watch: Watch = UNWATCHED) -> Episode:
     """Run in physics, and by the rules alone."""
-    drawn = _Drawn.of(run)
-    if run.steps is None:
-        return _play(run, drawn, watch)
-    return _follow(run, drawn, run.steps, watch)
+    return _run(run, _Drawn.of(run), watch)
+
+
+def _run(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
+    if run.play is not None and drawn.played is not None:
+        return _follow(run, drawn, steps_of(drawn.played.ticks, run.play), watch)
+    if run.steps is not None:
+        return _follow(run, drawn, run.steps, watch)
+    return _rolled_out(run, drawn, watch)
 
 
 def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: Watch) -> Episode:
@@ -145,7 +170,7 @@ def _predict(steps: Sequence[Step], grid: Grid, rules: Rules) -> Grid:
     return grid
 
 
-def _play(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
+def _rolled_out(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
     """Let a policy play an episode in physics, and one by the rules alone."""
     task, setup = drawn.task, run.terms.setup
     backend = PhysicsBackend(setup, None, task.goal_cells, watch_contacts=True)
@@ -187,3 +212,13 @@ def _bundle(run: Run, episode: Episode) -> str | None:
     folder = f"{BUNDLES}/{run.file_name}"
     write_bundle(run.terms.out / folder, run.key, episode.until(number), episode.steps[number])
     return folder
+
+
+def _save_world(run: Run, grid: Grid, played: Play) -> None:
+    """Write a random world and its play as a blueprint and a plan, which ``craftsim validate`` takes again."""
+    if run.terms.out is None or not any(played.ticks):
+        return
+    folder = run.terms.out / WORLDS
+    folder.mkdir(exist_ok=True)
+    write_blueprint(grid, folder / f"{run.file_name}.yaml")
+    write_plan(played.ticks, folder / f"{run.file_name}.plan")

@@ -1,0 +1,179 @@
+"""Random legal worlds: terraces, stacks, ramps at every level, flags, walls, and cars wherever a car can be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.errors import BlueprintError, CraftsimError, InputError
+from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.geometry import DIRECTIONS
+from craftsim.discrete.grid import SECOND_PART, Grid, Kind
+from craftsim.discrete.tasks import Task, free_play
+from craftsim.validation.play.cars import Place, put_car, put_load
+
+MAX_CARS: Final = 12
+LENGTHS: Final = (4, 12)
+"""Least and largest number of cells along x and along y."""
+HEIGHTS: Final = (1, 5)
+_MAX_BLOCKS: Final = 40
+"""More of them make physics slow, not the world richer."""
+_TRIES: Final = 200
+_LEVELLING: Final = 8
+"""How many blocks may be added to make room for one slope."""
+_PATCH: Final = 4
+"""Terraces are below this many cells long and wide."""
+
+
+@dataclass(frozen=True)
+class RandomWorlds:
+    """A family of worlds, one drawn for every seed. Raises InputError for figures that do not fit.
+
+    Areas measure 4 x 4 to 12 x 12 cells, small ones more often, with 1 to 5 levels; up to 12 cars, at most one for
+    three columns. Walls stand on the floor and on stacks, and hang.
+    """
+
+    n_cars: int | None = None
+    """Drawn unless given."""
+    n_blocks: int | None = None
+    """Of the stacks, about; drawn unless given."""
+    max_steps: int = 14
+    """An episode has two ticks more (docs/rules.md#episode-length)."""
+
+    def __post_init__(self) -> None:
+        if self.n_cars is not None and not 1 <= self.n_cars <= MAX_CARS:
+            raise InputError(f"{self.n_cars} cars in a random world; allowed: 1 to {MAX_CARS}")
+        if self.n_blocks is not None and not 0 <= self.n_blocks <= _MAX_BLOCKS:
+            raise InputError(f"{self.n_blocks} blocks in a random world; allowed: 0 to {_MAX_BLOCKS}")
+        if self.max_steps < 1:
+            raise InputError(f"max_steps is {self.max_steps}; allowed: 1 or more")
+
+    def task(self, rng: np.random.Generator) -> Task:
+        """Return a task without a goal that always starts in the world that a generator draws."""
+        return free_play(
+            "random", (parse_blueprint(blueprint_text(self.grid(rng)), "random"),), self.max_steps
+        )
+
+    def grid(self, rng: np.random.Generator) -> Grid:
+        """Return the world that a generator draws: one that a blueprint may hold, with as many cars as asked for."""
+        for _ in range(_TRIES):
+            grid = _Drawing(self, rng).grid
+            if self.n_cars not in (None, grid.n_cars) or not grid.n_cars:
+                continue
+            try:
+                parse_blueprint(blueprint_text(grid), "random")
+            except BlueprintError:
+                continue
+            return grid
+        raise CraftsimError(f"no random world with {self} was found in {_TRIES} tries; ask for fewer cars")
+
+
+class _Drawing:
+    """One world in the making."""
+
+    def __init__(self, family: RandomWorlds, rng: np.random.Generator) -> None:
+        self.rng = rng
+        length, width = (int(rng.integers(LENGTHS[0], LENGTHS[1] + 1, 2).min()) for _ in range(2))
+        height = int(rng.integers(HEIGHTS[0], HEIGHTS[1] + 1))
+        drawn = 1 + int(rng.integers(min(MAX_CARS, length * width // 3)))
+        n_cars = drawn if family.n_cars is None else family.n_cars
+        self.grid = Grid.empty((length, width, height), n_cars)
+        self.tops = np.zeros((length, width), np.int64)
+        """How many blocks are in each column."""
+        self.taken: set[tuple[int, int]] = set()
+        """Columns on whose blocks something stands."""
+        budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
+        self._terraces(budget if family.n_blocks is None else family.n_blocks)
+        for _ in range(int(rng.integers(5))):
+            self._slope()
+        for _ in range(int(rng.integers(3))):
+            self._stand(Kind.FLAG)
+        for _ in range(int(rng.integers(3))):
+            self._stand(Kind.WALL)
+        for _ in range(int(rng.integers(3))):
+            self._hang_wall()
+        self._cars(n_cars)
+        self.grid.derive_marks()
+
+    def _column(self) -> tuple[int, int]:
+        length, width, _ = self.grid.size
+        return int(self.rng.integers(length)), int(self.rng.integers(width))
+
+    def _stack(self, x: int, y: int, n: int) -> None:
+        self.grid.kind[x, y, 1 : n + 1] = Kind.BLOCK
+        self.tops[x, y] = n
+
+    def _terraces(self, budget: int) -> None:
+        for _ in range(_TRIES):
+            if budget <= 0:
+                return
+            (x, y), top = self._column(), 1 + int(self.rng.integers(self.grid.size[2]))
+            along, across = (int(n) for n in self.rng.integers(1, _PATCH, 2))
+            for cell in np.argwhere(self.tops[x : x + along, y : y + across] < top).tolist():
+                cx, cy = x + cell[0], y + cell[1]
+                more = min(top - int(self.tops[cx, cy]), budget)
+                self._stack(cx, cy, int(self.tops[cx, cy]) + more)
+                budget -= more
+
+    def _slope(self) -> None:
+        """Put down a slope on ground made level for it, mostly with a landing and with room before its foot."""
+        for _ in range(_TRIES):
+            columns, yaw = [self._column() for _ in range(2)], int(self.rng.integers(4))
+            x, y = max(columns, key=lambda column: int(self.tops[column]))
+            dx, dy = (int(d) for d in DIRECTIONS[yaw])
+            rooms = self.rng.random(2) < (0.85, 0.9)
+            line = [(x, y), (x + dx, y + dy)] + ([(x + 2 * dx, y + 2 * dy)] if rooms[0] else [])
+            back = [(x - dx, y - dy)] if rooms[1] else []
+            if not all(self._open(column) for column in (*line, *back)):
+                continue
+            floor = max(int(self.tops[column]) for column in line)
+            wanted = {**dict.fromkeys(line, floor), **dict.fromkeys(back, floor + 1)}
+            if any(self.tops[column] > n for column, n in wanted.items()) or floor >= self.grid.size[2]:
+                continue
+            if sum(n - int(self.tops[column]) for column, n in wanted.items()) > _LEVELLING:
+                continue
+            for column, n in wanted.items():
+                self._stack(*column, n)
+            kind = Kind.FSLOPE if self.rng.random() < 0.35 else Kind.BODY
+            for column, part in zip(line[:2], (kind, SECOND_PART[kind]), strict=True):
+                self.grid.kind[(*column, floor + 1)], self.grid.yaw[(*column, floor + 1)] = part, yaw
+                self.taken.add(column)
+            return
+
+    def _open(self, column: tuple[int, int]) -> bool:
+        """Return whether a column is on the map, with nothing on its blocks."""
+        length, width, _ = self.grid.size
+        return 0 <= column[0] < length and 0 <= column[1] < width and column not in self.taken
+
+    def _stand(self, kind: Kind) -> None:
+        x, y = self._column()
+        level = int(self.tops[x, y]) + 1
+        if self._open((x, y)) and level <= self.grid.size[2]:
+            self.grid.kind[x, y, level] = kind
+            self.taken.add((x, y))
+
+    def _hang_wall(self) -> None:
+        """Hang a wall anywhere in the air; what is below it may be anything."""
+        (x, y), height = self._column(), self.grid.size[2]
+        cell = (x, y, 1 + int(self.rng.integers(height)))
+        if self.grid.kind[cell] == Kind.AIR:
+            self.grid.kind[cell] = Kind.WALL
+            if cell[2] == self.tops[x, y] + 1:
+                self.taken.add((x, y))
+
+    def _cars(self, n_cars: int) -> None:
+        """Put all cars down, one after the other, and let some carry something."""
+        kinds, shares = list(Place), [place.share for place in Place]
+        drawn = [kinds[i] for i in self.rng.choice(len(kinds), _TRIES, p=shares).tolist()]
+        # Those on ramps come first, while their ways are free.
+        wanted = sorted(drawn[:n_cars], key=lambda place: place.on_the_way, reverse=True) + drawn[n_cars:]
+        places: list[Place] = []
+        for place in wanted:
+            if len(places) < n_cars and put_car(self.grid, len(places), place, self.rng):
+                places.append(place)
+        self.grid.cars = self.grid.cars[: len(places)].copy()
+        for car, place in enumerate(places):
+            put_load(self.grid, car, place, self.rng)

@@ -1,4 +1,4 @@
-"""Random worlds are legal, varied and drawn from a seed; play in them is legal, prefers the rare, and does as predicted."""
+"""Random worlds are legal, varied and drawn from a seed; play in them is legal, prefers the rare and is judged."""
 
 import json
 

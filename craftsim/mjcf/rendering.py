@@ -107,9 +107,13 @@ def _surfaces(contact: ContactParameters) -> dict[str, Any]:
         return _number((low, high, contact.impedance_depth_m))
 
     joint = contact.joint_impedance, contact.joint_impedance, contact.joint_impedance_width
+    hard = f'solref="{soft}" solimp="{solimp(1)}"'
+    twist, roll = contact.torsional_friction_m, contact.rolling_friction_m
     return {
         "friction": friction,
-        "surface": lambda sliding: f'friction="{friction(sliding)}" solref="{soft}" solimp="{solimp(1)}"',
+        "surface": lambda sliding: f'friction="{friction(sliding)}" {hard}',
+        # A pair has its own surface, and friction along each axis.
+        "pair_surface": lambda sliding: f'friction="{_number((sliding, sliding, twist, roll, roll))}" {hard}',
         "solid": lambda box: (
             f'pos="{_number(box.centre)}" size="{_number(box.half)}" mass="{_rounded(box.mass)}"'
         ),

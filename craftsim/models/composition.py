@@ -56,6 +56,7 @@ def _configure(spec: mujoco.MjSpec, grid: Grid, config: SimulationConfig) -> Non
     spec.modelname = "site"
     spec.option.timestep = config.timestep_s
     spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{config.solver.upper()}")
+    spec.option.iterations = config.solver_iterations
     spec.option.impratio = config.friction_impedance_ratio
     spec.option.sleep_tolerance = config.sleep_tolerance_m_s
     if config.sleep:

@@ -36,6 +36,11 @@ class SimulationConfig:
     """Contact solver: Newton converges on these stiff contacts in a few iterations; pgs, which does not, is slower and
     there to compare. MuJoCo's third solver, cg, is not stable on them."""
 
+    solver_iterations: int = 1000
+    """Most iterations of the solver in one step, ten times what the slowest step of a good run needs. Cars that climb
+    on stacked blocks came near MuJoCo's default of 100, and a step that ends there blows the stack apart
+    (docs/physics.md). :attr:`Site.capped_steps` counts the steps that reach it."""
+
     friction_impedance_ratio: float = 300.0
     """How much stiffer friction is than normal contact (MuJoCo's impratio): at 300 a loaded car parked on the slope
     creeps by less than 0.03 mm/s, at 10 by 0.7 (tests/models/test_parking.py)."""
@@ -55,6 +60,10 @@ class SimulationConfig:
                 raise InputError(
                     f"SimulationConfig.{name} must be above 0 and finite, not {getattr(self, name)}"
                 )
+        if self.solver_iterations < 1:
+            raise InputError(
+                f"SimulationConfig.solver_iterations must be 1 or more, not {self.solver_iterations}"
+            )
         if not 0 <= self.settle_s < float("inf"):
             raise InputError(f"SimulationConfig.settle_s must be 0 or more and finite, not {self.settle_s}")
         if self.timestep_s > 0.005:

@@ -135,5 +135,10 @@ class RandomizedSite:
         return factors[index]
 
     def _refresh(self) -> None:
+        model = self.site.model
+        # MuJoCo keeps a pair's friction as it was compiled; as at any contact, the rougher of the two decides.
+        sliding = model.geom_friction[:, 0]
+        rougher = np.maximum(sliding[model.pair_geom1], sliding[model.pair_geom2])
+        model.pair_friction[:, :2] = rougher[:, None]
         mujoco.mj_setConst(self.site.model, self.site.data)
         self.site.reset()

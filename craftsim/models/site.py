@@ -6,7 +6,7 @@ A Site is composed from a Grid. After a reset the only thing that changes it is 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -40,6 +40,7 @@ class SiteState:
 
     data: mujoco.MjData
     policies: NDArray[np.int32]
+    capped_steps: int
 
 
 class Site:
@@ -81,6 +82,11 @@ class Site:
         self.config = config or SimulationConfig()
         self.machines = machines
         self.size = grid.size
+        self.capped_steps = 0
+        """Physics steps since the reset in which the solver gave up, at ``config.solver_iterations``. MuJoCo keeps this
+        figure of the first 20 islands that move at a time."""
+        self.step_observers: list[Callable[[], None]] = []
+        """Called after every physics step, but not while the Site settles after a reset."""
         self._placements = placements(grid, machines)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
@@ -115,7 +121,8 @@ class Site:
             self.data.qpos[drive.qpos] = position
             self.data.act[drive.activation] = position
         mujoco.mj_forward(self.model, self.data)
-        mujoco.mj_step(self.model, self.data, round(self.config.settle_s / self.config.timestep_s))
+        self.capped_steps = 0
+        self._step(round(self.config.settle_s / self.config.timestep_s), ())
 
     @property
     def diverged(self) -> bool:
@@ -144,16 +151,25 @@ class Site:
         if self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
             self.model.opt.enableflags &= ~_SLEEP
-            mujoco.mj_step(self.model, self.data)
+            self._step(1, self.step_observers)
             self.model.opt.enableflags |= _SLEEP
-            if self.config.steps_per_period > 1:
-                mujoco.mj_step(self.model, self.data, self.config.steps_per_period - 1)
+            self._step(self.config.steps_per_period - 1, self.step_observers)
         else:
-            mujoco.mj_step(self.model, self.data, self.config.steps_per_period)
+            self._step(self.config.steps_per_period, self.step_observers)
+
+    def _step(self, count: int, observers: Sequence[Callable[[], None]]) -> None:
+        """Run physics steps one by one: within ``mj_step`` of many, the figures of all but the last are lost."""
+        model, data, cap = self.model, self.data, self.config.solver_iterations
+        iterations = data.solver_niter
+        for _ in range(count):
+            mujoco.mj_step(model, data)
+            self.capped_steps += max(iterations.tolist()) >= cap
+            for observe in observers:
+                observe()
 
     def save(self) -> SiteState:
         """Return a copy of the full state: restoring it and going on gives the same numbers, bit for bit."""
-        return SiteState(copy.copy(self.data), self.model.tree_sleep_policy.copy())
+        return SiteState(copy.copy(self.data), self.model.tree_sleep_policy.copy(), self.capped_steps)
 
     def restore(self, state: SiteState) -> None:
         """Go back to a state that this Site, or another one composed from an equal grid and config, has saved."""
@@ -165,6 +181,7 @@ class Site:
                 "this state was saved by a Site with other parts; restore it on one of an equal grid"
             )
         mujoco.mj_copyData(self.data, self.model, state.data)
+        self.capped_steps = state.capped_steps
         self._set_policies(state.policies)
 
     def free_body_state(self, body: FreeBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

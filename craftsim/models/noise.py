@@ -42,9 +42,14 @@ class SensorNoise:
             raise InputError("SensorNoise.max_delay_s must not be below min_delay_s")
 
     @property
+    def exact_pose(self) -> bool:
+        """Whether localisations are exact and in time."""
+        return not (self.position_m or self.heading_rad or self.max_delay_s)
+
+    @property
     def silent(self) -> bool:
         """Whether a car measures its true pose at once."""
-        return not (self.position_m or self.heading_rad or self.max_delay_s or self.encoder_lag_s)
+        return self.exact_pose and not self.encoder_lag_s
 
 
 EXACT = SensorNoise()
@@ -59,3 +64,6 @@ NOISY = SensorNoise(
     motor_lag_s=0.01,
 )
 """The noise under which skills are validated."""
+
+MILD = SensorNoise(**{field.name: getattr(NOISY, field.name) / 2 for field in fields(SensorNoise)})
+"""Half of it."""

@@ -130,7 +130,7 @@ class HoldGains:
 
 @dataclass(frozen=True)
 class LocalisationGains:
-    """What the pose estimate assumes of odometry; the noise of the localisations is the sensors'."""
+    """What the pose estimate assumes of odometry; what it assumes of localisations is a SensorNoise of its own."""
 
     slip: float
     """Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up,

@@ -9,6 +9,7 @@ import pytest
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
+from craftsim.models.parameter_files import load_noise
 from craftsim.models.sensing import Sensors, measure
 from craftsim.models.site import Site
 
@@ -139,6 +140,25 @@ def test_wheel_speeds_follow_a_jump_with_the_declared_time_constant(site, monkey
 def test_a_figure_that_cannot_be_is_refused_by_its_name(name, value):
     with pytest.raises(InputError, match=f"SensorNoise.{name} must be"):
         SensorNoise(**{name: value})
+
+
+def test_a_file_of_noise_gives_some_figures_and_leaves_the_others(tmp_path):
+    (tmp_path / "late.yaml").write_text("{min_delay_s: 0.06, max_delay_s: 0.08}")
+    assert load_noise(tmp_path / "late.yaml", NOISY) == replace(NOISY, min_delay_s=0.06, max_delay_s=0.08)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{min_delay: 0.1}", "min_delay_s"),
+        ("{min_delay_s: 0.06}", "max_delay_s must not"),
+        ("{heading_rad: x}", "number"),
+    ],
+)
+def test_a_file_of_noise_that_says_what_it_should_not_is_refused_by_its_name(tmp_path, text, message):
+    (tmp_path / "late.yaml").write_text(text)
+    with pytest.raises(InputError, match=f"late.yaml.*{message}"):
+        load_noise(tmp_path / "late.yaml", NOISY)
 
 
 def test_a_greatest_delay_below_the_least_is_refused():

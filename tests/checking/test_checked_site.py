@@ -178,7 +178,7 @@ def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
 
 
 def test_a_world_that_nobody_uses_is_gone_at_once():
-    """Python's garbage collector sees none of MuJoCo's memory; worlds that wait for it let a worker grow without end."""
+    """Python's garbage collector does not see MuJoCo's memory; a worker whose worlds wait for it grows without end."""
     gc.disable()
     try:
         checked = _checked(setup=setup_of("strong"))

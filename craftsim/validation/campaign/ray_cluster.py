@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import logging
+import os
+import socket
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
+from urllib.parse import urlsplit
 
 from craftsim.discrete.errors import InputError
 from craftsim.validation.campaign.distribute import Worker, WorkerDiedError
 from craftsim.validation.campaign.items import Answer, Item, Work, perform
+
+REACH_S: Final = 5.0
+"""How long a cluster may take to answer at its address."""
 
 
 def ray_workers(work: Work, n: int) -> list[Worker]:
     """Return workers of the cluster of RAY_ADDRESS, or else of one on this machine, at most as many as it can run.
 
     Raises:
-        InputError: Ray is not installed, or there is no cluster.
+        InputError: Ray is not installed, or there is no cluster, at the address that is given for instance.
     """
     try:
         import ray
     except ImportError:
         raise InputError("--engine ray needs Ray: pip install '.[ray]' in a checkout of craftsim") from None
     if not ray.is_initialized():
+        _check_reachable(os.environ.get("RAY_ADDRESS", ""))
         try:
             ray.init(address="auto", log_to_driver=False, logging_level=logging.WARNING)
         except (ConnectionError, ray.exceptions.RayError) as error:
@@ -31,6 +38,27 @@ def ray_workers(work: Work, n: int) -> list[Worker]:
                 "address of one in RAY_ADDRESS"
             ) from error
     return [RayWorker(ray, work) for _ in range(max(1, min(n, int(ray.cluster_resources().get("CPU", 1)))))]
+
+
+def _check_reachable(address: str) -> None:
+    """Raise InputError where nobody listens at an address: Ray would try for over a minute.
+
+    The address is of the form ``host:port`` or ``ray://host:port``; one without a port is left to Ray.
+    """
+    try:
+        parts = urlsplit(address if "://" in address else f"//{address}")
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise InputError(f"RAY_ADDRESS is '{address}' ({error}); give HOST:PORT") from None
+    if not host or not port:
+        return
+    try:
+        socket.create_connection((host, port), REACH_S).close()
+    except OSError as error:
+        raise InputError(
+            f"no Ray cluster at RAY_ADDRESS, {address} ({error}); start one with 'ray start --head', give the address "
+            "of one, or unset RAY_ADDRESS"
+        ) from error
 
 
 class _Actor:

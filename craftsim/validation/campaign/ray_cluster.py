@@ -29,8 +29,8 @@ def ray_workers(work: Work, n: int) -> list[Worker]:
     except ImportError:
         raise InputError("--engine ray needs Ray: pip install '.[ray]' in a checkout of craftsim") from None
     if not ray.is_initialized():
-        _check_reachable(os.environ.get("RAY_ADDRESS", ""))
         try:
+            _check_reachable(_address())
             ray.init(address="auto", log_to_driver=False, logging_level=logging.WARNING)
         except (ConnectionError, ray.exceptions.RayError) as error:
             raise InputError(
@@ -38,6 +38,17 @@ def ray_workers(work: Work, n: int) -> list[Worker]:
                 "address of one in RAY_ADDRESS"
             ) from error
     return [RayWorker(ray, work) for _ in range(max(1, min(n, int(ray.cluster_resources().get("CPU", 1)))))]
+
+
+def _address() -> str:
+    """Return RAY_ADDRESS, or where else Ray finds a cluster; raise ConnectionError where it finds none."""
+    given = os.environ.get("RAY_ADDRESS", "auto")
+    if given != "auto":
+        return given
+    # Ray has no public name for where "auto" leads: the last 'ray start' of this machine, though it may be gone.
+    from ray._private.services import canonicalize_bootstrap_address
+
+    return str(canonicalize_bootstrap_address("auto"))
 
 
 def _check_reachable(address: str) -> None:
@@ -49,15 +60,17 @@ def _check_reachable(address: str) -> None:
         parts = urlsplit(address if "://" in address else f"//{address}")
         host, port = parts.hostname, parts.port
     except ValueError as error:
-        raise InputError(f"RAY_ADDRESS is '{address}' ({error}); give HOST:PORT") from None
+        raise InputError(
+            f"'{address}' is no address of a Ray cluster ({error}); RAY_ADDRESS is HOST:PORT"
+        ) from None
     if not host or not port:
         return
     try:
         socket.create_connection((host, port), REACH_S).close()
     except OSError as error:
         raise InputError(
-            f"no Ray cluster at RAY_ADDRESS, {address} ({error}); start one with 'ray start --head', give the address "
-            "of one, or unset RAY_ADDRESS"
+            f"no Ray cluster answers at {address} ({error}); start one with 'ray start --head', or give the address of "
+            "one in RAY_ADDRESS; 'ray stop' forgets one of this machine that is gone"
         ) from error
 
 

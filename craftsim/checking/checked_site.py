@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -88,7 +89,8 @@ class CheckedSite:
         """Since an action last began while no other ran."""
         if self.log is not None:
             executor.observers.append(self.log.sample)
-            executor.guard = self._unsafe
+            # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
+            executor.guard = partial(is_unsafe, self.log)
         self._look()
 
     @property

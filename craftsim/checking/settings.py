@@ -1,4 +1,4 @@
-"""What decides a world in physics besides its Grid and its seed: limits, noise, randomization, gains, simulation."""
+"""What decides a world in physics besides its Grid and its seed: limits, noise and what cars assume of it, gains."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from functools import cache
 from pathlib import Path
 from typing import Final, Literal
 
+from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.rules import RuleSet
 from craftsim.models.config import SimulationConfig
-from craftsim.models.noise import EXACT, NOISY, SensorNoise
-from craftsim.models.parameter_files import load_machines
+from craftsim.models.noise import EXACT, MILD, NOISY, SensorNoise
+from craftsim.models.parameter_files import load_machines, load_noise
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.randomization import DomainRandomization
 from craftsim.skills.gains import Gains, load_gains
@@ -41,7 +42,9 @@ class Setup:
     """The rule set that predicts."""
     thresholds: Thresholds = field(default_factory=Thresholds)
     noise: SensorNoise = EXACT
-    """Of the cars' sensors and motors."""
+    """Of the cars' sensors and motors: what the world does."""
+    assumed: SensorNoise = EXACT
+    """What the cars' pose estimate takes that noise to be; with none they take each measured pose as it is."""
     randomization: DomainRandomization | None = None
     """From which each seed draws its own physics; None for the nominal one."""
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
@@ -60,7 +63,7 @@ _STRONG: Final = (Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), NOISY, DomainRa
 """A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
 _MILD: Final = (
     Thresholds(0.0015, 0.0045, 0.0025, 0.001, 0.002),
-    SensorNoise(**{f.name: getattr(NOISY, f.name) / 2 for f in fields(SensorNoise)}),
+    MILD,
     DomainRandomization(
         **{f.name: getattr(DomainRandomization(), f.name) / 2 for f in fields(DomainRandomization)}
     ),
@@ -80,6 +83,8 @@ def setup_of(
     rules: RuleSet = "physical",
     gains: Gains | str | Path | None = None,
     machines: Machines | str | Path | None = None,
+    noise: SensorNoise | str | Path | None = None,
+    assume: SensorNoise | str | Path | None = None,
 ) -> Setup:
     """Return the configuration that the options of the commands stand for.
 
@@ -88,6 +93,9 @@ def setup_of(
         rules: the rule set that predicts.
         gains: of the skills, or a file of them; those of the file of the machines, if it has some, unless given.
         machines: their parameters, or a file of them; the nominal ones unless given.
+        noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
+        assume: what the cars take that noise to be: none, mild, strong, noise, or a file of it. Unless given, that of
+            ``randomize``, whatever ``noise`` says.
 
     Raises InputError for what no file should say.
     """
@@ -97,4 +105,29 @@ def setup_of(
         gains = nominal_gains() if gains is None else load_gains(Path(gains))
     if not isinstance(machines, Machines):
         machines = NOMINAL if machines is None else load_machines(Path(machines))
-    return Setup(rules, *RANDOMIZE[randomize], gains=gains, machines=machines)
+    thresholds, declared, randomization = RANDOMIZE[randomize]
+    return Setup(
+        rules,
+        thresholds,
+        _noise(noise, declared),
+        _noise(assume, declared),
+        randomization,
+        gains=gains,
+        machines=machines,
+    )
+
+
+def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:
+    if given is None:
+        return declared
+    if isinstance(given, SensorNoise):
+        return given
+    for name, (_, noise, _) in RANDOMIZE.items():
+        if given == name:
+            return noise
+    if not Path(given).suffix:
+        known = ", ".join(RANDOMIZE)
+        raise InputError(
+            f"unknown noise '{given}'{suggestion(str(given), RANDOMIZE)}; there are {known}, or give a YAML file"
+        )
+    return load_noise(given, declared)

@@ -12,6 +12,7 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
+from craftsim.models.motors import Motors
 from craftsim.models.randomization import RandomizedSite
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
@@ -82,5 +83,6 @@ def judge_on(
     site: Site, setup: Setup, sensors: Sensors | None = None, watch_contacts: bool = True
 ) -> CheckedSite:
     """Return the judge on a Site as it stands, whose machines and simulation are its own; sensors are exact if None."""
-    executor = Executor(site, setup.gains, sensors=sensors or Sensors(site))
+    motors = Motors(site, setup.noise.motor_lag_s)
+    executor = Executor(site, setup.gains, sensors=sensors, motors=motors, assumed=setup.assumed)
     return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

@@ -28,6 +28,12 @@ class PhysicsOptions:
     """The rule set that predicts: CraftEnv's own, or the one that physics supports."""
     randomize: Randomize = "mild"
     """How noisy the sensors and how random the physics are; sets the limits of the errors, too."""
+    noise: File = None
+    """YAML file of the sensors' and motors' noise; figures that it leaves out are those of --randomize."""
+    assume: Annotated[str | None, tyro.conf.arg(metavar="{none,mild,strong}|FILE", help_behavior_hint="")] = (
+        None
+    )
+    """What the cars take that noise to be, whatever it is; that of --randomize unless given."""
     gains: File = None
     """YAML file of gains of the skills; those that it leaves out are the nominal ones."""
     parameters: File = None
@@ -39,7 +45,7 @@ class PhysicsOptions:
         """Return the configuration of the physics; raise InputError for a file that says what it should not."""
         from craftsim.checking.settings import setup_of
 
-        return setup_of(self.randomize, self.rules, self.gains, self.parameters)
+        return setup_of(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume)
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,6 @@ class CampaignOptions(PhysicsOptions):
         """Return the options that decide the results, as they can be typed again."""
         words = ["--rules", self.rules, "--randomize", self.randomize, "--trials", str(self.trials)]
         words += ["--seed", str(self.seed)]
-        for name in ("gains", "parameters", "against"):
+        for name in ("noise", "assume", "gains", "parameters", "against"):
             words += [f"--{name}", str(value)] if (value := getattr(self, name)) else []
         return words

@@ -79,6 +79,8 @@ def validate(
         randomize=campaign.randomize,
         gains=campaign.gains,
         machines=campaign.parameters,
+        noise=campaign.noise,
+        assume=campaign.assume,
         order=order,
         trials=campaign.trials,
         seed=campaign.seed,

@@ -31,6 +31,7 @@ RENDER_FPS: Final = 2
 
 _PHYSICS_KINDS: Final = {
     "noise": ("craftsim.models.noise", "SensorNoise"),
+    "assumed": ("craftsim.models.noise", "SensorNoise"),
     "randomization": ("craftsim.models.randomization", "DomainRandomization"),
     "config": ("craftsim.models.config", "SimulationConfig"),
     "gains": ("craftsim.skills.gains", "Gains"),
@@ -56,6 +57,8 @@ class Options:
     """Width and height of a picture in pixels, 640 x 480 unless given; physics only."""
     noise: SensorNoise | None = None
     """Noise of the cars' sensors and motors; physics only."""
+    assumed: SensorNoise | None = None
+    """What the cars' pose estimate takes that noise to be, the same unless given; physics only."""
     randomization: DomainRandomization | None = None
     """How far the physics of each episode is drawn from the nominal one; physics only."""
     config: SimulationConfig | None = None
@@ -148,6 +151,7 @@ class Options:
         setup = Setup(
             rules=self.rule_set,
             noise=self.noise or EXACT,
+            assumed=self.assumed or self.noise or EXACT,
             randomization=self.randomization,
             simulation=self.config or SimulationConfig(),
             gains=self.gains or nominal_gains(),

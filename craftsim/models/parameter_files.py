@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,6 +30,7 @@ from craftsim.discrete.files.documents import (
     read_text,
 )
 from craftsim.models.figures import check_figure
+from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.parameters import (
     BlockParameters,
     ContactParameters,
@@ -95,6 +96,26 @@ def load_machines(path: Path | str) -> Machines:
     except InputError as error:
         message = str(error).replace("SmartcarParameters.", "smartcar.")
         raise InputError(f"{path}: {message}") from error
+
+
+def load_noise(path: Path | str, nominal: SensorNoise = EXACT) -> SensorNoise:
+    """Return the sensor noise of a YAML file; what it leaves out is that of ``nominal``.
+
+    Raises InputError, naming the file and figure, for an unknown figure and one out of range.
+
+    Example:
+        >>> from craftsim.models.parameter_files import load_noise
+        >>> _ = (folder / "late.yaml").write_text("{min_delay_s: 0.06, max_delay_s: 0.08}")
+        >>> load_noise(folder / "late.yaml").max_delay_s
+        0.08
+    """
+    path, known = Path(path), [field.name for field in fields(SensorNoise)]
+    source, given = read_keys(path, known)
+    figures = {key: value for key, (value, _) in numbers(source, given, "noise", known).items()}
+    try:
+        return replace(nominal, **figures)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def _cars(source: Source, node: Node | None) -> list[dict[str, float]]:

@@ -9,7 +9,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from operator import mul
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,7 +152,23 @@ class Sensors:
             z=a.z + share * (b.z - a.z) + position_m * dz,
             heading=math.remainder(a.heading + share * turn + heading_rad * turned, math.tau),
             wheel_speeds=self._speeds[car],
+            **self._read_joints(true),
         )
+
+    def _read_joints(self, true: CarMeasurement) -> dict[str, Any]:
+        """Return what a car measures of its tilt, its board and the slope that it is docked to."""
+        assert self._rng is not None
+        noise = self.noise
+        pitch, roll, height, force, hinge = self._rng.normal(size=5).tolist()
+        undocked = self._rng.random() < noise.undocked_share or true.hinge_rad is None
+        return {
+            "pitch": true.pitch + noise.tilt_rad * pitch,
+            "roll": true.roll + noise.tilt_rad * roll,
+            "board_m": true.board_m + noise.board_m * height,
+            "board_force_n": true.board_force_n + noise.board_force_n * force,
+            "slope": None if undocked else true.slope,
+            "hinge_rad": None if undocked else true.hinge_rad + noise.hinge_rad * hinge,
+        }
 
     def _lagged(self, before: PerWheel, true: PerWheel) -> PerWheel:
         fl, fr, rl, rr = (

@@ -20,6 +20,7 @@ from craftsim.models.sensing import CarMeasurement, PerWheel
 from craftsim.skills.mecanum import Mecanum, Triple
 from craftsim.skills.outcome import Reason
 from craftsim.skills.profile import Profile
+from craftsim.skills.progress import Progress
 from craftsim.skills.skill import GRAVITY, Command, Skill, SkillSetup
 
 
@@ -52,13 +53,15 @@ class DrivingSkill(Skill):
         self._integral = (0.0, 0.0, 0.0)
         self._rest_periods = self._there_periods = 0
         self._at_rest = False
-        self._stuck_s = self._rolled_m = self._moved_m = 0.0
+        self._progress = Progress(car, self.gains, setup.period_s)
+        self._commanded: PerWheel = (0.0, 0.0, 0.0, 0.0)
 
     def _begin(self, now: CarMeasurement) -> None:
         """Lay the path from the measured pose to the target pose."""
         self._loaded = self.feels_load(now)
         self._load_kg = max(0.0, now.board_force_n) / GRAVITY if self._loaded else 0.0
-        self._origin = self._last = (now.x, now.y, now.heading)
+        self._before = now
+        self._origin = (now.x, now.y, now.heading)
         x, y, heading = self._target(now).tolist()
         self._delta = (x - now.x, y - now.y, wrap(heading - now.heading))
         self._profile = self._make_profile()
@@ -82,8 +85,10 @@ class DrivingSkill(Skill):
         if self.elapsed_s >= self._profile.duration_s:
             self._check_arrival(now, error)
         if self.outcome is not None or self._there_periods > self.gains.brake_periods:
-            return Command()
-        return Command(wheels=self._wheels(now, error))
+            self._commanded = (0.0, 0.0, 0.0, 0.0)
+        else:
+            self._commanded = self._wheels(now, error)
+        return Command(wheels=self._commanded)
 
     def _reference(self, t: float) -> Triple:
         (x, y, heading), (dx, dy, dh) = self._origin, self._direction
@@ -133,10 +138,6 @@ class DrivingSkill(Skill):
         """Return by what factors the front and the rear wheels must outrun the body's forward speed."""
         return 1.0, 1.0
 
-    def _length(self, x: float, y: float, heading: float) -> float:
-        """Return the length of a way (m, m, rad) in metres, a turn by what the wheels roll for it."""
-        return math.sqrt(x * x + y * y + (self._lever_m * heading) ** 2)
-
     def _motor_limits(self, incline_rad: float = 0.0) -> tuple[float, float]:
         """Return the speed (m/s) and the force (N) that the wheels can give, less a reserve and what gears take."""
         car, share = self.car, self.gains.motor_share
@@ -146,24 +147,24 @@ class DrivingSkill(Skill):
         return share * car.wheel_speed_rad_s * car.wheel_radius_m, max(force, 1.0)
 
     def _check_progress(self, now: CarMeasurement, error: Triple) -> None:
-        (x, y, heading), self._last = self._last, (now.x, now.y, now.heading)
-        moved = self._length(now.x - x, now.y - y, wrap(now.heading - heading))
         # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
         # Localisations jitter, so they do not tell.
         gains = self.gains
-        rolled = self._length(*self.kinematics.body_twist(now.wheel_speeds))
+        x, y, turn = self.kinematics.body_twist(now.wheel_speeds)
+        rolled = math.sqrt(x * x + y * y + (self._lever_m * turn) ** 2)
         third = sorted(map(abs, now.wheel_speeds))[2]
         self._at_rest = rolled < gains.speed_at_rest or third < gains.wheels_at_rest
-        behind = math.hypot(error[0], error[1]) + self._lever_m * abs(error[2])
-        if behind <= gains.blocked_error:
-            self._stuck_s = self._rolled_m = self._moved_m = 0.0
-            return
-        self._stuck_s += self.period_s
-        self._rolled_m += rolled * self.period_s
-        self._moved_m += moved
-        if self._stuck_s > gains.blocked_time:
-            slipped = self._rolled_m > gains.slip_ratio * self._moved_m + gains.slip_distance
-            reason = Reason.SLIPPED if slipped else Reason.BLOCKED
+        reason = self._progress.check(
+            self._before,
+            now,
+            self._commanded,
+            _to_body(error, now),
+            self._mass_kg + self._load_kg,
+            self._turn_inertia_kgm2,
+        )
+        self._before = now
+        if reason is not None:
+            behind = math.hypot(error[0], error[1]) + self._lever_m * abs(error[2])
             self._fail(reason, f"{behind * 1e3:.0f} mm behind the path")
 
     def _check_arrival(self, now: CarMeasurement, error: Triple) -> None:

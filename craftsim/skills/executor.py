@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from craftsim.discrete.actions import Action
+from craftsim.models.motors import Motors
+from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.sensing import CarMeasurement, Sensors
 from craftsim.models.site import Site
 from craftsim.skills.gains import Gains, load_gains
@@ -41,8 +40,13 @@ class Executor:
         gains: Gains | None = None,
         observer: Observer | None = None,
         sensors: Sensors | None = None,
+        motors: Motors | None = None,
+        assumed: SensorNoise = EXACT,
     ) -> None:
-        """Run on a Site with these gains and sensors (exact ones unless given).
+        """Run on a Site with these gains, sensors and motors (exact and prompt ones unless given).
+
+        ``assumed`` is what the cars take the noise of their localisation to be, whatever that of the sensors is; with
+        none they take each measured pose as it is.
 
         ``observer`` is called after every control period; :attr:`observers` takes more of them.
         """
@@ -52,18 +56,17 @@ class Executor:
         self.guard: Guard | None = None
         """Asked after every control period: a yes stops all cars, and ends their actions."""
         self.sensors = sensors or Sensors(site)
-        noise, period = self.sensors.noise, site.config.control_period_s
+        self.motors = motors or Motors(site)
+        period = site.config.control_period_s
         self._setups = [SkillSetup(car.parameters, site.machines, self.gains, period) for car in site.cars]
         self._localisers = (
             []
-            if noise.silent
+            if assumed.exact_pose
             else [
-                Localiser(noise, period, Mecanum(car.parameters), self.gains.localisation)
+                Localiser(assumed, period, Mecanum(car.parameters), self.gains.localisation)
                 for car in site.cars
             ]
         )
-        self._motor_share = 1 - math.exp(-period / noise.motor_lag_s) if noise.motor_lag_s else 1.0
-        self._wheels = np.zeros((len(site.cars), 4))
         self._skills: dict[int, Skill] = {}
         self._holds: dict[int, Hold] = {}
         self._docked: dict[int, int] = {}
@@ -144,13 +147,7 @@ class Executor:
         return self._views[car] if self._views else self.sensors.measure(car)
 
     def _apply(self, car: int, command: Command, slope: int | None) -> None:
-        # A stopped drive brakes at once; only a commanded speed is late.
-        share = self._motor_share if any(command.wheels) else 1.0
-        if share == 1.0:
-            self._wheels[car] = command.wheels
-        else:
-            self._wheels[car] += share * (np.array(command.wheels) - self._wheels[car])
-        self.site.drive(car, self._wheels[car])
+        self.motors.drive(car, command.wheels)
         self.site.move_board(car, command.board)
         # A slope that loses its car loses the command.
         last = self._docked.get(car, slope)

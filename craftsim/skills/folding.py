@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command, Skill, SkillSetup
@@ -19,20 +21,30 @@ class TurnHinge(Skill):
         self._speed = 0.0
 
     def _begin(self, now: CarMeasurement) -> None:
-        """Remember where the hinge is; without a docked slope the skill fails at its first step."""
-        self._slope = now.slope
-        self._last_rad = now.hinge_rad or 0.0
-        travel = abs(self.target_rad - self._last_rad)
-        self._deadline_s = travel / self.max_speed_rad_s + self.gains.allowance
+        """Take the slope that the first reading shows which shows one."""
+        self._slope: int | None = None
+        self._undocked_s = 0.0
+        periods = round(self.gains.still_time / self.period_s)
+        self._past: deque[float] = deque(maxlen=periods + 1)
 
     def _control(self, now: CarMeasurement) -> Command:
-        if now.hinge_rad is None or now.slope != self._slope:
-            self._fail(Reason.MISALIGNED, "the car is not docked to a slope")
-            return Command()
         gains = self.gains
+        if self._slope is None and now.hinge_rad is not None:
+            self._slope = now.slope
+            travel = abs(self.target_rad - now.hinge_rad)
+            self._deadline_s = self.elapsed_s + travel / self.max_speed_rad_s + gains.allowance
+        if now.hinge_rad is None or now.slope != self._slope:
+            # A plug may chatter.
+            self._undocked_s += self.period_s
+            if self._undocked_s > gains.undocked:
+                self._fail(Reason.MISALIGNED, "the car is not docked to a slope")
+            return Command()
+        self._undocked_s = 0.0
+        self._past.append(now.hinge_rad)
         remaining = self.target_rad - now.hinge_rad
-        moved, self._last_rad = now.hinge_rad - self._last_rad, now.hinge_rad
-        if abs(remaining) < gains.reached and abs(moved) < gains.still * self.period_s and self.elapsed_s > 0:
+        moved = abs(now.hinge_rad - self._past[0])
+        still = len(self._past) == self._past.maxlen and moved < gains.still * gains.still_time
+        if abs(remaining) < gains.reached and still:
             self._succeed()
         elif self.elapsed_s > self._deadline_s:
             self._fail(Reason.TIMEOUT, f"the hinge is {remaining:+.2f} rad from its end")

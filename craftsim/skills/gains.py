@@ -58,7 +58,7 @@ class DriveGains:
     slip_ratio: float
     """A car that fell behind slips, and is not blocked, if its wheels rolled by more than this many times its way..."""
     slip_distance: float
-    """m: ...and this much."""
+    """m: ...and this much, and their push would not have moved a free car that far."""
     speed_at_rest: float
     """m/s: a car is at rest when its wheels together roll slower than this..."""
     wheels_at_rest: float
@@ -99,7 +99,11 @@ class HingeGains:
     reached: float
     """rad: the flap has arrived when it is this close to its end..."""
     still: float
-    """rad/s: ...and slower than this."""
+    """rad/s: ...and slower than this..."""
+    still_time: float
+    """s: ...over this time: the difference of two readings says little, for they are noisy."""
+    undocked: float
+    """s: a slope that is not felt for longer is not there; shorter gaps come from a plug that chatters."""
     allowance: float
     """s: time beyond that of the travel at full speed after which the hinge has failed."""
 
@@ -130,7 +134,7 @@ class HoldGains:
 
 @dataclass(frozen=True)
 class LocalisationGains:
-    """What the pose estimate assumes of odometry; the noise of the localisations is the sensors'."""
+    """What the pose estimate assumes of odometry; what it assumes of localisations is a SensorNoise of its own."""
 
     slip: float
     """Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up,

@@ -21,17 +21,17 @@ class Localiser:
     """The pose estimate of one car; call :meth:`update` once each control period."""
 
     def __init__(
-        self, noise: SensorNoise, period_s: float, kinematics: Mecanum, gains: LocalisationGains
+        self, assumed: SensorNoise, period_s: float, kinematics: Mecanum, gains: LocalisationGains
     ) -> None:
-        """Prepare for measurements with this noise at this period, of a car with these wheels."""
+        """Expect measurements with this noise at this period, of a car with these wheels; they may come otherwise."""
         self._period_s = period_s
         self._kinematics = kinematics
-        late = 0.5 * (noise.min_delay_s + noise.max_delay_s) / period_s
-        age_std = (noise.max_delay_s - noise.min_delay_s) / math.sqrt(12) / period_s
+        late = 0.5 * (assumed.min_delay_s + assumed.max_delay_s) / period_s
+        age_std = (assumed.max_delay_s - assumed.min_delay_s) / math.sqrt(12) / period_s
         drift, slip = gains.position_drift, gains.slip
-        self._x = _Coordinate(noise.position_m, drift, late, age_std, slip)
-        self._y = _Coordinate(noise.position_m, drift, late, age_std, slip)
-        self._heading = _Coordinate(noise.heading_rad, gains.heading_drift, late, age_std, slip)
+        self._x = _Coordinate(assumed.position_m, drift, late, age_std, slip)
+        self._y = _Coordinate(assumed.position_m, drift, late, age_std, slip)
+        self._heading = _Coordinate(assumed.heading_rad, gains.heading_drift, late, age_std, slip)
         self._started = False
 
     def update(self, now: CarMeasurement) -> CarMeasurement:

@@ -43,6 +43,12 @@ class Mecanum:
         along, across, spin = quarter * x, quarter * y, quarter * turn / self.lever_m
         return along - across - spin, along + across + spin, along + across - spin, along - across + spin
 
+    def wrench(self, torques: Iterable[float]) -> Triple:
+        """Return the wrench (fx, fy, mz) in N, N and Nm with which four wheel torques in Nm push the body."""
+        fl, fr, rl, rr = torques
+        turn = self.lever_m / self.radius_m * (fr + rr - fl - rl)
+        return (fl + fr + rl + rr) / self.radius_m, (fr + rl - fl - rr) / self.radius_m, turn
+
     def body_twist(self, speeds: Iterable[float]) -> Triple:
         """Return the body twist (vx, vy, omega) that fits four wheel speeds in rad/s best, by least squares."""
         fl, fr, rl, rr = speeds

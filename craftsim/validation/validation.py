@@ -15,6 +15,7 @@ from craftsim.checking.settings import Randomize, setup_of
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
+from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import Machines
 from craftsim.report import write_report
 from craftsim.skills.executor import Observer
@@ -120,6 +121,8 @@ def validate(
     randomize: Randomize = "none",
     gains: Gains | str | Path | None = None,
     machines: Machines | str | Path | None = None,
+    noise: SensorNoise | str | Path | None = None,
+    assume: SensorNoise | str | Path | None = None,
     order: PlanOrder = "ticks",
     trials: int = 1,
     seed: int = 0,
@@ -149,6 +152,9 @@ def validate(
         randomize: how noisy the sensors and how random the physics are; sets the limits of the errors, too.
         gains: of the skills, or a file of them.
         machines: parameters of the machines, or a file of them, which may hold gains, too.
+        noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
+        assume: what the cars take that noise to be: none, mild, strong, noise, or a file of it; that of ``randomize``
+            unless given.
         order: how plans are carried out.
         trials: how many runs of each; under ``randomize="none"`` in a fixed world all are alike.
         seed: decides all that is drawn; the same for every plan and policy.
@@ -194,7 +200,7 @@ def validate(
         named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
         pilots = [policy_pilot(one, subjects, order) for one in dict.fromkeys(named)]
     folder = None if out is None else Path(out)
-    setup = setup_of(randomize, rules, gains, machines)
+    setup = setup_of(randomize, rules, gains, machines, noise, assume)
     config: dict[str, Any] = {
         "worlds": {subject.name: subject.digest for subject in subjects},
         "by": {pilot.name: pilot.digest for pilot in pilots},

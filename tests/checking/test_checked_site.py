@@ -1,11 +1,14 @@
 """A CheckedSite predicts, performs, reads and judges each action, and says when any of these went apart."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from disturbances import push
 
 from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.settings import Setup, Thresholds
+from craftsim.checking.settings import Setup, Thresholds, setup_of
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
@@ -172,3 +175,16 @@ def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
     assert 0.45 < checked.log.tilt_rad < 0.8 or 0.45 < checked.log.fall_m_s < 0.9
     assert not site.data.ctrl.any()
     assert not checked.executor.busy
+
+
+def test_a_world_that_nobody_uses_is_gone_at_once():
+    """Python's garbage collector does not see MuJoCo's memory; a worker whose worlds wait for it grows without end."""
+    gc.disable()
+    try:
+        checked = _checked(setup=setup_of("strong"))
+        checked.perform(0, RIGHT)
+        site = weakref.ref(checked.site)
+        del checked
+        assert site() is None
+    finally:
+        gc.enable()

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.errors import InputError
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
+from craftsim.models.parameter_files import load_noise
 from craftsim.models.sensing import Sensors, measure
 from craftsim.models.site import Site
 
@@ -61,6 +62,50 @@ def test_the_deviations_of_a_parked_cars_readings_are_as_declared_and_centred_on
     scaled = errors / declared
     assert (abs((scaled[1:] * scaled[:-1]).mean(axis=0)) < 4 / math.sqrt(N)).all()
     assert (abs(np.corrcoef(scaled.T) - np.eye(4)) < 4 / math.sqrt(N)).all()
+
+
+JOINTS = ("pitch", "roll", "board_m", "board_force_n", "hinge_rad")
+"""Readings of a docked car, in the order of their deviations."""
+
+
+@pytest.fixture(scope="module")
+def docked() -> Site:
+    grid = Grid.empty((2, 1, 2), 1)
+    grid.cars[0, :4] = 0, 0, 1, 0
+    grid.kind[0, 0, 1], grid.yaw[0, 0, 1] = Kind.FSLOPE, 0
+    grid.derive_marks()
+    return Site(grid)
+
+
+def test_tilt_board_and_hinge_are_as_noisy_as_declared_and_centred_on_the_truth(docked):
+    sensors, true = Sensors(docked, NOISY, np.random.default_rng(3)), measure(docked, 0)
+    rows = []
+    for _ in range(N):
+        sensors.observe()
+        now = sensors.measure(0)
+        rows.append([math.nan if now.slope is None else getattr(now, name) for name in JOINTS])
+    errors = np.array(rows) - [getattr(true, name) for name in JOINTS]
+    errors = errors[np.isfinite(errors[:, 0])]
+    declared = np.array([NOISY.tilt_rad] * 2 + [NOISY.board_m, NOISY.board_force_n, NOISY.hinge_rad])
+    np.testing.assert_allclose(errors.std(axis=0), declared, rtol=4 / math.sqrt(2 * N))
+    assert (abs(errors.mean(axis=0)) < 4 * declared / math.sqrt(N)).all()
+    assert (abs(np.corrcoef(errors.T) - np.eye(5)) < 4 / math.sqrt(N)).all()
+
+
+def test_a_plug_is_without_contact_in_the_declared_share_of_readings(docked):
+    sensors = Sensors(docked, SensorNoise(undocked_share=0.2), np.random.default_rng(0))
+    felt = []
+    for _ in range(N):
+        sensors.observe()
+        now = sensors.measure(0)
+        assert (now.slope is None) == (now.hinge_rad is None)
+        felt.append(now.slope is not None)
+    assert np.mean(felt) == pytest.approx(0.8, abs=4 * math.sqrt(0.2 * 0.8 / N))
+
+
+@pytest.mark.parametrize("name", [f.name for f in fields(SensorNoise) if "delay" not in f.name])
+def test_no_noise_but_a_motors_lag_is_silent(name):
+    assert SensorNoise(**{name: 0.01}).silent is (name == "motor_lag_s")
 
 
 def test_two_cars_have_noise_of_their_own(site):
@@ -139,6 +184,25 @@ def test_wheel_speeds_follow_a_jump_with_the_declared_time_constant(site, monkey
 def test_a_figure_that_cannot_be_is_refused_by_its_name(name, value):
     with pytest.raises(InputError, match=f"SensorNoise.{name} must be"):
         SensorNoise(**{name: value})
+
+
+def test_a_file_of_noise_gives_some_figures_and_leaves_the_others(tmp_path):
+    (tmp_path / "late.yaml").write_text("{min_delay_s: 0.06, max_delay_s: 0.08}")
+    assert load_noise(tmp_path / "late.yaml", NOISY) == replace(NOISY, min_delay_s=0.06, max_delay_s=0.08)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{min_delay: 0.1}", "min_delay_s"),
+        ("{min_delay_s: 0.06}", "max_delay_s must not"),
+        ("{heading_rad: x}", "number"),
+    ],
+)
+def test_a_file_of_noise_that_says_what_it_should_not_is_refused_by_its_name(tmp_path, text, message):
+    (tmp_path / "late.yaml").write_text(text)
+    with pytest.raises(InputError, match=f"late.yaml.*{message}"):
+        load_noise(tmp_path / "late.yaml", NOISY)
 
 
 def test_a_greatest_delay_below_the_least_is_refused():

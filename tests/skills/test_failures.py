@@ -59,21 +59,36 @@ def test_a_parked_car_blocks_another(make_site):
     assert _run(site, RIGHT).reason is Reason.BLOCKED
 
 
-def test_an_obstacle_ends_a_move_even_if_the_wheels_spin(make_site):
-    site = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)], [(Kind.WALL, (1, 0, 1))])
-    outcome = _run(site, RIGHT)
-    assert outcome.reason in (Reason.BLOCKED, Reason.SLIPPED)
+@pytest.mark.parametrize(
+    ("action", "cars", "objects"),
+    [
+        (RIGHT, [(0, 0, 1, 0, Kind.BLOCK)], [(Kind.WALL, (1, 0, 1))]),
+        (RIGHT, [(0, 0, 1, 0), (1, 0, 1, 0)], []),
+        (Action.MOVE_FORWARD, [(0, 0, 1, 0), (0, 1, 1, 0)], []),
+    ],
+    ids=["a load at a wall", "a car", "a car to the side"],
+)
+def test_a_car_that_is_strong_enough_to_spin_its_wheels_at_an_obstacle_is_blocked(
+    make_site, action, cars, objects
+):
+    outcome = _run(make_site((3, 2, 2), cars, objects), action)
+    assert outcome.reason is Reason.BLOCKED
     assert outcome.duration_s < 1.0
 
 
-def test_rollers_without_grip_slip_on_a_climb(make_site):
-    site = make_site((4, 1, 2), [(0, 0, 1, 0)], [(Kind.BODY, (2, 0, 1), 2), (Kind.BLOCK, (3, 0, 1))])
+@pytest.mark.parametrize(
+    ("objects", "terrain"),
+    [([], None), ([(Kind.BODY, (2, 0, 1), 2), (Kind.BLOCK, (3, 0, 1))], Terrain(0.0, INCLINE_RAD))],
+    ids=["level", "climb"],
+)
+@pytest.mark.parametrize("grip", [0.02, 0.1])
+def test_rollers_without_grip_slip(make_site, objects, terrain, grip):
+    site = make_site((4, 1, 2), [(0, 0, 1, 0)], objects)
     for geom in range(site.model.ngeom):
         if "/roller" in site.model.geom(geom).name or site.model.geom_contype[geom] == 2:
-            site.model.geom_friction[geom, 0] = 0.02
+            site.model.geom_friction[geom, 0] = grip
             site.model.geom_priority[geom] = 1
-    outcome = _run(site, RIGHT, Terrain(0.0, INCLINE_RAD))
-    assert outcome.reason is Reason.SLIPPED
+    assert _run(site, RIGHT, terrain).reason is Reason.SLIPPED
 
 
 def test_a_car_that_lifts_nothing_feels_no_load(make_site):
@@ -97,7 +112,7 @@ def test_a_hinge_needs_a_slope_above_the_car(make_site, action):
     site = make_site((3, 1, 2), [(0, 0, 1, 0)], [(Kind.FSLOPE, (1, 0, 1), 0)])
     outcome = _run(site, action)
     assert outcome.reason is Reason.MISALIGNED
-    assert outcome.duration_s == 0.0
+    assert outcome.duration_s <= load_gains().hinge.undocked + 2 * PERIOD_S
 
 
 def test_a_car_that_rests_off_its_target_is_misaligned(make_site):
@@ -279,5 +294,21 @@ def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):
     hinge = site.slopes[0].hinge.actuator
     assert site.data.ctrl[hinge] < 0
     monkeypatch.setattr(executor.sensors, "measure", lambda car: measure(site, car)._replace(slope=None))
-    assert executor.advance()[0].reason is Reason.MISALIGNED
+    ended = executor.advance()
     assert site.data.ctrl[hinge] == 0
+    while not ended:
+        ended = executor.advance()
+    assert ended[0].reason is Reason.MISALIGNED
+    assert ended[0].duration_s < 20 * PERIOD_S + 2 * load_gains().hinge.undocked
+
+
+def test_a_hinge_outlasts_a_plug_that_chatters(make_site, monkeypatch):
+    executor = Executor(make_site((3, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)]))
+    felt = iter(range(10**6))
+
+    def chattering(car):
+        now = measure(executor.site, car)
+        return now._replace(slope=None, hinge_rad=None) if next(felt) % 10 == 0 else now
+
+    monkeypatch.setattr(executor.sensors, "measure", chattering)
+    assert executor.run({0: Action.UNFOLD})[0].succeeded

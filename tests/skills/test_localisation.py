@@ -1,6 +1,7 @@
 """A car believes to be where it is, as surely as it says, from slipping wheels and noisy, late localisations."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from craftsim.checking.settings import setup_of
 from craftsim.checking.world import Seed, set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.noise import NOISY, SensorNoise
+from craftsim.models.noise import EXACT, NOISY, SensorNoise
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.sensing import CarMeasurement, Sensors, measure
 from craftsim.models.site import Site
@@ -164,10 +165,36 @@ def test_with_exact_sensors_the_executor_takes_measurements_as_they_are():
 
 def test_with_noisy_sensors_skills_see_the_estimate_and_not_the_truth():
     site = Site(_yard())
-    executor = Executor(site, sensors=Sensors(site, NOISY, np.random.default_rng(0)))
+    executor = Executor(site, sensors=Sensors(site, NOISY, np.random.default_rng(0)), assumed=NOISY)
     view, true = executor._view(0), measure(site, 0)
     assert view.x != true.x
     assert view.position_std_m > 0.0
+
+
+def _parameters(executor: Executor) -> list:
+    """Return all that the estimates of an executor know before they have measured anything, to the last bit."""
+    coordinates = [c for loc in executor._localisers for c in (loc._x, loc._y, loc._heading)]
+    names = ("_noise_variance", "_drift_variance", "_late", "_age_std", "_slip")
+    return [[getattr(c, name) for name in names] for c in coordinates] + [c._past.maxlen for c in coordinates]
+
+
+@pytest.mark.parametrize("world", [EXACT, SensorNoise(0.005, 0.02, 0.06, 0.08, 0.05, 0.05)])
+def test_the_estimate_is_made_from_what_cars_assume_and_not_from_the_noise_of_the_world(world):
+    told = _parameters(set_up(_yard(), setup_of("strong")).executor)
+    assert told
+    assert _parameters(set_up(_yard(), setup_of("strong", noise=world)).executor) == told
+    assert _parameters(set_up(_yard(), setup_of("strong", assume="mild")).executor) != told
+    assert not _parameters(set_up(_yard(), setup_of("strong", noise=world, assume="none")).executor)
+
+
+def test_localisations_that_come_later_than_cars_assume_spoil_what_they_do():
+    late = replace(NOISY, min_delay_s=0.08, max_delay_s=0.08)
+
+    def error_m(setup):
+        attempt = set_up(_yard(), replace(setup, randomization=None)).perform(0, Action.MOVE_RIGHT)
+        return max(attempt.car_error_m, 0.0 if attempt.skill == "succeeded" else 1.0)
+
+    assert error_m(setup_of("strong", noise=late)) > error_m(setup_of("strong", noise=late, assume=late))
 
 
 PLANS = (

@@ -23,6 +23,7 @@ def test_torques_do_the_work_of_the_wrench_and_are_the_smallest_that_do():
     assert np.dot(CAR.wheel_torques(wrench), CAR.wheel_speeds(twist)) == pytest.approx(wrench @ twist)
     matrix = np.array([CAR.wheel_speeds(axis) for axis in np.eye(3)])
     np.testing.assert_allclose(CAR.wheel_torques(wrench), np.linalg.lstsq(matrix, wrench)[0], rtol=1e-12)
+    np.testing.assert_allclose(CAR.wrench(CAR.wheel_torques(wrench)), wrench, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import logging
+import os
+import socket
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
+from urllib.parse import urlsplit
 
 from craftsim.discrete.errors import InputError
 from craftsim.validation.campaign.distribute import Worker, WorkerDiedError
 from craftsim.validation.campaign.items import Answer, Item, Work, perform
+
+REACH_S: Final = 5.0
+"""How long a cluster may take to answer at its address."""
 
 
 def ray_workers(work: Work, n: int) -> list[Worker]:
     """Return workers of the cluster of RAY_ADDRESS, or else of one on this machine, at most as many as it can run.
 
     Raises:
-        InputError: Ray is not installed, or there is no cluster.
+        InputError: Ray is not installed, or there is no cluster, at the address that is given for instance.
     """
     try:
         import ray
@@ -24,6 +30,7 @@ def ray_workers(work: Work, n: int) -> list[Worker]:
         raise InputError("--engine ray needs Ray: pip install '.[ray]' in a checkout of craftsim") from None
     if not ray.is_initialized():
         try:
+            _check_reachable(_address())
             ray.init(address="auto", log_to_driver=False, logging_level=logging.WARNING)
         except (ConnectionError, ray.exceptions.RayError) as error:
             raise InputError(
@@ -31,6 +38,40 @@ def ray_workers(work: Work, n: int) -> list[Worker]:
                 "address of one in RAY_ADDRESS"
             ) from error
     return [RayWorker(ray, work) for _ in range(max(1, min(n, int(ray.cluster_resources().get("CPU", 1)))))]
+
+
+def _address() -> str:
+    """Return RAY_ADDRESS, or where else Ray finds a cluster; raise ConnectionError where it finds none."""
+    given = os.environ.get("RAY_ADDRESS", "auto")
+    if given != "auto":
+        return given
+    # Ray has no public name for where "auto" leads: the last 'ray start' of this machine, though it may be gone.
+    from ray._private.services import canonicalize_bootstrap_address
+
+    return str(canonicalize_bootstrap_address("auto"))
+
+
+def _check_reachable(address: str) -> None:
+    """Raise InputError where nobody listens at an address: Ray would try for over a minute.
+
+    The address is of the form ``host:port`` or ``ray://host:port``; one without a port is left to Ray.
+    """
+    try:
+        parts = urlsplit(address if "://" in address else f"//{address}")
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise InputError(
+            f"'{address}' is no address of a Ray cluster ({error}); RAY_ADDRESS is HOST:PORT"
+        ) from None
+    if not host or not port:
+        return
+    try:
+        socket.create_connection((host, port), REACH_S).close()
+    except OSError as error:
+        raise InputError(
+            f"no Ray cluster answers at {address} ({error}); start one with 'ray start --head', or give the address of "
+            "one in RAY_ADDRESS; 'ray stop' forgets one of this machine that is gone"
+        ) from error
 
 
 class _Actor:

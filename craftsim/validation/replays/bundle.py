@@ -25,7 +25,7 @@ from craftsim.models.scene import write_scene
 from craftsim.models.site import Site
 from craftsim.report import output_directory, versions
 
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 """Raised whenever something in a bundle changes its meaning or goes away."""
 
 TEXT: Final = "bundle.json"

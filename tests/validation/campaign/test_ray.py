@@ -1,8 +1,12 @@
 """On a real Ray cluster of two nodes a campaign gives the same as on this machine."""
 
+import socket
+import time
+
 import cheap_work
 import pytest
 
+from craftsim.cli import main
 from craftsim.discrete.errors import InputError
 from craftsim.validation.campaign import Header, run_campaign
 
@@ -39,4 +43,53 @@ def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, cluste
 def test_without_a_cluster_the_message_says_how_to_start_one(tmp_path, monkeypatch):
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     with pytest.raises(InputError, match="ray start --head"):
+        run_campaign(cheap_work.items(1), cheap_work.work, tmp_path, HEADER, engine="ray")
+
+
+@pytest.fixture
+def nobodys_port():
+    """Yield a port of this machine that nobody listens at."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        yield taken.getsockname()[1]
+
+
+@pytest.mark.parametrize("form", ["127.0.0.1:{}", "ray://127.0.0.1:{}"])
+def test_an_address_where_nobody_listens_is_refused_within_seconds(
+    tmp_path, monkeypatch, capsys, nobodys_port, form
+):
+    monkeypatch.setenv("RAY_ADDRESS", form.format(nobodys_port))
+    begun = time.perf_counter()
+    assert main(["validate", "strip", "--engine", "ray", "--video", "none", "--out", str(tmp_path)]) == 2
+    assert time.perf_counter() - begun < 10
+    assert f"no Ray cluster answers at {form.format(nobodys_port)}" in capsys.readouterr().err
+
+
+def test_a_cluster_of_this_machine_that_is_gone_is_refused_within_seconds(
+    tmp_path, monkeypatch, nobodys_port
+):
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
+    (tmp_path / "ray").mkdir()
+    (tmp_path / "ray" / "ray_current_cluster").write_text(f"127.0.0.1:{nobodys_port}")
+    begun = time.perf_counter()
+    with pytest.raises(InputError, match=f"no Ray cluster answers at .*:{nobodys_port}"):
+        run_campaign(cheap_work.items(1), cheap_work.work, tmp_path / "out", HEADER, engine="ray")
+    assert time.perf_counter() - begun < 10
+
+
+def test_an_address_that_never_answers_is_given_up(tmp_path, monkeypatch):
+    def silent(address, timeout):
+        assert timeout <= 10
+        raise TimeoutError("timed out")
+
+    monkeypatch.setattr(socket, "create_connection", silent)
+    monkeypatch.setenv("RAY_ADDRESS", "198.51.100.1:6379")
+    with pytest.raises(InputError, match=r"198\.51\.100\.1:6379 \(timed out\)"):
+        run_campaign(cheap_work.items(1), cheap_work.work, tmp_path, HEADER, engine="ray")
+
+
+def test_an_address_that_is_none_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "here:there")
+    with pytest.raises(InputError, match="HOST:PORT"):
         run_campaign(cheap_work.items(1), cheap_work.work, tmp_path, HEADER, engine="ray")

@@ -2,14 +2,16 @@
 
 from typing import Final
 
+import numpy as np
 import pytest
 from drawn import draw
 
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import set_up
+from craftsim.checking.settings import Setup, setup_of
+from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules.sets import RULE_FLAGS
 from craftsim.discrete.verdict import Finding
 
 PUBLISHED: Final = "published"
@@ -152,3 +154,34 @@ def test_two_gears_in_one_cell_are_what_physical_says():
     for rules, agrees in ((PUBLISHED, False), (PHYSICAL, True)):
         attempt = set_up(grid, Setup(rules)).perform(0, Action.LIFT)
         assert (attempt.finding == Finding.AGREES) is agrees
+
+
+OFF_THE_FOOT = [(2, 1, 1, 0, 0, 0, 1)], [*RAMP, (BLOCK, (3, 1, 1))]
+ONE_CELL_FURTHER = [(2, 1, 1, 0, 0, 0, 1)], [*RAMP, (BLOCK, (4, 1, 1))]
+FROM_THE_FLAT = [(3, 1, 1, 0)], [*RAMP, (BLOCK, (4, 1, 1))]
+
+
+def test_run_out_alone_forbids_to_drive_off_a_foot_right_under_a_block():
+    flags = RULE_FLAGS[PHYSICAL]
+    for world in (OFF_THE_FOOT, ONE_CELL_FURTHER, FROM_THE_FLAT):
+        grid = _world(*world)
+        assert Rules(PHYSICAL, flags._replace(run_out=False)).legal(grid, 0, Action.MOVE_RIGHT)
+        assert Rules(PHYSICAL).legal(grid, 0, Action.MOVE_RIGHT) is (world is not OFF_THE_FOOT)
+
+
+def test_a_block_right_behind_a_foot_is_shoved_by_who_comes_off_it_and_no_other_is():
+    setup = setup_of("mild", PUBLISHED)
+
+    def shoves_m(world):
+        grid = _world(*world)
+        site = compile_world(grid, setup)
+        tried = [
+            set_up(grid, setup, Seed((seed,)), reuse=site).perform(0, Action.MOVE_RIGHT) for seed in range(8)
+        ]
+        assert all(attempt.finding == Finding.AGREES for attempt in tried)
+        return [attempt.bystander_displacement_m for attempt in tried]
+
+    shoved = shoves_m(OFF_THE_FOOT)
+    assert np.median(shoved) > 2e-4
+    assert max(shoved) > 6e-4
+    assert max(shoves_m(ONE_CELL_FURTHER) + shoves_m(FROM_THE_FLAT)) < 1e-4

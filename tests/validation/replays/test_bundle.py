@@ -45,7 +45,7 @@ def _world() -> Grid:
     return grid
 
 
-CALM, NOISY = Setup("published"), setup_of("strong", "published")
+CALM, NOISY = Setup("published"), setup_of("strong", "published", assume="mild")
 
 
 def _recipe(setup=CALM) -> Recipe:

@@ -32,6 +32,7 @@ from craftsim.validation.runs.choice import (
 )
 from craftsim.validation.runs.policies import RANDOM, Policy
 from craftsim.validation.runs.run import Terms, do_run
+from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrink_failures
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
 from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
@@ -68,6 +69,8 @@ class Validation:
     """What was run, parallel to the records."""
     comparison: Comparison | None = None
     """With an earlier run, where one was given."""
+    smallest: tuple[Shrunk, ...] = ()
+    """The first failure of each kind in its smallest world, where that was asked for."""
 
     @property
     def agrees(self) -> bool:
@@ -130,6 +133,7 @@ def validate(
     max_steps: int | None = None,
     observers: Iterable[Observer] = (),
     progress: Progress = lambda total: nullcontext(lambda record: None),
+    shrink: ShrinkProgress | None = None,
 ) -> Validation:
     """Run plans, lists of actions or policies in physics and judge every action on the poses that it ends with.
 
@@ -158,6 +162,7 @@ def validate(
         max_steps: length of an episode in ``random`` worlds, less two ticks.
         observers: functions that are called with a run's Site after every control period; they may look, not touch.
         progress: shows what is done.
+        shrink: shows how the first failure of each kind is shrunk to its smallest world; unless given, none is.
 
     Raises:
         InputError: an argument, or a file that it names, is not as it should be.
@@ -176,8 +181,8 @@ def validate(
         raise InputError(f"{given[0]} and {given[1]} exclude each other")
     if given and given[0] != "policy" and len(several) != 1:
         raise InputError(f"{given[0]} needs the one world that it is for")
-    if out is None and (workers > 1 or engine != "local" or resume or against):
-        raise InputError("several workers, an engine, resume and against need the folder 'out'")
+    if out is None and (workers > 1 or engine != "local" or resume or against or shrink):
+        raise InputError("several workers, an engine, resume, against and shrink need the folder 'out'")
     subjects = subjects_of(several, n_cars, n_blocks, max_steps)
     if plan is not None:
         pilots = [plan_pilot(plan if isinstance(plan, Plan) else Path(plan), subjects[0], order)]
@@ -220,10 +225,13 @@ def validate(
             )
     figures = campaign_figures(records, seed)
     comparison = None if earlier is None or folder is None else compare_runs(earlier, folder, records)
+    smallest: tuple[Shrunk, ...] = ()
     if folder is not None:
+        if shrink is not None:
+            smallest = shrink_failures(folder, records, workers, shrink)
         wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
-        found = {"validation": figures, "paired": comparison}
+        found = {"validation": figures, "paired": comparison, "smallest": smallest}
         asked = config | {"against": against}
         write_report(folder, found, command=COMMAND, seed=seed, config=asked, wall=wall)
         write_durations(folder, figures.durations)
-    return Validation(records, figures, config, seed, items, comparison)
+    return Validation(records, figures, config, seed, items, comparison, smallest)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -19,9 +18,6 @@ if TYPE_CHECKING:
     from craftsim.validation.audit.rows import Row
 
 OPTIONS: Final = CampaignOptions(rules="published", trials=20)
-
-QUICK_ROWS: Final = 60
-"""About how many rows the quick mode tries, once each."""
 
 
 def audit(
@@ -44,7 +40,7 @@ def audit(
         actions: only these actions.
         contexts: only rows whose name matches, such as '*load=block*room=tight'.
         only: where the rules allow the action, where they forbid it, or both.
-        quick: try a small sample of the rows, once each.
+        quick: try the rows that tell most about the rules, once each, instead of all: two minutes on two cores.
         video: films of the disagreements, a few seconds of work each.
         shrink: find the smallest world in which the first failure of each kind still happens.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
@@ -54,6 +50,7 @@ def audit(
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
     from craftsim.validation.audit.audit import run_audit
+    from craftsim.validation.audit.quick import quick_rows
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
@@ -64,7 +61,7 @@ def audit(
     plan = _chosen(audit_plan(campaign.rules, actions), contexts, only)
     trials = campaign.trials
     if quick:
-        plan = [replace(row, members=row.members[:1]) for row in plan[:: 1 + len(plan) // QUICK_ROWS]]
+        plan = quick_rows(plan, campaign.rules)
         trials = 1
     result = run_audit(
         plan,

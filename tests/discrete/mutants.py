@@ -164,7 +164,8 @@ def tests_that_fail(mutant: Mutant) -> list[str]:
     with tempfile.TemporaryDirectory() as place:
         copy = Path(place)
         shutil.copytree(ROOT / "craftsim" / "discrete", copy / "craftsim" / "discrete")
-        shutil.copy(ROOT / "craftsim" / "__init__.py", copy / "craftsim")
+        for name in ("__init__.py", "__init__.pyi", "version.py"):
+            shutil.copy(ROOT / "craftsim" / name, copy / "craftsim")
         (copy / "tests").mkdir()
         shutil.copytree(ROOT / "tests" / "discrete", copy / "tests" / "discrete")
         source = copy / "craftsim" / "discrete" / mutant.file

@@ -7,7 +7,7 @@ ARGS ?=
 TORCH ?= torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs hooks importtime mutants faults campaigns picture machines libraries clean
+.PHONY: help demo test lint format docs hooks importtime mutants plants faults campaigns picture machines libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -40,6 +40,9 @@ importtime: $(VENV)/installed  ## Time "import craftsim" in fresh interpreters (
 
 mutants: $(VENV)/installed-dev  ## Mutation testing: break one grid rule at a time, list the tests that fail
 	$(BIN)/python tests/discrete/mutants.py
+
+plants: $(VENV)/installed  ## Plant unsound rules one at a time, see whether a quick audit finds them (an hour; ARGS are parts of their names)
+	$(BIN)/python tests/validation/plants.py $(ARGS)
 
 faults: $(VENV)/installed-dev  ## Fault injection: kill a validation ten times at random, resume it, compare (some minutes)
 	$(BIN)/python tests/validation/campaign/faults.py

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
 
 OPTIONS: Final = CampaignOptions(rules="published", trials=20)
 
-QUICK_ROWS: Final = 60
-"""About how many rows the quick mode tries, once each."""
-
 
 def audit(
     actions: tuple[Verb, ...] = (),
@@ -31,6 +27,7 @@ def audit(
     quick: bool = False,
     campaign: tyro.conf.OmitArgPrefixes[CampaignOptions] = OPTIONS,
     video: bool = False,
+    shrink: bool = False,
     out: Dir = Path("out/audit"),
 ) -> int:
     """Try every action in every context in physics, where the rules allow it and where they forbid it.
@@ -43,14 +40,17 @@ def audit(
         actions: only these actions.
         contexts: only rows whose name matches, such as '*load=block*room=tight'.
         only: where the rules allow the action, where they forbid it, or both.
-        quick: try a small sample of the rows, once each.
+        quick: try the rows that tell most about the rules, once each, instead of all: two minutes on two cores.
         video: films of the disagreements, a few seconds of work each.
+        shrink: find the smallest world in which the first failure of each kind still happens.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
     from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.films import film_failures, rendering_works
     from craftsim.commands.progress import counting
+    from craftsim.commands.smallest_text import print_smallest, shrinking
     from craftsim.validation.audit.audit import run_audit
+    from craftsim.validation.audit.quick import quick_rows
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
@@ -61,7 +61,7 @@ def audit(
     plan = _chosen(audit_plan(campaign.rules, actions), contexts, only)
     trials = campaign.trials
     if quick:
-        plan = [replace(row, members=row.members[:1]) for row in plan[:: 1 + len(plan) // QUICK_ROWS]]
+        plan = quick_rows(plan, campaign.rules)
         trials = 1
     result = run_audit(
         plan,
@@ -82,11 +82,15 @@ def audit(
         against=campaign.against,
         batch=1 if quick else None,
         progress=lambda total: counting(console, "trials", total, lambda record: record["error"] is None),
+        shrink=shrinking(console) if shrink else None,
     )
     if filming:
         film_failures(console, out, result.records)
-    page = write_html(out, audit_page(result, shlex.join(_words(actions, contexts, only, quick, campaign))))
+    page = write_html(
+        out, audit_page(result, shlex.join(_words(actions, contexts, only, quick, shrink, campaign)))
+    )
     print_results(console, result.results)
+    print_smallest(console, out, result.smallest)
     if result.comparison is not None:
         print(result.comparison)
     print(f"Report: {out / 'report.json'}\nPage:   {page}")
@@ -108,10 +112,11 @@ def _chosen(plan: list[Row], contexts: str, only: str) -> list[Row]:
 
 
 def _words(
-    actions: tuple[Verb, ...], contexts: str, only: str, quick: bool, campaign: CampaignOptions
+    actions: tuple[Verb, ...], contexts: str, only: str, quick: bool, shrink: bool, campaign: CampaignOptions
 ) -> list[str]:
     words = ["craftsim", "audit", *campaign.words()]
     words += ["--actions", *actions] if actions else []
     words += ["--contexts", contexts] if contexts != "*" else []
     words += ["--only", only] if only != "all" else []
-    return [*words, "--quick"] if quick else words
+    words += ["--quick"] if quick else []
+    return [*words, "--shrink"] if shrink else words

@@ -26,6 +26,7 @@ def replay(
     bundle: Annotated[Path, tyro.conf.Positional],
     view: bool = False,
     video: bool = False,
+    shrink: bool = False,
     out: Path = Path("out/replay"),
 ) -> int:
     """Re-run what a replay bundle shows, bit for bit, and compare it with what was recorded.
@@ -38,10 +39,13 @@ def replay(
         bundle: folder of the bundle.
         view: watch it in MuJoCo's viewer, as fast as it happens; needs a display.
         video: film it, in three seconds.
-        out: folder for report.json and the film.
+        shrink: find the smallest world in which its first failure still happens, instead of comparing.
+        out: folder for report.json and the film, or the smallest world.
     """
-    if view and video:
-        raise InputError("--view and --video are two ways to watch; give one of them")
+    if view + video + shrink > 1:
+        raise InputError("--view, --video and --shrink exclude each other; give one of them")
+    if shrink:
+        return _shrink(bundle, out)
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--view needs a display, and there is none here; try --video")
     filming = video and rendering_works(Console())
@@ -62,6 +66,24 @@ def replay(
     if filming:
         print(f"Film:   {film}")
     return 0 if result.reproduced else 1
+
+
+def _shrink(folder: Path, out: Path) -> int:
+    """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
+    from craftsim.commands.progress import counting
+    from craftsim.commands.smallest_text import print_smallest
+    from craftsim.validation.replays.bundle import read_bundle
+    from craftsim.validation.shrinking.campaign import shrink_bundle
+    from craftsim.validation.shrinking.shrink import MOST_TRIALS
+
+    console = Console()
+    bundle = read_bundle(folder).bundle
+    output_directory(out)
+    with counting(console, "trials", MOST_TRIALS, lambda fails: fails) as on_trial:
+        found = shrink_bundle(bundle, out, ".", on_trial)
+    write_report(out, {"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})
+    print_smallest(console, out, [found])
+    return 0 if found.folder is not None else 1
 
 
 def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:

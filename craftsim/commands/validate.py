@@ -29,6 +29,7 @@ def validate(
     max_steps: int = 14,
     timeout: float = 600.0,
     video: Literal["none", "failures", "all"] = "failures",
+    shrink: bool = False,
     out: Dir = Path("out/validate"),
 ) -> int:
     """Run plans, lists of actions or policies in physics, judge each action on poses, and report.
@@ -53,11 +54,13 @@ def validate(
         max_steps: length of an episode in random worlds, less two ticks.
         timeout: seconds after which a run counts as hanging.
         video: films of the failures, or besides of every run from its start to its end.
+        shrink: find the smallest world in which the first failure of each kind still happens.
         out: folder for report.html, report.json, trials.jsonl, durations.csv, the bundles of the disagreements, and
             of random play the worlds and plans.
     """
     from craftsim.commands.films import film_failures, film_runs, rendering_works
     from craftsim.commands.progress import counting
+    from craftsim.commands.smallest_text import print_smallest, shrinking
     from craftsim.commands.validate_text import conclusion, coverage_table, print_disagreements, runs_table
     from craftsim.report import output_directory
     from craftsim.validation import validation
@@ -94,6 +97,7 @@ def validate(
         n_blocks=blocks,
         max_steps=max_steps,
         progress=lambda total: counting(console, "runs", total),
+        shrink=shrinking(console) if shrink else None,
     )
     if filming:
         film_failures(console, out, result.records)
@@ -103,11 +107,13 @@ def validate(
     for name, value in (("plan", plan), ("actions", actions), ("cars", cars), ("blocks", blocks)):
         words += [f"--{name}", str(value)] if value is not None else []
     words += ["--policy", *policy] if policy else []
+    words += ["--shrink"] if shrink else []
     page = write_html(out, validate_page(result, shlex.join(words)))
     console.print(runs_table(result.records))
     if result.coverage is not None:
         console.print(coverage_table(result.coverage))
     print_disagreements(out, result.records)
+    print_smallest(console, out, result.smallest)
     if result.comparison is not None:
         print(result.comparison)
     print(f"Report: {out / 'report.json'}\nPage:   {page}")

@@ -35,6 +35,7 @@ from craftsim.validation.runs.choice import (
 from craftsim.validation.runs.policies import RANDOM, Policy
 from craftsim.validation.runs.run import Terms, do_run
 from craftsim.validation.runs.steps import PlanOrder
+from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrink_failures
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
 from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
@@ -73,6 +74,8 @@ class Validation:
     """With an earlier run, where one was given."""
     coverage: Coverage | None = None
     """Of random play, where there was some."""
+    smallest: tuple[Shrunk, ...] = ()
+    """The first failure of each kind in its smallest world, where that was asked for."""
 
     @property
     def agrees(self) -> bool:
@@ -137,6 +140,7 @@ def validate(
     max_steps: int | None = None,
     observers: Iterable[Observer] = (),
     progress: Progress = lambda total: nullcontext(lambda record: None),
+    shrink: ShrinkProgress | None = None,
 ) -> Validation:
     """Run plans, lists of actions or policies in physics and judge every action on the poses that it ends with.
 
@@ -169,6 +173,7 @@ def validate(
         max_steps: length of an episode in ``random`` worlds, less two ticks.
         observers: functions that are called with a run's Site after every control period; they may look, not touch.
         progress: shows what is done.
+        shrink: shows how the first failure of each kind is shrunk to its smallest world; unless given, none is.
 
     Raises:
         InputError: an argument, or a file that it names, is not as it should be.
@@ -187,8 +192,8 @@ def validate(
         raise InputError(f"{given[0]} and {given[1]} exclude each other")
     if given and given[0] != "policy" and len(several) != 1:
         raise InputError(f"{given[0]} needs the one world that it is for")
-    if out is None and (workers > 1 or engine != "local" or resume or against):
-        raise InputError("several workers, an engine, resume and against need the folder 'out'")
+    if out is None and (workers > 1 or engine != "local" or resume or against or shrink):
+        raise InputError("several workers, an engine, resume, against and shrink need the folder 'out'")
     subjects = subjects_of(several, n_cars, n_blocks, max_steps)
     if plan is not None:
         pilots = [plan_pilot(plan if isinstance(plan, Plan) else Path(plan), subjects[0], order)]
@@ -232,10 +237,13 @@ def validate(
     figures = campaign_figures(records, seed)
     coverage = Coverage.of(records)
     comparison = None if earlier is None or folder is None else compare_runs(earlier, folder, records)
+    smallest: tuple[Shrunk, ...] = ()
     if folder is not None:
+        if shrink is not None:
+            smallest = shrink_failures(folder, records, workers, shrink)
         wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
-        found = {"validation": figures, "paired": comparison, "coverage": coverage}
+        found = {"validation": figures, "paired": comparison, "coverage": coverage, "smallest": smallest}
         asked = config | {"against": against}
         write_report(folder, found, command=COMMAND, seed=seed, config=asked, wall=wall)
         write_durations(folder, figures.durations)
-    return Validation(records, figures, config, seed, items, comparison, coverage)
+    return Validation(records, figures, config, seed, items, comparison, coverage, smallest)

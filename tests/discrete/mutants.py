@@ -38,8 +38,8 @@ MUTANTS: Final = (
     Mutant(
         "LIFT needs nothing on top",
         "rules/legality.py",
-        "return top_at(w, car.x, car.y, car.z, me) == NOTHING",
-        "return top_at(w, car.x, car.y, car.z, me) >= -2",
+        "    if own not in (BLOCK, FLAG, FSLOPE):\n        return False\n",
+        "    if own not in (BLOCK, FLAG, FSLOPE):\n        return False\n    return True\n",
     ),
     Mutant(
         "FOLD needs no car on the foot",
@@ -111,8 +111,8 @@ MUTANTS: Final = (
     Mutant(
         "a flap meets a gear above the foot",
         "rules/reach.py",
-        "for z in (car.z, car.z + 1):",
-        "for z in (car.z,):",
+        "for z in (car.z, car.z + 1):\n        if gear_across(w, me, fx, fy, z, yaw):",
+        "for z in (car.z,):\n        if gear_across(w, me, fx, fy, z, yaw):",
     ),
     Mutant(
         "a load turns beside no car",
@@ -164,7 +164,8 @@ def tests_that_fail(mutant: Mutant) -> list[str]:
     with tempfile.TemporaryDirectory() as place:
         copy = Path(place)
         shutil.copytree(ROOT / "craftsim" / "discrete", copy / "craftsim" / "discrete")
-        shutil.copy(ROOT / "craftsim" / "__init__.py", copy / "craftsim")
+        for name in ("__init__.py", "__init__.pyi", "version.py"):
+            shutil.copy(ROOT / "craftsim" / name, copy / "craftsim")
         (copy / "tests").mkdir()
         shutil.copytree(ROOT / "tests" / "discrete", copy / "tests" / "discrete")
         source = copy / "craftsim" / "discrete" / mutant.file

@@ -15,6 +15,7 @@ from craftsim.validation.audit.results import Results, bundle_disagreements, jud
 from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
 from craftsim.validation.campaign import Engine, Header, TrialRecord, run_campaign
+from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrink_failures
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
 from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
@@ -35,6 +36,8 @@ class Audit:
     corrections: Mapping[str, Sequence[str]]
     """The rule flags that would each correct an unsound row, by its name."""
     comparison: Comparison | None
+    smallest: tuple[Shrunk, ...] = ()
+    """The first failure of each kind in its smallest world, where that was asked for."""
 
     @property
     def judged(self) -> list[TrialRecord]:
@@ -61,6 +64,7 @@ def run_audit(
     resume: bool = False,
     against: Path | None = None,
     batch: int | None = None,
+    shrink: ShrinkProgress | None = None,
 ) -> Audit:
     """Try the rows of a plan in physics, and write report.json, durations.csv and replay bundles into a folder.
 
@@ -77,6 +81,7 @@ def run_audit(
         resume: go on with what an interrupted audit has left in the folder.
         against: folder of an earlier audit to compare with.
         batch: trials that a worker takes at once; the default suits rows of many trials.
+        shrink: shows how the first failure of each kind is shrunk to its smallest world; unless given, none is.
     """
     started = time.perf_counter()
     output_directory(out)
@@ -97,6 +102,7 @@ def run_audit(
             on_record=on_record,
         )
     bundle_disagreements(out, items, records, workers)
+    smallest = () if shrink is None else shrink_failures(out, records, workers, shrink)
     results = Results.of(records)
     corrections = results.corrected(plan, setup.rules)
     judged = judged_by_rules(records)
@@ -104,11 +110,16 @@ def run_audit(
     comparison = None if earlier is None else compare_runs(earlier, out, records, judged_by_rules)
     write_report(
         out,
-        {"audit": results.figures(plan, corrections), "validation": figures, "paired": comparison},
+        {
+            "audit": results.figures(plan, corrections),
+            "validation": figures,
+            "paired": comparison,
+            "smallest": smallest,
+        },
         command=COMMAND,
         seed=seed,
         config=config | {"against": against},
         wall={"total_s": time.perf_counter() - started, "workers": workers, "engine": engine},
     )
     write_durations(out, figures.durations)
-    return Audit(records, results, figures, config, seed, corrections, comparison)
+    return Audit(records, results, figures, config, seed, corrections, comparison, smallest)

@@ -34,7 +34,7 @@ def rows_by_flag(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
 
 def _differs(situation: Situation, rule_set: RuleSet, flag: str) -> bool:
     """Return whether one rule flag changes what is allowed, or its effect."""
-    grid, actions = _start(situation, rule_set)
+    grid, actions = start_of(situation, rule_set)
     joint = [(car, int(action)) for car, action in enumerate(actions)]
     before, after = (
         rules.tick(grid, joint)
@@ -44,7 +44,7 @@ def _differs(situation: Situation, rule_set: RuleSet, flag: str) -> bool:
 
 
 @cache
-def _start(situation: Situation, rule_set: RuleSet) -> tuple[Grid, tuple[Action, ...]]:
+def start_of(situation: Situation, rule_set: RuleSet) -> tuple[Grid, tuple[Action, ...]]:
     """Return the world of a situation, and what its first cars do in it."""
     if isinstance(situation, Scene):
         return situation.world(), situation.actions

@@ -66,6 +66,7 @@ def audit_page(audit: Audit, command: str) -> Page:
             "suspects": [(suspect, _tone(suspect)) for suspect in audit.results.suspects],
             "figures": audit.figures,
             "comparison": audit.comparison,
+            "smallest": audit.smallest,
             "unsound": _by_action(rows, unsound),
             "most_striking": [_case(row) for row in unsound if row in one_each][:MOST_STRIKING],
             "corrections": audit.rows_by_flag | {"no flag": uncorrected},

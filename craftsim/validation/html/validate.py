@@ -41,6 +41,7 @@ def validate_page(result: Validation, command: str) -> Page:
         {
             "figures": result.figures,
             "comparison": result.comparison,
+            "smallest": result.smallest,
             "cases": [case for record in done if (case := _case(record))],
             "legal": [attempt for attempt in attempts_of(done) if attempt["legal"]],
             "provenance": provenance(command, result.seed, result.config),

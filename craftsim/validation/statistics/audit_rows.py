@@ -89,6 +89,11 @@ def audit_rows(records: Iterable[Record]) -> list[AuditRow]:
     return [_row(group, trials) for group, trials in grouped(records, lambda r: str(r["group"])).items()]
 
 
+def kind_of(reason: str) -> str:
+    """Return a reason with its numbers masked: reasons that differ only in these are of one kind."""
+    return _NUMBER.sub("#", reason)
+
+
 def verdict_counts(rows: Iterable[AuditRow]) -> dict[str, int]:
     """Return how many rows have each verdict, in the order of :class:`Judgement`, zeros included."""
     found = Counter(row.verdict for row in rows)
@@ -143,7 +148,7 @@ def _reason(records: Iterable[Record]) -> str:
     for record in carried_out(records):
         if (result := worst(record)) not in (None, Result.AS_PREDICTED):
             reason = next(a["reason"] for a in record["attempts"] if a["result"] == result)
-            kinds.setdefault(_NUMBER.sub("#", reason), []).append(reason)
+            kinds.setdefault(kind_of(reason), []).append(reason)
     if not kinds:
         return ""
     commonest = max(kinds.values(), key=len)

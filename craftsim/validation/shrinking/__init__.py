@@ -1,0 +1,1 @@
+"""From a failure to the smallest world in which it still happens."""

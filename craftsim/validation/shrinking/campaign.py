@@ -1,0 +1,117 @@
+"""The failures of a campaign in their smallest worlds: the first one of each kind, as sentences and files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Final
+
+from craftsim.discrete.files.documents import write_whole
+from craftsim.discrete.files.saving import write_blueprint
+from craftsim.report import output_directory
+from craftsim.validation.campaign import TrialRecord
+from craftsim.validation.replays.bundle import Bundle, read_bundle
+from craftsim.validation.shrinking.shrink import DependsError, OnTrial, Smallest, failing_actions, shrink
+from craftsim.validation.shrinking.words import sentence
+from craftsim.validation.statistics.audit_rows import kind_of
+
+FOLDER: Final = "smallest"
+"""Of the files, within that of a campaign."""
+BLUEPRINT: Final = "smallest.yaml"
+ACTIONS: Final = "smallest.actions"
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """A failure in its smallest world."""
+
+    key: str
+    """Name of the trial."""
+    sentence: str
+    """When it fails, or why it could not be shrunk."""
+    rules: str
+    """The rule set that allows the action."""
+    minimal: bool
+    """Whether nothing can be taken away any more without the failure going away, too."""
+    trials: int
+    cells: tuple[int, int, int] | None
+    """Size of the smallest world; None where there is none."""
+    folder: str | None
+    """With its blueprint and its actions, relative to the campaign's."""
+
+
+ShrinkProgress = Callable[[int], AbstractContextManager[Callable[[Shrunk], None]]]
+"""Given the number of kinds, opens what is called with each one's result."""
+
+
+def shrink_bundle(bundle: Bundle, folder: Path, name: str, on_trial: OnTrial = lambda fails: None) -> Shrunk:
+    """Shrink the failure that a replay bundle shows, and write its smallest world.
+
+    Args:
+        bundle: the failure.
+        folder: for the files.
+        name: of the folder in the result.
+        on_trial: shows what is done.
+
+    Raises InputError where no legal action fails, and for a folder that cannot be written.
+    """
+    rules, why = bundle.recipe.setup.rules, ""
+    for failing in failing_actions(bundle.recipe, bundle.attempts):
+        try:
+            found = shrink(failing, on_trial)
+        except DependsError as error:
+            why = why or f"car {failing.car} {failing.action.name}: {error}"
+            continue
+        write_smallest(found, output_directory(folder))
+        text, cells = sentence(found), found.grid.size
+        return Shrunk(bundle.key, text, rules, found.minimal, found.trials, cells, name)
+    return Shrunk(bundle.key, why, rules, minimal=False, trials=0, cells=None, folder=None)
+
+
+def write_smallest(found: Smallest, folder: Path) -> None:
+    """Write a smallest world and its action into a folder, for ``craftsim validate``."""
+    write_blueprint(found.grid, folder / BLUEPRINT)
+    write_whole(folder / ACTIONS, f"0 {found.action.name}\n")
+
+
+def shrink_failures(
+    out: Path, records: Sequence[TrialRecord], workers: int, progress: ShrinkProgress
+) -> tuple[Shrunk, ...]:
+    """Shrink the first failure of each kind that has a replay bundle, and write the smallest worlds.
+
+    Args:
+        out: folder of the campaign; the worlds go into ``smallest/`` there.
+        records: of the campaign.
+        workers: processes that share the work.
+        progress: shows what is done.
+    """
+    bundles = list(first_of_each_kind(records).values())
+    if not bundles:
+        return ()
+    found = []
+    n = min(workers, len(bundles))
+    with progress(len(bundles)) as on_each, ProcessPoolExecutor(n, mp_context=get_context("spawn")) as pool:
+        for shrunk in pool.map(partial(_shrink, out), bundles, range(len(bundles))):
+            found.append(shrunk)
+            on_each(shrunk)
+    return tuple(found)
+
+
+def first_of_each_kind(records: Sequence[TrialRecord]) -> dict[str, str]:
+    """Return the bundle of the first failure of each kind of a legal action, by the kind."""
+    found: dict[str, str] = {}
+    for record in records:
+        wrong = next((a for a in record["attempts"] if a["legal"] and a["performed"] and a["reason"]), None)
+        if wrong is not None and record["bundle"]:
+            found.setdefault(f"{wrong['verb']}: {kind_of(wrong['reason'])}", record["bundle"])
+    return found
+
+
+def _shrink(out: Path, bundle: str, number: int) -> Shrunk:
+    name = f"{FOLDER}/{number:02d}"
+    return shrink_bundle(read_bundle(out / bundle).bundle, out / name, name)

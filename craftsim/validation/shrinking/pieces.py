@@ -1,0 +1,137 @@
+"""A world as pieces that can be taken away one by one: what stands in it, and its cars with their loads."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
+
+_THINGS: Final = (Kind.WALL, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
+"""What is a piece of its own; gears and feet come with their slopes."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Something that stands in a world: a wall, a block, a flag, a slope, or a car."""
+
+    cell: Cell
+    kind: Kind
+    """AIR for a car."""
+    yaw: int = 0
+    load: Kind = Kind.AIR
+    """Of a car."""
+    load_yaw: int = 0
+    slope: int = 0
+    """Of a car: 0 off slopes, 1 on a foot, 2 on a body."""
+
+    @property
+    def is_car(self) -> bool:
+        """Whether it is a car."""
+        return self.kind == Kind.AIR
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """Where it is; of a slope, and of a car that carries one, both cells."""
+        kind, yaw = (self.load, self.load_yaw) if self.is_car else (self.kind, self.yaw)
+        return (self.cell, beside(self.cell, yaw)) if kind in SECOND_PART else (self.cell,)
+
+    @property
+    def rests_on(self) -> tuple[Cell, ...]:
+        """The cells of what it stands on, which may be the ground; none for a wall, which may float."""
+        if self.kind == Kind.WALL:
+            return ()
+        if self.slope == 1:
+            return (self.cell,)
+        return tuple((x, y, z - 1) for x, y, z in (self.cells if self.kind == Kind.BODY else (self.cell,)))
+
+    def moved(self, by: Cell) -> Piece:
+        """Return it elsewhere."""
+        (x, y, z), (dx, dy, dz) = self.cell, by
+        return replace(self, cell=(x + dx, y + dy, z + dz))
+
+    def turned(self, quarters: int) -> Piece:
+        """Return it turned about the column (0, 0), counterclockwise."""
+        x, y, z = self.cell
+        for _ in range(quarters % 4):
+            x, y = -y, x
+        yaw = (self.yaw + quarters) % 4 if self.is_car or self.kind in KINDS_WITH_YAW else 0
+        load_yaw = (self.load_yaw + quarters) % 4 if self.load == Kind.FSLOPE else 0
+        return replace(self, cell=(x, y, z), yaw=yaw, load_yaw=load_yaw)
+
+
+def pieces_of(grid: Grid, first: int = 0) -> tuple[Piece, ...]:
+    """Return the pieces of a world: the car ``first``, the other cars in their order, and the things."""
+    rows = grid.cars.tolist()
+    cars = [
+        Piece(
+            tuple(row[: CarField.Z + 1]),
+            Kind.AIR,
+            row[CarField.YAW],
+            Kind(row[CarField.LOAD]),
+            row[CarField.LOAD_YAW],
+            row[CarField.SLOPE],
+        )
+        for row in (rows[first], *rows[:first], *rows[first + 1 :])
+    ]
+    things = [
+        Piece((x, y, z), Kind(grid.kind[x, y, z]), int(grid.yaw[x, y, z]))
+        for x, y, z in np.argwhere(np.isin(grid.kind, _THINGS)).tolist()
+    ]
+    return (*cars, *things)
+
+
+def grid_of(pieces: Iterable[Piece], size: Cell) -> Grid:
+    """Return the world of pieces, its cars numbered in their order.
+
+    A gear is shown where nothing stands; of two gears, the one with the smaller yaw.
+    """
+    pieces = list(pieces)
+    cars = [piece for piece in pieces if piece.is_car]
+    grid = Grid.empty(size, len(cars))
+    for row, car in zip(grid.cars, cars, strict=True):
+        row[:] = (*car.cell, car.yaw, car.load, car.load_yaw, car.slope)
+    for piece in sorted((p for p in pieces if not p.is_car), key=lambda p: (p.kind == Kind.FSLOPE, p.yaw)):
+        kinds = (piece.kind, SECOND_PART.get(piece.kind, piece.kind))
+        for cell, kind in zip(piece.cells, kinds, strict=False):
+            if kind == Kind.GEAR and grid.kind[cell] != Kind.AIR:
+                continue
+            grid.kind[cell], grid.yaw[cell] = kind, piece.yaw
+    grid.derive_marks()
+    return grid
+
+
+def without(pieces: Sequence[Piece], gone: Collection[Piece]) -> tuple[Piece, ...]:
+    """Return what is left when some are taken away, with all that stands on them."""
+    gone = set(gone)
+    while True:
+        bare = {cell for piece in gone if piece.kind in (Kind.BLOCK, Kind.BODY) for cell in piece.cells}
+        fallen = {piece for piece in pieces if piece not in gone and bare & {*piece.rests_on}}
+        if not fallen:
+            return tuple(piece for piece in pieces if piece not in gone)
+        gone |= fallen
+
+
+def distance(piece: Piece, cell: Cell) -> int:
+    """Return how many steps along the axes a piece is from a cell."""
+    return sum(abs(a - b) for a, b in zip(piece.cell, cell, strict=True))
+
+
+def lowered(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
+    """Return everything one level lower, less the blocks on the floor: empty where something else is there."""
+    floor = [piece for piece in pieces if piece.cell[2] == 1]
+    if not floor or any(piece.kind != Kind.BLOCK for piece in floor):
+        return ()
+    return tuple(piece.moved((0, 0, -1)) for piece in pieces if piece.cell[2] > 1)
+
+
+def cropped(pieces: Sequence[Piece], margin: int, above: int) -> tuple[tuple[Piece, ...], Cell]:
+    """Return the pieces on a map with so many empty columns round them and levels above them, and its size."""
+    cells = np.array([cell for piece in pieces for cell in piece.cells])
+    low = cells.min(axis=0)
+    length, width, _ = (cells.max(axis=0) - low + 1 + 2 * margin).tolist()
+    by = (margin - int(low[0]), margin - int(low[1]), 0)
+    return tuple(piece.moved(by) for piece in pieces), (length, width, int(cells[:, 2].max()) + above)

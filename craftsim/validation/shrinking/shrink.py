@@ -1,0 +1,235 @@
+"""The smallest world in which an action still fails: what stands around is taken away as long as it does.
+
+The search is delta debugging (Zeller and Hildebrandt, Simplifying and Isolating Failure-Inducing Input, IEEE TSE
+2002): halves of what stands around, then quarters, down to single pieces. What it ends with is 1-minimal: without any
+single piece, and what stands on it, the action does as predicted, or the rules forbid it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.recipe import Recipe, run_up
+from craftsim.checking.settings import Setup, Thresholds
+from craftsim.checking.world import SEED_0, Seed, set_up
+from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import make_schedule
+from craftsim.models.noise import EXACT
+from craftsim.validation.shrinking.pieces import (
+    Piece,
+    cropped,
+    distance,
+    grid_of,
+    lowered,
+    pieces_of,
+    without,
+)
+
+MOST_TRIALS: Final = 150
+"""After so many trials the search ends with the smallest world so far."""
+
+OnTrial = Callable[[bool], None]
+"""Called after each trial: whether the action still failed."""
+
+_MOVES: Final = {way: action for action, way in MOVE_DIRECTION.items()}
+
+
+@dataclass(frozen=True)
+class Situated:
+    """An action of one car in a world, in which it is legal, and the physics that it is tried in."""
+
+    grid: Grid
+    car: int
+    action: Action
+    setup: Setup
+    seed: Seed = SEED_0
+
+
+@dataclass(frozen=True)
+class Smallest:
+    """The smallest world that was found; the car that acts is car 0."""
+
+    grid: Grid
+    action: Action
+    attempt: Attempt
+    """How it fails there."""
+    setup: Setup
+    minimal: bool
+    """Whether every piece is needed; False where the trials did not suffice."""
+    trials: int
+
+
+class DependsError(Exception):
+    """The action by itself, from a fresh start, does not fail: why, in words."""
+
+
+def failing_actions(recipe: Recipe, attempts: Sequence[Attempt]) -> list[Situated]:
+    """Return the legal actions of a recipe's last step that fail, each in the world right before it.
+
+    That world is what was read before the step, and after the actions of the step that come before it, by the rules.
+    Of cars that act at the same time several may be held responsible for what one of them did.
+
+    Raises InputError where no legal action fails.
+    """
+    wrong = [a for a in attempts if a.legal and a.performed and not a.agrees]
+    if not wrong:
+        raise InputError("no action that the rules allow fails there; only such a failure can be shrunk")
+    step, checked = recipe.steps[-1], run_up(recipe)
+    ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
+    schedule = make_schedule(checked.grid, ticks, checked.rules, step.order or "sequential")
+    before = {(step.number + s.tick, s.car): s.before for s in schedule.steps}
+    return [
+        Situated(before[a.tick, a.car], a.car, Action[a.action], recipe.setup, recipe.seed) for a in wrong
+    ]
+
+
+def shrink(failing: Situated, on_trial: OnTrial = lambda fails: None, most: int = MOST_TRIALS) -> Smallest:
+    """Return the smallest world in which an action still fails with the same result.
+
+    It is tried without noise and with the nominal physics; where it works with these, with the setup and the seed of
+    the failure.
+
+    Args:
+        failing: the action.
+        on_trial: shows what is done.
+        most: trials, at most.
+
+    Raises:
+        DependsError: the action works from a fresh start.
+    """
+    nominal = replace(failing.setup, thresholds=Thresholds(), noise=EXACT, randomization=None)
+    trials = 0
+    for setup, seed in dict.fromkeys(((nominal, SEED_0), (failing.setup, failing.seed))):
+        search = _Search(replace(failing, setup=setup, seed=seed), on_trial, most - trials)
+        if search.attempt is not None:
+            return search.run(trials)
+        trials += search.trials
+    if not trials:
+        raise DependsError("the world before it cannot be set up from a fresh start as it was read")
+    raise DependsError(
+        "tried alone from a fresh start it does as predicted: "
+        "the failure depends on what went before, or on what happens at the same time"
+    )
+
+
+class _Search:
+    """The search for one action; it remembers what was tried."""
+
+    def __init__(self, failing: Situated, on_trial: OnTrial, most: int) -> None:
+        self.setup, self.seed, self.rules = failing.setup, failing.seed, Rules(failing.setup.rules)
+        self.on_trial, self.most, self.trials = on_trial, most, 0
+        self.known: dict[str, bool] = {}
+        self.attempt: Attempt | None = None
+        self.result: str | None = None
+        self.action, self.size = failing.action, failing.grid.size
+        self.pieces = pieces_of(failing.grid, failing.car)
+        self.drawn = True
+        start = grid_of(self.pieces, self.size)
+        # What play led to need not be what a drawing may show; then no smaller world need be.
+        self.drawn = "snapshot:" not in blueprint_text(start)
+        self.fails(self.pieces, self.size, self.action)
+
+    def run(self, trials_before: int) -> Smallest:
+        """Take away what is not needed, and return what is left."""
+        while True:
+            self._remove()
+            if not self._simplify():
+                break
+        self._crop()
+        assert self.attempt is not None
+        return Smallest(
+            grid_of(self.pieces, self.size),
+            self.action,
+            self.attempt,
+            self.setup,
+            self.trials < self.most,
+            self.trials + trials_before,
+        )
+
+    def fails(self, pieces: Sequence[Piece], size: Cell, action: Action) -> bool:
+        """Return whether the action of the first piece is legal in a world and fails; remember that world if so."""
+        grid = grid_of(pieces, size)
+        text = blueprint_text(grid)
+        key = f"{action.name} {text}"
+        if key not in self.known:
+            if self.trials >= self.most:
+                return False
+            self.known[key] = self._try(grid, text, action)
+        if self.known[key]:
+            self.pieces, self.size, self.action = tuple(pieces), size, action
+        return self.known[key]
+
+    def _try(self, grid: Grid, text: str, action: Action) -> bool:
+        if (self.drawn and "snapshot:" in text) or not self.rules.legal(grid, 0, action):
+            return False
+        checked = set_up(grid, self.setup, self.seed)
+        if checked.problems or not checked.grid.same_visible(grid):
+            return False
+        self.trials += 1
+        attempt = checked.perform(0, action)
+        fails = not attempt.agrees and self.result in (None, attempt.result)
+        if fails:
+            self.attempt, self.result = attempt, attempt.result
+        self.on_trial(fails)
+        return fails
+
+    def _remove(self) -> None:
+        """Take away parts of what stands around, smaller and smaller ones."""
+        n = 2
+        while others := self._others():
+            n = min(n, len(others))
+            before = len(self.pieces)
+            for part in _parts(others, n):
+                keep = without(self.pieces, part)
+                if len(keep) < len(self.pieces):
+                    self.fails(keep, self.size, self.action)
+            if len(self.pieces) < before:
+                n = max(n - 1, 2)
+            elif n == len(others):
+                return
+            else:
+                n *= 2
+
+    def _others(self) -> list[Piece]:
+        """Return all but the car that acts and what it stands on, the furthest first."""
+        me, *others = self.pieces
+        free = (piece for piece in others if me in without(self.pieces, (piece,)))
+        return sorted(free, key=lambda piece: (-distance(piece, me.cell), piece.cell, piece.kind))
+
+    def _simplify(self) -> bool:
+        """Take a load off, or bring all down by a level; return whether one of these leaves the failure."""
+        for place, piece in enumerate(self.pieces):
+            if piece.load == Kind.AIR:
+                continue
+            bare = replace(piece, load=Kind.AIR, load_yaw=0)
+            if self.fails((*self.pieces[:place], bare, *self.pieces[place + 1 :]), self.size, self.action):
+                return True
+        lower = lowered(self.pieces)
+        return bool(lower) and self.fails(lower, self.size, self.action)
+
+    def _crop(self) -> None:
+        """Crop the map, and let the car head +x if it fails that way, too."""
+        quarters = -self.pieces[0].yaw
+        turned = tuple(piece.turned(quarters) for piece in self.pieces)
+        action = self.action
+        if action in MOVE_DIRECTION:
+            action = _MOVES[(MOVE_DIRECTION[action] + quarters) % 4]
+        for pieces, act in ((turned, action), (self.pieces, self.action)):
+            for margin, above in ((0, 0), (1, 0), (0, 1), (1, 1), (2, 2)):
+                if self.fails(*cropped(pieces, margin, above), act):
+                    return
+
+
+def _parts(pieces: Sequence[Piece], n: int) -> Iterator[Sequence[Piece]]:
+    """Yield n parts of nearly equal size."""
+    for i in range(n):
+        part = pieces[i * len(pieces) // n : (i + 1) * len(pieces) // n]
+        if part:
+            yield part

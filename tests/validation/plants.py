@@ -1,0 +1,215 @@
+"""Plant an unsound rule, and see whether a quick audit finds it. Run by ``make plants``; some minutes a plant.
+
+The package is copied, one place of its rules is changed such that they allow what physics refuses, and
+``craftsim audit --rules physical --quick --workers 2`` is run on the copy. ``ARGS`` are parts of names of plants.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from craftsim.discrete.rules.explain import CORRECTIONS
+
+ROOT: Final = Path(__file__).parents[2]
+COMMAND: Final = (
+    "-m",
+    "craftsim",
+    "audit",
+    "--rules",
+    "physical",
+    "--quick",
+    "--workers",
+    "2",
+    "--out",
+    "out",
+)
+SITUATIONS: Final = """
+import json
+from craftsim.validation.audit.rows import audit_plan
+plan = audit_plan("physical")
+print(json.dumps({member.id: row.name for row in plan if row.legal for member in row.members}))
+"""
+"""Prints the situations that the rules allow, with their rows."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What a rule set allows by mistake, and the text of the source that is changed to that end."""
+
+    rule: str
+    file: str
+    old: str
+    new: str
+
+
+def _off(flag: str) -> Plant:
+    return Plant(f"{flag} off", "sets.py", f"{flag}=True", f"{flag}=False")
+
+
+PLANTS: Final = (
+    # Coming down a ramp under a block goes wrong in few of many trials: no quick look need find it.
+    *(_off(flag) for flag in CORRECTIONS if flag != "run_out"),
+    Plant(
+        "lifting with something on top",
+        "legality.py",
+        "    if own not in (BLOCK, FLAG, FSLOPE):\n        return False\n",
+        "    if own not in (BLOCK, FLAG, FSLOPE):\n        return False\n    return True\n",
+    ),
+    Plant(
+        "driving loaded through a block",
+        "moves.py",
+        "return not loaded and (forward or backward)",
+        "return forward or backward",
+    ),
+    Plant(
+        "driving sideways under a block",
+        "moves.py",
+        "return not loaded and (forward or backward)",
+        "return not loaded",
+    ),
+    Plant("driving loaded through a gear", "moves.py", "return not loaded and through", "return through"),
+    Plant("turning under a slope", "legality.py", "return own not in (FSLOPE, BODY)", "return True"),
+    Plant(
+        "leaving a block sideways",
+        "moves.py",
+        "if own in (BLOCK, FLAG) and not (forward or backward):",
+        "if False:",
+    ),
+    Plant("leaving a slope sideways", "moves.py", "if own in (FSLOPE, BODY) and not forward:", "if False:"),
+    Plant(
+        "unfolding without support below the foot",
+        "legality.py",
+        " or not standable(kind_at(w, nx, ny, car.z - 1)):",
+        ":",
+    ),
+    Plant(
+        "unfolding where the foot's cell is taken",
+        "legality.py",
+        "if not is_air_or_gear(kind_at(w, nx, ny, car.z)) or not",
+        "if not",
+    ),
+    Plant(
+        "folding with a car on the foot",
+        "legality.py",
+        "if top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) >= 0:",
+        "if False:",
+    ),
+    Plant(
+        "climbing without a landing",
+        "moves.py",
+        "if not standable(kind_at(w, x3, y3, car.z)) or top_at(w, x3, y3, car.z, me) >= 0:",
+        "if top_at(w, x3, y3, car.z, me) >= 0:",
+    ),
+    Plant(
+        "climbing with a load under a block",
+        "moves.py",
+        "(over in (BLOCK, FLAG) and car.load == AIR)",
+        "over in (BLOCK, FLAG)",
+    ),
+    Plant("driving into a car's cell", "moves.py", "if car_in(w, me, nx, ny, car.z, False):", "if False:"),
+    Plant(
+        "standing on what has no top",
+        "moves.py",
+        "if not standable(below) and below != BODY:",
+        "if False:",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a quick audit of a plant found."""
+
+    changed: int
+    """Rows of a full audit that hold a situation that only the planted rules allow."""
+    tried: int
+    """Of these, those that the quick one tried."""
+    unsound: tuple[str, ...]
+    """Rows that it found unsound."""
+    status: int
+    cpu_s: float
+    wall_s: float
+
+
+def copy_of(package: Path, place: Path, plant: Plant) -> Path:
+    """Copy the package with a plant in its rules into a folder, and return the file that was changed."""
+    shutil.copytree(package, place / "craftsim", ignore=shutil.ignore_patterns("__pycache__"))
+    source = place / "craftsim" / "discrete" / "rules" / plant.file
+    source.write_text(source.read_text().replace(plant.old, plant.new, 1))
+    return source
+
+
+def look(plant: Plant, allowed: dict[str, str]) -> Look:
+    """Audit a plant quickly; ``allowed`` has the situations that the rules allow without it."""
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        copy_of(ROOT / "craftsim", place, plant)
+        started, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+        run = _python(place, *COMMAND)
+        wall_s = time.perf_counter() - started
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        if run.returncode not in (0, 1) or not (place / "out" / "report.json").exists():
+            raise RuntimeError(run.stdout + run.stderr)
+        rows: list[dict[str, Any]] = json.loads((place / "out" / "report.json").read_text())["figures"][
+            "audit"
+        ]["rows"]
+        planted = situations(place)
+    legal = {f"{row['action']}/{row['context']}": row["verdict"] for row in rows if row["legal"]}
+    new = {row for situation, row in planted.items() if situation not in allowed}
+    return Look(
+        changed=len(new),
+        tried=len(new & set(legal)),
+        unsound=tuple(name for name, verdict in legal.items() if verdict == "unsound"),
+        status=run.returncode,
+        cpu_s=after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+        wall_s=wall_s,
+    )
+
+
+def situations(place: Path) -> dict[str, str]:
+    """Return the situations that the rules of a copy allow, with the names of their rows."""
+    return dict(json.loads(_python(place, "-c", SITUATIONS).stdout))
+
+
+def _python(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(place)}
+    return subprocess.run(
+        [sys.executable, *words], cwd=place, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def main(parts: list[str]) -> int:
+    """Print for each plant what a quick audit finds; return 1 if one that changes a row goes unnoticed."""
+    allowed = situations(ROOT)
+    chosen = [plant for plant in PLANTS if not parts or any(part in plant.rule for part in parts)]
+    missed = 0
+    for plant in chosen:
+        found = look(plant, allowed)
+        caught = found.status == 1 and bool(found.unsound)
+        missed += bool(found.changed and not caught)
+        word = f"found: {len(found.unsound)} unsound rows" if caught else "NOT FOUND"
+        if not found.changed:
+            word += " (no row of a full audit changes)"
+        print(
+            f"{plant.rule}: {word}; {found.tried} of {found.changed} changed rows tried, "
+            f"{found.cpu_s:.0f} s of CPU, {found.wall_s:.0f} s",
+            flush=True,
+        )
+        for name in found.unsound[:1]:
+            print(f"    {name}", flush=True)
+    print(f"{len(chosen)} plants, {missed} that change a row not found")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

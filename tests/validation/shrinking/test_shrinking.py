@@ -1,0 +1,154 @@
+"""A failure is found again in its smallest world: nothing that it does not need is left."""
+
+import numpy as np
+import pytest
+
+from craftsim import cli
+from craftsim.checking.recipe import Recipe, Step
+from craftsim.checking.settings import Setup
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import InputError
+from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.validation.audit.scenes import SCENES
+from craftsim.validation.replays.bundle import write_bundle
+from craftsim.validation.shrinking.campaign import first_of_each_kind
+from craftsim.validation.shrinking.pieces import Piece, cropped, grid_of, lowered, pieces_of, without
+from craftsim.validation.shrinking.shrink import DependsError, Situated, failing_actions, shrink
+from craftsim.validation.shrinking.words import sentence
+
+BLOCK, FSLOPE, BODY, AIR = Kind.BLOCK, Kind.FSLOPE, Kind.BODY, Kind.AIR
+
+NEEDED = (Piece((3, 3, 1), AIR, 1, BLOCK), Piece((4, 3, 1), AIR, 0))
+"""A load that turns beside a car: the published rules allow it, and its legs hit the car."""
+IDLE = (
+    Piece((6, 6, 2), AIR, 0, FSLOPE, 2),
+    Piece((6, 6, 1), BLOCK),
+    Piece((5, 6, 1), BLOCK),
+    Piece((1, 6, 1), Kind.WALL),
+    Piece((1, 1, 1), BLOCK),
+    Piece((2, 1, 1), BODY, 0),
+    Piece((6, 1, 1), FSLOPE, 1),
+)
+SIZE = (8, 8, 3)
+PUBLISHED = Setup("published")
+
+
+def _cars_first(*pieces: Piece) -> tuple[Piece, ...]:
+    return tuple(sorted(pieces, key=lambda piece: not piece.is_car))
+
+
+CROWDED = grid_of(_cars_first(*NEEDED, *IDLE), SIZE)
+
+
+@pytest.mark.parametrize("scene", SCENES[::3], ids=lambda scene: scene.id)
+def test_a_world_is_the_sum_of_its_pieces(scene):
+    grid = scene.world()
+    assert grid_of(pieces_of(grid), grid.size).same_visible(grid)
+
+
+@pytest.mark.parametrize("scene", SCENES[::3], ids=lambda scene: scene.id)
+def test_what_is_left_stands_when_a_piece_is_taken_away(scene):
+    grid = scene.world()
+    pieces = pieces_of(grid)
+    if "snapshot" in blueprint_text(grid):
+        pytest.skip("the scene itself is no start that a drawing shows")
+    for gone in pieces:
+        left = without(pieces, (gone,))
+        if any(piece.is_car for piece in left):
+            parse_blueprint(blueprint_text(grid_of(left, grid.size)), "left")
+            assert "snapshot" not in blueprint_text(grid_of(left, grid.size))
+
+
+def test_what_stands_on_a_piece_goes_with_it():
+    tower = (
+        Piece((0, 0, 1), BLOCK),
+        Piece((0, 0, 2), BLOCK),
+        Piece((0, 0, 3), AIR),
+        Piece((0, 0, 3), Kind.WALL),
+    )
+    assert without(tower, tower[:1]) == tower[3:], "a wall may float"
+    ramp = (
+        Piece((0, 0, 1), BLOCK),
+        Piece((1, 0, 1), BLOCK),
+        Piece((0, 0, 2), BODY, 0),
+        Piece((1, 0, 2), AIR, 0, slope=1),
+    )
+    assert without(ramp, ramp[1:2]) == ramp[:1], "the foot falls, and the car on it"
+
+
+def test_a_world_is_lowered_only_from_blocks():
+    on_block = (Piece((0, 0, 1), BLOCK), Piece((0, 0, 2), AIR))
+    assert lowered(on_block) == (Piece((0, 0, 1), AIR),)
+    assert lowered((*on_block, Piece((1, 0, 1), Kind.WALL))) == ()
+    assert lowered((Piece((0, 0, 1), AIR),)) == ()
+
+
+def test_a_crop_keeps_every_cell_inside():
+    pieces, size = cropped((Piece((5, 5, 1), AIR), Piece((7, 5, 1), BODY, 1)), margin=1, above=1)
+    cells = np.array([cell for piece in pieces for cell in piece.cells])
+    assert (cells.min(axis=0).tolist(), cells.max(axis=0).tolist(), size) == ([1, 1, 1], [3, 2, 1], (5, 4, 2))
+
+
+def test_only_what_the_failure_needs_is_left():
+    found = shrink(Situated(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED))
+    assert found.minimal
+    left = pieces_of(found.grid)
+    assert [(piece.is_car, piece.load) for piece in left] == [(True, BLOCK), (True, AIR)]
+    assert sentence(found) == (
+        "car 0 turns left with a block on level 1; it is unsafe when car 1 is in the next cell to the right"
+    ).replace("it is unsafe", {"unsafe": "it is unsafe", "failed": "it fails"}[found.attempt.result])
+    assert max(found.grid.size) <= 5
+    again = shrink(Situated(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED))
+    assert (blueprint_text(again.grid), again.attempt) == (blueprint_text(found.grid), found.attempt)
+
+
+def test_the_search_ends_when_the_trials_are_used_up():
+    tried = []
+    found = shrink(Situated(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED), tried.append, most=2)
+    assert not found.minimal
+    assert len(tried) == found.trials == 2
+
+
+def test_what_works_from_a_fresh_start_is_said_to_depend_on_what_went_before():
+    with pytest.raises(DependsError, match="depends on what went before"):
+        shrink(Situated(CROWDED, 0, Action.STOP, PUBLISHED))
+
+
+def test_the_first_of_each_kind_is_shrunk():
+    def record(verb, reason, bundle, legal=True):
+        attempt = {"verb": verb, "reason": reason, "legal": legal, "performed": True}
+        return {"attempts": [{**attempt, "reason": ""}, attempt], "bundle": bundle}
+
+    records = [
+        record("LIFT", "block 1 touched car 2 (5 N)", "a"),
+        record("LIFT", "block 3 touched car 0 (71 N)", "b"),
+        record("DROP", "block 3 touched car 0 (71 N)", "c"),
+        record("FOLD", "no bundle", None),
+        record("FOLD", "forbidden", "d", legal=False),
+    ]
+    assert list(first_of_each_kind(records).values()) == ["a", "c"]
+
+
+def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys):
+    steps = (
+        Step.single(0, 1, Action.STOP),
+        Step.joint(1, [(1, Action.STOP), (0, Action.ROTATE_LEFT)]),
+    )
+    grid = grid_of(_cars_first(*NEEDED, *IDLE[4:6]), SIZE)
+    bundle = write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, PUBLISHED))
+    assert [a.action for a in bundle.attempts if not a.agrees] == ["STOP", "ROTATE_LEFT"], "both are blamed"
+    assert cli.main(["replay", str(tmp_path / "bundle"), "--shrink", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "when car 1 is in the next cell to the right" in said
+    assert f"--actions {tmp_path / 'out' / 'smallest.actions'} --rules published" in said
+    found = read_blueprint(tmp_path / "out" / "smallest.yaml").grid(np.random.default_rng(0))
+    assert len(pieces_of(found)) == 2
+
+
+def test_a_bundle_without_a_failure_of_a_legal_action_is_refused(tmp_path):
+    recipe = Recipe(blueprint_text(Grid.empty((3, 1, 1), 1)), (Step.single(0, 0, Action.STOP),))
+    bundle = write_bundle(tmp_path, "nothing", recipe)
+    with pytest.raises(InputError, match="no action that the rules allow fails"):
+        failing_actions(bundle.recipe, bundle.attempts)

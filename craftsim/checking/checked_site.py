@@ -13,7 +13,7 @@ from craftsim.checking.attempt import Attempt, Evidence, judge
 from craftsim.checking.contact_log import ContactLog, speed_m_s
 from craftsim.checking.safety import hazards, is_unsafe
 from craftsim.checking.settings import Thresholds
-from craftsim.checking.unexpected import handled, shoved, unexpected_contacts
+from craftsim.checking.unexpected import handled, shoved, under, unexpected_contacts
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Poses, Reading, read_grid
@@ -51,6 +51,8 @@ class _Running:
     """Those that act meanwhile, its own included."""
     meant: set[int]
     """Objects that may move though no acting car carries them: what is shoved, what other acting cars handle."""
+    below: set[int]
+    """Objects that the car stands and drives on: a stack sways under it until it has come to rest."""
 
     def expect_rest(self, other: _Running, now: Poses) -> None:
         """From here on hold it against this action if what another one was about moves: that one has ended."""
@@ -150,14 +152,16 @@ class CheckedSite:
                 settled = self._settle()
             self._look()
             acting = set(running)
-            for one in [running.pop(car) for car in ended]:
-                evidence[one.index] = self._measure(one, ended[one.step.car], legal, acting)
+            over = [running.pop(car) for car in ended]
+            swaying = {index for one in running.values() for index in one.below}
+            for one in over:
+                evidence[one.index] = self._measure(one, ended[one.step.car], legal, acting, swaying)
                 for other in running.values():
                     other.expect_rest(one, self.poses)
         world = self._world_verdict(before, schedule.final, settled)
         found = [evidence[index] for index in sorted(evidence)]
-        found += [self._measure(self._now(step), None, True, set()) for step in waiting.values()]
-        found += [self._measure(self._now(step), None, False, set()) for step in schedule.forbidden]
+        found += [self._measure(self._now(step), None, True, set(), set()) for step in waiting.values()]
+        found += [self._measure(self._now(step), None, False, set(), set()) for step in schedule.forbidden]
         attempts = [judge(one, self._verdict(one, world, found), self.thresholds) for one in found]
         place = {act: number for number, act in enumerate(schedule.acts)}
         return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
@@ -176,7 +180,8 @@ class CheckedSite:
 
     def _now(self, step: ScheduledAction, index: int = -1) -> _Running:
         meant = set(shoved(self.reading, step.after, step.car))
-        return _Running(index, step, self.site.time_s, self.poses, self.reading, {step.car}, meant)
+        below = set(under(self.reading, step.after, step.car))
+        return _Running(index, step, self.site.time_s, self.poses, self.reading, {step.car}, meant, below)
 
     def _look(self) -> None:
         self.poses: Poses = read_poses(self.site)
@@ -193,12 +198,14 @@ class CheckedSite:
             self.executor.advance()
         return speed_m_s(self.site) <= SETTLED_M_S
 
-    def _measure(self, one: _Running, outcome: Outcome | None, legal: bool, acting: set[int]) -> Evidence:
+    def _measure(
+        self, one: _Running, outcome: Outcome | None, legal: bool, acting: set[int], swaying: set[int]
+    ) -> Evidence:
         step, car, log = one.step, one.step.car, self.log
         placed, about = self.reading.cars[car], handled(one.reading, step.after, car)
         # What the car should not carry afterwards is set down, folded, unfolded or shoved.
         set_down = about[0] if about and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
-        moved_m, moved = self._furthest_moved(one, acting)
+        moved_m, moved = self._furthest_moved(one, acting, swaying)
         contacts = () if log is None else log.contacts
         return Evidence(
             step=step,
@@ -219,14 +226,17 @@ class CheckedSite:
             peak_force_n=0.0 if log is None else log.peak_n,
         )
 
-    def _furthest_moved(self, one: _Running, acting: set[int]) -> tuple[float, str]:
-        """Return how far in metres a bystander of an action moved at most, from where it should rest, and its name."""
+    def _furthest_moved(self, one: _Running, acting: set[int], swaying: set[int]) -> tuple[float, str]:
+        """Return how far in metres a bystander of an action moved at most, from where it should rest, and its name.
+
+        What sways under a car that still drives is not looked at now, but held against that car's action at its end.
+        """
         then, now = one.poses, self.poses
         ways = np.linalg.norm(now.car_positions - then.car_positions, axis=1).tolist()
         moved = [(way, f"car {car}") for car, way in enumerate(ways) if car not in acting]
         ways = np.linalg.norm(now.positions - then.positions, axis=1).tolist()
         for index, (was, reads) in enumerate(zip(one.reading.objects, self.reading.objects, strict=True)):
-            if index not in one.meant and not acting & {was.carrier, reads.carrier}:
+            if index not in one.meant | swaying and not acting & {was.carrier, reads.carrier}:
                 moved.append((ways[index], then.name(index)))
         return max(moved, default=(0.0, ""))
 

@@ -57,6 +57,16 @@ def shoved(before: Reading, predicted: Grid, car: int) -> list[int]:
     return [] if there == _cell(before.grid, car) else _changing(before, predicted, there)
 
 
+def under(before: Reading, predicted: Grid, car: int) -> list[int]:
+    """Return the objects, by their index, that a car stands and drives on, down to the ground."""
+    ways = (_cell(before.grid, car), _cell(predicted, car))
+    return [
+        index
+        for index, thing in enumerate(before.objects)
+        if thing.carrier is None and any(thing.cell[:2] == way[:2] and thing.cell[2] < way[2] for way in ways)
+    ]
+
+
 def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
     """Return the objects that stand in a cell which should hold something else afterwards."""
     if before.grid.kind_at(cell) == predicted.kind_at(cell):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from drawn import draw
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
@@ -152,3 +153,23 @@ def test_the_listener_hears_every_change_of_what_runs():
         {1: RIGHT},
         {},
     ]
+
+
+def test_a_stack_that_sways_under_a_car_on_its_way_is_held_against_no_other_action():
+    """A loaded car drives over two stacks of four blocks, which give way by a millimetre meanwhile and come back."""
+    stacks = [(Kind.BLOCK, (x, 0, z)) for x in (0, 1) for z in (1, 2, 3, 4)]
+    grid = draw((4, 2, 5), stacks, [(0, 0, 5, 0, Kind.FSLOPE, 2), (3, 1, 1, 0)])
+    checked = set_up(grid, Setup())
+    swayed = []
+
+    def note(site):
+        top = site.data.qpos[site.blocks[7].qpos : site.blocks[7].qpos + 3]
+        swayed.append(float(np.linalg.norm(top - start)))
+
+    start = checked.site.free_body_state(checked.site.blocks[7])[0]
+    checked.executor.observers.append(note)
+    drive, turn = checked.perform_tick([(0, RIGHT), (1, Action.ROTATE_LEFT)], order="concurrent")
+    assert max(swayed) > checked.thresholds.bystander_m > swayed[-1]
+    assert swayed[round(turn.duration_s / 0.02)] > checked.thresholds.bystander_m
+    assert drive.agrees
+    assert turn.agrees

@@ -311,3 +311,12 @@ def test_a_design_is_satisfied_when_every_target_holds_its_kind_and_yaw(scene):
     wrong.yaw[2, 2, 1] = 1
     assert not design.satisfied(wrong)
     assert Path(design.path).name == "simple_two_story_goal.yaml"
+
+
+def test_a_carried_slope_whose_gear_would_be_outside_the_area_is_refused():
+    drawing = "area_length: 3\narea_width: 3\narea_height: 1\nblock_num: 0\nslope_num: 1\nsmartcar_num: 1\n"
+    car = "smartcar:\n  - {{id: 0, x: {x}, y: 1, z: 1, yaw: 0, load: fold_slope, load_yaw: 2}}\n"
+    goal = "goal:\n  - {id: 0, x: -1, y: -2, z: 1}\n"
+    assert parse_blueprint(drawing + car.format(x=1) + goal, "mine.yaml").n_cars == 1
+    with pytest.raises(BlueprintError, match=r"the gear of its slope would be at \(-1, 1, 1\), outside"):
+        parse_blueprint(drawing + car.format(x=0) + goal, "mine.yaml")

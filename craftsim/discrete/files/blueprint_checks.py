@@ -101,6 +101,10 @@ class _Checker:
         if car.load == Kind.FSLOPE and car.load_yaw != (car.yaw + 2) % 4:
             allowed = f"{(car.yaw + 2) % 4}, behind the car"
             self.source.fail(car.line, f"{where}: load_yaw {car.load_yaw}; allowed: {allowed}")
+        gear = beside(car.cell, car.load_yaw)
+        if car.load == Kind.FSLOPE and not self.inside((gear[0], gear[1], 1)):
+            area = f"the area of {self.blueprint.size} cells"
+            self.source.fail(car.line, f"{where}: the gear of its slope would be at {gear}, outside {area}")
 
     def cars(self) -> None:
         """Check the cars one by one and against each other."""

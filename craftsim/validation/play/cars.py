@@ -128,11 +128,13 @@ def _has_room(w: World, grid: Grid, me: int) -> bool:
         return True
     if not (load_below_walls(w, car) and load_fits(w, me, car, car)):
         return False
-    if car.load != Kind.FSLOPE or car.slope:
+    if car.load != Kind.FSLOPE:
         return True
     gear = beside((int(car.x), int(car.y), int(car.z)), int(car.load_yaw))
     length, width, _ = grid.size
     if not (0 <= gear[0] < length and 0 <= gear[1] < width):
+        return False
+    if car.slope:
         return True
     crowded = car_in(w, me, *gear, True) or carried_gear_in(w, me, *gear, -1)
     return grid.kind_at(gear) == Kind.AIR and not crowded

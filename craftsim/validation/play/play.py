@@ -26,8 +26,10 @@ _VERBS: Final = {
     "UNFOLD": 2.8,
 }
 """How much likelier an action is than a move on the flat, before what is rare about it counts."""
-_IDLE: Final = 0.9
-"""How often a car that can do nothing but STOP is left out."""
+_COMMON: Final = 0.2
+"""Below this weight an action is common: it has been done often before."""
+_IDLE: Final = 0.8
+"""How often a car that would do something common waits instead."""
 _LOADED_TURN: Final = 4.0
 _SLOPE: Final = 20.0
 _ABOVE_FLOOR: Final = 1.5
@@ -47,14 +49,17 @@ class Play:
 
 
 def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> Play:
-    """Return a play of so many ticks from a world; in each, every car that can do something does, in drawn order."""
+    """Return a play of so many ticks from a world; in each the cars act in drawn order.
+
+    A car waits where it can do nothing, and mostly where it would do what has been done often.
+    """
     done: Counter[str] = Counter()
     ticks, doings = [], []
     for _ in range(n_ticks):
         joint, what = [], []
         for car in rng.permutation(grid.n_cars).tolist():
             options = [Action(a) for a in np.flatnonzero(rules.mask(grid)[car]).tolist()]
-            if not options or (options == [Action.STOP] and rng.random() < _IDLE):
+            if not options:
                 continue
             after = [rules.apply(grid, car, action) for action in options]
             found = [doing(grid, then, car, a) for a, then in zip(options, after, strict=True)]
@@ -65,6 +70,8 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> Pl
                 ]
             )
             choice = int(rng.choice(len(options), p=weights / weights.sum()))
+            if weights[choice] < _COMMON and rng.random() < _IDLE:
+                continue
             joint.append((car, options[choice]))
             what.append(found[choice])
             done[found[choice].name] += 1

@@ -50,10 +50,12 @@ def audit(
     from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.films import film_failures, rendering_works
     from craftsim.commands.progress import counting
+    from craftsim.commands.solver_text import print_capped
     from craftsim.validation.audit.audit import run_audit
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
+    from craftsim.validation.statistics.records import capped_steps
 
     campaign.check()
     console = Console()
@@ -87,6 +89,7 @@ def audit(
         film_failures(console, out, result.records)
     page = write_html(out, audit_page(result, shlex.join(_words(actions, contexts, only, quick, campaign))))
     print_results(console, result.results)
+    print_capped(capped_steps(result.records))
     if result.comparison is not None:
         print(result.comparison)
     print(f"Report: {out / 'report.json'}\nPage:   {page}")

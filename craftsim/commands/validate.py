@@ -56,6 +56,7 @@ def validate(
     """
     from craftsim.commands.films import film_failures, film_runs, rendering_works
     from craftsim.commands.progress import counting
+    from craftsim.commands.solver_text import print_capped
     from craftsim.commands.validate_text import conclusion, print_disagreements, runs_table
     from craftsim.report import output_directory
     from craftsim.validation import validation
@@ -102,6 +103,7 @@ def validate(
     page = write_html(out, validate_page(result, shlex.join(words)))
     console.print(runs_table(result.records))
     print_disagreements(out, result.records)
+    print_capped(result.figures.capped_steps)
     if result.comparison is not None:
         print(result.comparison)
     print(f"Report: {out / 'report.json'}\nPage:   {page}")

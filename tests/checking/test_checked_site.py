@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from disturbances import push
 
+from craftsim.checking.attempt import Result
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.verdict import Finding
+from craftsim.models.config import SimulationConfig
 from craftsim.skills.outcome import Reason
 
 SIZE = (4, 1, 2)
@@ -172,3 +174,23 @@ def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
     assert 0.45 < checked.log.tilt_rad < 0.8 or 0.45 < checked.log.fall_m_s < 0.9
     assert not site.data.ctrl.any()
     assert not checked.executor.busy
+
+
+def test_what_fails_while_the_solver_gives_up_is_numerics_and_counted():
+    checked = _checked(setup=Setup(simulation=SimulationConfig(solver_iterations=5)))
+    begin = checked.executor.begin
+    checked.executor.begin = lambda car, action, terrain: begin(car, Action.ROTATE_LEFT, terrain)
+    attempt = checked.perform(0, RIGHT)
+    assert attempt.capped_steps > 0
+    assert (attempt.finding, attempt.result) == (Finding.NUMERICS, Result.NUMERICS)
+    assert attempt.reason.startswith("the solver gave up in ")
+
+
+def test_a_force_that_nothing_could_have_produced_is_numerics_and_not_unsafe():
+    checked = _checked(block_at=2)
+    site, (block,) = checked.site, checked.site.blocks
+    checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((block.body, 2), -3e4))
+    attempt = checked.perform(0, RIGHT)
+    assert (attempt.finding, attempt.result) == (Finding.NUMERICS, Result.NUMERICS)
+    assert "more than weights, motors and motion could" in attempt.reason
+    assert attempt.capped_steps == 0

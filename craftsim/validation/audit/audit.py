@@ -18,6 +18,7 @@ from craftsim.validation.campaign import Engine, Header, TrialRecord, run_campai
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
 from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
+from craftsim.validation.statistics.records import capped_steps
 from craftsim.validation.validation import Progress
 
 COMMAND = "audit"
@@ -104,7 +105,11 @@ def run_audit(
     comparison = None if earlier is None else compare_runs(earlier, out, records, judged_by_rules)
     write_report(
         out,
-        {"audit": results.figures(plan, corrections), "validation": figures, "paired": comparison},
+        {
+            "audit": results.figures(plan, corrections) | {"capped_steps": capped_steps(records)},
+            "validation": figures,
+            "paired": comparison,
+        },
         command=COMMAND,
         seed=seed,
         config=config | {"against": against},

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.forces import PossibleForce, impact_limit_n
+from craftsim.models.overlaps import MachineNames
 from craftsim.models.site import Site
 
-GROUND: Final = "ground"
-WALL: Final = "wall"
 _SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
@@ -50,20 +49,15 @@ class ContactLog:
         """Prepare for a Site, and begin."""
         self.site = site
         model = site.model
-        self.names = (GROUND, WALL, *(_name(model.body(b).name) for b in _roots(model)))
+        machines = MachineNames.of(model)
+        self.names, machine = machines.names, machines.of_geom
         """Of all machines: what is fixed first, then those that move in the order of their bodies."""
-        number = {body: i + 2 for i, body in enumerate(_roots(model))}
-        root = model.body_rootid[model.geom_bodyid]
-        moving = model.body_jntnum[root] > 0
-        machine = np.array(
-            [number[int(r)] if moves else (0 if r == 0 else 1) for r, moves in zip(root, moving, strict=True)]
-        )
         low, high = np.minimum.outer(machine, machine), np.maximum.outer(machine, machine)
         self._pair = np.where(low == high, -1, low * len(self.names) + high)
         """By two geoms: the pair of their machines, -1 inside one machine."""
-        self._possible = PossibleForce(site, _roots(model))
+        self._possible = PossibleForce(site, machines.roots)
         self._limit_n = impact_limit_n(site.machines)
-        joints = [int(model.body_jntadr[body]) for body in number]
+        joints = [int(model.body_jntadr[body]) for body in machines.roots]
         self._pose_address = np.array([model.jnt_qposadr[j] for j in joints], np.intp)
         self._velocity_address = np.array([model.jnt_dofadr[j] for j in joints], np.intp)
         self.begin()
@@ -197,16 +191,3 @@ def speed_m_s(site: Site) -> float:
     ]
     velocity = site.data.qvel[np.array([body.dof for body in handles], np.intp)[:, None] + np.arange(3)]
     return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
-
-
-def _roots(model: mujoco.MjModel) -> list[int]:
-    """Return the bodies that move freely: one for each machine but walls."""
-    free = int(mujoco.mjtJoint.mjJNT_FREE)
-    return [int(b) for b in model.jnt_bodyid[model.jnt_type == free]]
-
-
-def _name(body: str) -> str:
-    """Return a machine's name for people: ``car 0`` for the body ``car0/smartcar``."""
-    prefix = body.split("/", 1)[0]
-    word = prefix.rstrip("0123456789")
-    return f"{word} {prefix[len(word) :]}"

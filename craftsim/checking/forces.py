@@ -57,7 +57,7 @@ class PossibleForce:
         """Take masses and motors of a Site as they are drawn; ``roots`` are the bodies of its machines."""
         self._site = site
         model = site.model
-        self._mass = model.body_subtreemass[roots].copy()
+        self._mass = model.body_subtreemass[list(roots)]
         self._dof = np.array([model.body_dofadr[root] for root in roots], np.intp)
         self._tree = model.dof_treeid[self._dof]
         at_tree = {int(tree): i for i, tree in enumerate(self._tree)}

@@ -17,6 +17,7 @@ from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
+from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import Car, FreeBody, Slope
 from craftsim.models.placement import placements
@@ -82,6 +83,8 @@ class Site:
         self.config = config or SimulationConfig()
         self.machines = machines
         self.size = grid.size
+        self.overlaps: tuple[Overlap, ...] = ()
+        """What stood in something else at the last reset, before it came to rest: such a start cannot be."""
         self.capped_steps = 0
         """Physics steps since the reset in which the solver gave up, at ``config.solver_iterations``. MuJoCo keeps this
         figure of the first 20 islands that move at a time."""
@@ -119,6 +122,7 @@ class Site:
             self.data.qpos[drive.qpos] = position
             self.data.act[drive.activation] = position
         mujoco.mj_forward(self.model, self.data)
+        self.overlaps = tuple(overlaps(self.model, self.data))
         self.capped_steps = 0
         self._step(round(self.config.settle_s / self.config.timestep_s))
 

@@ -10,12 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.settings import Randomize, setup_of
+from craftsim.checking.world import check_start
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import TASK_NAMES, as_task
 from craftsim.models.parameters import Machines
+from craftsim.models.site import Site
 from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains
@@ -31,6 +36,7 @@ from craftsim.validation.runs.choice import (
     subjects_of,
 )
 from craftsim.validation.runs.policies import RANDOM, Policy
+from craftsim.validation.runs.random_worlds import RandomWorlds
 from craftsim.validation.runs.run import Terms, do_run
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
@@ -200,6 +206,11 @@ def validate(
         "setup": setup,
         "digests": setup.digests,
     }
+    for world in (subject.world for subject in subjects):
+        if isinstance(world, RandomWorlds) or world in TASK_NAMES:
+            continue
+        start = as_task(world).draw(np.random.default_rng(seed))
+        check_start(Site(start, setup.simulation, machines=setup.machines))
     terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers))
     items = list(items_of(subjects, pilots, trials, terms))
     earlier = None if against is None else read_earlier(Path(against), COMMAND, folder, seed, items)

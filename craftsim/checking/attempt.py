@@ -34,6 +34,8 @@ class Result(StrEnum):
     """It did what was predicted, and something else moved or changed."""
     UNSAFE = "unsafe"
     """Something tipped, fell, or hit harder than it may."""
+    NUMERICS = "numerics"
+    """The simulation broke down or was not solved, and it did not end as predicted: this says nothing of the action."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -93,6 +95,8 @@ class Attempt:
     duration_s: float
     peak_force_n: float
     """The largest force between any two machines, the ground included, of all that ran at the same time."""
+    capped_steps: int = 0
+    """Physics steps meanwhile in which the solver gave up, at ``SimulationConfig.solver_iterations``."""
 
     @classmethod
     def of(cls, fields: Mapping[str, Any]) -> Attempt:
@@ -149,6 +153,7 @@ class Evidence:
     """Unexpected ones, hardest first."""
     hazards: tuple[Hazard, ...]
     peak_force_n: float
+    capped_steps: int
 
     @property
     def applied(self) -> bool:
@@ -187,18 +192,33 @@ def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:
         start_s=evidence.start_s,
         duration_s=0.0 if outcome is None else round(outcome.duration_s, 6),
         peak_force_n=evidence.peak_force_n,
+        capped_steps=evidence.capped_steps,
     )
 
 
 def result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Result:
-    """Return the result of an action; what is unsafe is so even if all ended as predicted."""
+    """Return the result of an action; what is unsafe is so even if all ended as predicted.
+
+    Whatever is wrong after a step in which the solver gave up is held against the solver.
+    """
+    result = _result_of(evidence, verdict, limits)
+    unsolved = verdict.finding in (Finding.NUMERICS, Finding.DIVERGED) or evidence.capped_steps > 0
+    return Result.NUMERICS if unsolved and result is not Result.AS_PREDICTED else result
+
+
+def _result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Result:
     if verdict.finding is Finding.UNSAFE:
         return Result.UNSAFE
     if not evidence.applied or any(name != "bystander" for name, _ in _excesses(evidence, limits)):
         return Result.FAILED
     if verdict.agrees and evidence.bystander_displacement_m <= limits.bystander_m:
         return Result.AS_PREDICTED
-    spoilt = verdict.finding in (Finding.NOT_EXECUTED, Finding.UNSETTLED, Finding.DIVERGED)
+    spoilt = verdict.finding in (
+        Finding.NOT_EXECUTED,
+        Finding.UNSETTLED,
+        Finding.NUMERICS,
+        Finding.DIVERGED,
+    )
     problems = verdict.differences if verdict.finding is Finding.UNREADABLE else ()
     concerned = any(line.startswith(f"{name} ") for line in problems for name in evidence.own)
     return Result.FAILED if spoilt or concerned else Result.SIDE_EFFECT
@@ -208,7 +228,10 @@ def reason_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> str:
     """Return what happened physically: hazards, contacts, the skill's own reason; what is off only without these."""
     if evidence.outcome is None:
         return verdict.differences[0]
-    parts = [hazard.text for hazard in evidence.hazards[:_SHOWN]]
+    parts = [verdict.differences[0]] if verdict.finding in (Finding.NUMERICS, Finding.DIVERGED) else []
+    if evidence.capped_steps and not parts:
+        parts = [capped_text(evidence.capped_steps)]
+    parts += [hazard.text for hazard in evidence.hazards[:_SHOWN]]
     known = {hazard.machines for hazard in evidence.hazards}
     contacts = [c for c in evidence.contacts if (c.first, c.second) not in known]
     contacts.sort(key=lambda c: c.first not in evidence.own and c.second not in evidence.own)
@@ -217,6 +240,11 @@ def reason_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> str:
         parts.append(str(evidence.outcome))
     parts += [text for name, text in _excesses(evidence, limits) if name == "bystander" or not parts]
     return "; ".join(parts or verdict.differences[:1])
+
+
+def capped_text(steps: int) -> str:
+    """Return the reason that an unsolved step gives."""
+    return f"the solver gave up in {steps} physics step{'s' * (steps != 1)}"
 
 
 def _excesses(evidence: Evidence, limits: Thresholds) -> Iterator[tuple[str, str]]:

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.attempt import Attempt, Evidence, judge
+from craftsim.checking.attempt import Attempt, Evidence, capped_text, judge
 from craftsim.checking.contact_log import ContactLog, speed_m_s
 from craftsim.checking.safety import hazards, is_unsafe
 from craftsim.checking.settings import Thresholds
@@ -44,6 +44,8 @@ class _Running:
     """In the schedule."""
     step: ScheduledAction
     start_s: float
+    capped_steps: int
+    """Of the Site, until then."""
     poses: Poses
     """Of what has been moved by an action that ended meanwhile: where that left it."""
     reading: Reading
@@ -91,6 +93,7 @@ class CheckedSite:
         """Since an action last began while no other ran."""
         if self.log is not None:
             executor.observers.append(self.log.sample)
+            executor.step_observer = self.log.look
             # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
             executor.guard = partial(is_unsafe, self.log)
         self._look()
@@ -131,7 +134,7 @@ class CheckedSite:
         return self._perform(make_schedule(self.grid, ticks, self.rules, order))
 
     def _perform(self, schedule: Schedule, legal: bool = True) -> tuple[Attempt, ...]:
-        before, steps = self.grid, schedule.steps
+        before, steps, capped = self.grid, schedule.steps, self.site.capped_steps
         waiting = dict(enumerate(steps))
         running: dict[int, _Running] = {}
         evidence: dict[int, Evidence] = {}
@@ -158,7 +161,7 @@ class CheckedSite:
                 evidence[one.index] = self._measure(one, ended[one.step.car], legal, acting, swaying)
                 for other in running.values():
                     other.expect_rest(one, self.poses)
-        world = self._world_verdict(before, schedule.final, settled)
+        world = self._world_verdict(before, schedule.final, settled, capped)
         found = [evidence[index] for index in sorted(evidence)]
         found += [self._measure(self._now(step), None, True, set(), set()) for step in waiting.values()]
         found += [self._measure(self._now(step), None, False, set(), set()) for step in schedule.forbidden]
@@ -180,8 +183,11 @@ class CheckedSite:
 
     def _now(self, step: ScheduledAction, index: int = -1) -> _Running:
         meant = set(shoved(self.reading, step.after, step.car))
-        below = set(under(self.reading, step.after, step.car))
-        return _Running(index, step, self.site.time_s, self.poses, self.reading, {step.car}, meant, below)
+        below, site = set(under(self.reading, step.after, step.car)), self.site
+        return _Running(
+            *(index, step, site.time_s, site.capped_steps, self.poses, self.reading),
+            *({step.car}, meant, below),
+        )
 
     def _look(self) -> None:
         self.poses: Poses = read_poses(self.site)
@@ -224,6 +230,7 @@ class CheckedSite:
             contacts=unexpected_contacts(contacts, one.poses, one.reading, step.after, one.cars),
             hazards=() if log is None else hazards(log),
             peak_force_n=0.0 if log is None else log.peak_n,
+            capped_steps=self.site.capped_steps - one.capped_steps,
         )
 
     def _furthest_moved(self, one: _Running, acting: set[int], swaying: set[int]) -> tuple[float, str]:
@@ -240,8 +247,20 @@ class CheckedSite:
                 moved.append((ways[index], then.name(index)))
         return max(moved, default=(0.0, ""))
 
-    def _world_verdict(self, before: Grid, predicted: Grid, settled: bool) -> Verdict:
-        """Compare the reading with the prediction; what is worse than a difference comes first."""
+    def _world_verdict(self, before: Grid, predicted: Grid, settled: bool, capped: int) -> Verdict:
+        """Compare the reading with the prediction; what is worse than a difference comes first.
+
+        ``capped`` counts the steps of the Site in which the solver had given up before.
+        """
+        verdict = self._safe_verdict(before, predicted, settled)
+        if verdict.finding is Finding.DIVERGED:
+            return verdict
+        impossible = () if self.log is None else self.log.impossible
+        if not verdict.agrees and (gave_up := self.site.capped_steps - capped):
+            impossible = (capped_text(gave_up), *impossible)
+        return Verdict(Finding.NUMERICS, (*impossible, *verdict.differences)) if impossible else verdict
+
+    def _safe_verdict(self, before: Grid, predicted: Grid, settled: bool) -> Verdict:
         verdict = compare(before, predicted, self.reading)
         unsafe = () if self.log is None else tuple(hazard.text for hazard in hazards(self.log))
         if self.site.diverged:
@@ -265,6 +284,6 @@ class CheckedSite:
         nobodys = len(tried) == 1 or all(other.applied for other in tried)
         if world.agrees or (one.applied and not nobodys):
             return Verdict(Finding.AGREES)
-        if nobodys or world.finding in (Finding.UNSAFE, Finding.DIVERGED):
+        if nobodys or world.finding in (Finding.UNSAFE, Finding.NUMERICS, Finding.DIVERGED):
             return world
         return Verdict(Finding.WRONG_PLACE, one.differences or (str(one.outcome),))

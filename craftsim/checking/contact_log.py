@@ -1,7 +1,7 @@
 """What touches what while an action runs, how hard, and how far things lean and how fast they fall.
 
-The log looks between control periods, at 50 Hz: a blow that is over within 20 ms shows only by what comes after it.
-A fall is seen all the same, for a thing that falls by 25 mm or more is faster than 0.5 m/s when it is looked at.
+The log looks at contacts after every physics step, and at motion between control periods, at 50 Hz: a thing that falls
+by 25 mm or more is faster than 0.5 m/s when it is looked at.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from typing import Final
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from craftsim.checking.forces import PossibleForce, impact_limit_n
+from craftsim.models.overlaps import MachineNames
 from craftsim.models.site import Site
 
-GROUND: Final = "ground"
-WALL: Final = "wall"
 _SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
@@ -48,18 +49,15 @@ class ContactLog:
         """Prepare for a Site, and begin."""
         self.site = site
         model = site.model
-        self.names = (GROUND, WALL, *(_name(model.body(b).name) for b in _roots(model)))
+        machines = MachineNames.of(model)
+        self.names, machine = machines.names, machines.of_geom
         """Of all machines: what is fixed first, then those that move in the order of their bodies."""
-        number = {body: i + 2 for i, body in enumerate(_roots(model))}
-        root = model.body_rootid[model.geom_bodyid]
-        moving = model.body_jntnum[root] > 0
-        machine = np.array(
-            [number[int(r)] if moves else (0 if r == 0 else 1) for r, moves in zip(root, moving, strict=True)]
-        )
         low, high = np.minimum.outer(machine, machine), np.maximum.outer(machine, machine)
         self._pair = np.where(low == high, -1, low * len(self.names) + high)
         """By two geoms: the pair of their machines, -1 inside one machine."""
-        joints = [int(model.body_jntadr[body]) for body in number]
+        self._possible = PossibleForce(site, machines.roots)
+        self._limit_n = impact_limit_n(site.machines)
+        joints = [int(model.body_jntadr[body]) for body in machines.roots]
         self._pose_address = np.array([model.jnt_qposadr[j] for j in joints], np.intp)
         self._velocity_address = np.array([model.jnt_dofadr[j] for j in joints], np.intp)
         self.begin()
@@ -69,14 +67,19 @@ class ContactLog:
         n = len(self.names)
         self._since = np.full(n * n, math.inf)
         self._peak = np.zeros(n * n)
+        self._impossible: dict[int, tuple[float, float]] = {}
         self._fall = np.zeros(n - 2)
         self._upright = np.ones(n - 2)
         self._start_s = self.site.time_s
         self._note(self._awake())
         self._at_start = np.isfinite(self._since)
 
+    def look(self) -> None:
+        """Note what touches and how hard; call it after each physics step, such as by being an executor's observer."""
+        self._note(self.site.data)
+
     def sample(self, _: Site | None = None) -> None:
-        """Look at the Site as it is; call it after each control period, such as by being an executor's observer."""
+        """Note contacts and motion; call it after each control period, such as by being an executor's observer."""
         data = self.site.data
         self._note(data)
         np.minimum(self._fall, data.qvel[self._velocity_address + 2], out=self._fall)
@@ -103,6 +106,16 @@ class ContactLog:
     def peak_n(self) -> float:
         """The largest force between any two machines, the ground included; 0 where nothing touched."""
         return float(self._peak.max())
+
+    @property
+    def impossible(self) -> tuple[str, ...]:
+        """A line for each force that nothing here could have produced (:mod:`craftsim.checking.forces`)."""
+        n = len(self.names)
+        return tuple(
+            f"{self.names[pair // n]} and {self.names[pair % n]} press on each other with {force:.0f} N, more than "
+            f"weights, motors and motion could ({possible:.0f} N)"
+            for pair, (force, possible) in self._impossible.items()
+        )
 
     @property
     def fall_m_s(self) -> float:
@@ -151,9 +164,21 @@ class ContactLog:
         counts = (pairs >= 0) & (address >= 0)
         pairs = pairs[counts]
         # With elliptic friction cones the first row of a contact is its normal force (MuJoCo, mj_contactForce).
-        forces = np.bincount(pairs, data.efc_force[address[counts]], minlength=len(self._peak))
-        np.maximum(self._peak, forces, out=self._peak)
-        self._since[pairs] = np.minimum(self._since[pairs], self.site.time_s)
+        counted = np.bincount(pairs, data.efc_force[address[counts]], minlength=len(self._peak))
+        forces = counted.astype(np.float64, copy=False)  # whole numbers where nothing is counted
+        if (forces > self._peak).any():
+            self._check(forces)
+            np.maximum(self._peak, forces, out=self._peak)
+        if np.isinf(self._since[pairs]).any():
+            self._since[pairs] = np.minimum(self._since[pairs], self.site.time_s)
+
+    def _check(self, forces: NDArray[np.float64]) -> None:
+        """Note which of the forces that are new peaks, and as hard as a hazard, nothing could have produced."""
+        for pair in np.flatnonzero((forces > self._peak) & (forces > self._limit_n)).tolist():
+            machines = [machine - 2 for machine in divmod(pair, len(self.names)) if machine >= 2]
+            possible = self._possible.newtons(machines)
+            if forces[pair] > possible:
+                self._impossible[pair] = float(forces[pair]), possible
 
 
 def speed_m_s(site: Site) -> float:
@@ -166,16 +191,3 @@ def speed_m_s(site: Site) -> float:
     ]
     velocity = site.data.qvel[np.array([body.dof for body in handles], np.intp)[:, None] + np.arange(3)]
     return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
-
-
-def _roots(model: mujoco.MjModel) -> list[int]:
-    """Return the bodies that move freely: one for each machine but walls."""
-    free = int(mujoco.mjtJoint.mjJNT_FREE)
-    return [int(b) for b in model.jnt_bodyid[model.jnt_type == free]]
-
-
-def _name(body: str) -> str:
-    """Return a machine's name for people: ``car 0`` for the body ``car0/smartcar``."""
-    prefix = body.split("/", 1)[0]
-    word = prefix.rstrip("0123456789")
-    return f"{word} {prefix[len(word) :]}"

@@ -39,7 +39,7 @@ def perform(
         thresholds: limits of the errors; the default ones unless given.
 
     Raises:
-        InputError: there is no such car or action.
+        InputError: there is no such car or action, or something stood in something else at the Site's start.
 
     Example:
         >>> import craftsim

@@ -3,33 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 from craftsim.checking.contact_log import ContactLog
-from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.skills.skill import GRAVITY
+from craftsim.checking.forces import impact_limit_n
 
 TIPPED_RAD: Final = 0.5
 """How far anything may lean: the incline is 0.28 rad, and a car on it slides before it leans further."""
 FALL_M_S: Final = 0.5
 """How fast anything may move down: a drop of 13 mm. Descents and boards stay below 0.14 m/s."""
-
-
-@lru_cache(maxsize=16)
-def impact_limit_n(machines: Machines = NOMINAL) -> float:
-    """Return how hard two machines may press on each other, in newtons; 627 N for the nominal ones.
-
-    The heaviest loaded car weighs 112 N and its wheel motors push with 202 N at most. What is put on at once loads a
-    stiff contact up to twice as much as it does at rest; more can only come from the motion of something that is
-    stopped. Of the legal actions that ``craftsim audit --rules physical --only legal`` performs, 99 % stay below
-    314 N, and the hardest reaches 482 N.
-    """
-    load = max(machines.block.mass_kg, machines.slope.mass_kg)
-    return max(
-        2 * ((car.mass_kg + load) * GRAVITY + 4 * car.wheel_torque_nm / car.wheel_radius_m)
-        for car in machines.cars
-    )
 
 
 @dataclass(frozen=True)

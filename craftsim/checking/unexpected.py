@@ -6,9 +6,10 @@ from collections.abc import Collection
 
 import numpy as np
 
-from craftsim.checking.contact_log import GROUND, WALL, Contact
+from craftsim.checking.contact_log import Contact
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.readback import Poses, Reading
+from craftsim.models.overlaps import GROUND, WALL
 
 
 def unexpected_contacts(

@@ -10,9 +10,11 @@ import numpy as np
 
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
+from craftsim.discrete.errors import StartError
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
 from craftsim.models.motors import Motors
+from craftsim.models.overlaps import ALLOWED_M
 from craftsim.models.randomization import RandomizedSite
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
@@ -69,6 +71,8 @@ def set_up(
         reuse: a Site of an equal grid, simulation and goals to be used again, which saves compiling; its numbers are
             the same as those of a fresh one.
         watch_contacts: as of :class:`CheckedSite`.
+
+    Raises StartError where something would stand in something else.
     """
     physics, sensors = (np.random.default_rng(s) for s in seed.sequence().spawn(2))
     world = reuse or compile_world(grid, setup, goals)
@@ -79,10 +83,23 @@ def set_up(
     return judge_on(world.site, setup, Sensors(world.site, setup.noise, sensors), watch_contacts)
 
 
+def check_start(site: Site) -> None:
+    """Raise StartError where something stood in something else when a Site was reset."""
+    if site.overlaps:
+        raise StartError(
+            f"this world cannot be: {'; '.join(map(str, site.overlaps))} (allowed {1e3 * ALLOWED_M:.0f} mm); "
+            "move or turn one of them, or unload the car"
+        )
+
+
 def judge_on(
     site: Site, setup: Setup, sensors: Sensors | None = None, watch_contacts: bool = True
 ) -> CheckedSite:
-    """Return the judge on a Site as it stands, whose machines and simulation are its own; sensors are exact if None."""
+    """Return the judge on a Site as it stands, whose machines and simulation are its own; sensors are exact if None.
+
+    Raises StartError where something stood in something else when the Site was reset.
+    """
+    check_start(site)
     motors = Motors(site, setup.noise.motor_lag_s)
     executor = Executor(site, setup.gains, sensors=sensors, motors=motors, assumed=setup.assumed)
     return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

@@ -49,11 +49,13 @@ def audit(
     from craftsim.commands.films import film_failures, rendering_works
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
+    from craftsim.commands.solver_text import print_capped
     from craftsim.validation.audit.audit import run_audit
     from craftsim.validation.audit.quick import quick_rows
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
+    from craftsim.validation.statistics.records import capped_steps
 
     campaign.check()
     console = Console()
@@ -91,6 +93,7 @@ def audit(
     )
     print_results(console, result.results)
     print_smallest(console, out, result.smallest)
+    print_capped(capped_steps(result.records))
     if result.comparison is not None:
         print(result.comparison)
     print(f"Report: {out / 'report.json'}\nPage:   {page}")

@@ -46,6 +46,7 @@ def demo(
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
     from craftsim.commands.progress import counting
+    from craftsim.commands.solver_text import print_capped
     from craftsim.rendering.episode_film import EpisodeFilm
     from craftsim.report import output_directory, write_report
     from craftsim.validation.building import Building, read_building
@@ -87,6 +88,7 @@ def demo(
         config |= done[0].files
         console.print(demo_text.actions_table(done[0]))
         demo_text.print_worst(figures)
+    print_capped(sum(one.figures["capped_steps"] for one in done))
     wall = {"total_s": time.perf_counter() - started}
     report = write_report(out, figures, command="demo", seed=physics.seed, config=config, wall=wall)
     print(f"Report: {report}")

@@ -61,6 +61,7 @@ def validate(
     from craftsim.commands.films import film_failures, film_runs, rendering_works
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
+    from craftsim.commands.solver_text import print_capped
     from craftsim.commands.validate_text import conclusion, coverage_table, print_disagreements, runs_table
     from craftsim.report import output_directory
     from craftsim.validation import validation
@@ -114,6 +115,7 @@ def validate(
         console.print(coverage_table(result.coverage))
     print_disagreements(out, result.records)
     print_smallest(console, out, result.smallest)
+    print_capped(result.figures.capped_steps)
     if result.comparison is not None:
         print(result.comparison)
     print(f"Report: {out / 'report.json'}\nPage:   {page}")

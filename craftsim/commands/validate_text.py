@@ -56,6 +56,8 @@ def coverage_table(coverage: Coverage) -> Table:
     """Return a table of what random play did, and how often beside what."""
     totals = ", ".join(f"{n:,} {name}" for name, n in coverage.totals.items())
     caption = f"{coverage.actions:,} actions in {coverage.worlds:,} worlds: {totals}"
+    if coverage.do_not_stand:
+        caption += f"; {coverage.do_not_stand:,} more worlds cannot be, and nothing was tried there"
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), title="coverage", caption=caption)
     table.add_column("action, level, load", no_wrap=True)
     for heading in (ALL, *NEIGHBOURS):

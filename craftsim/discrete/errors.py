@@ -23,6 +23,10 @@ class BlueprintError(InputError):
     """A blueprint or goal file is wrong."""
 
 
+class StartError(InputError):
+    """A world cannot stand as it is drawn."""
+
+
 class PlanError(InputError):
     """A plan file is wrong."""
 

@@ -27,6 +27,8 @@ class Finding(StrEnum):
     """Something tipped, fell, or hit harder than it may."""
     UNSETTLED = "unsettled"
     """Something still moves although no motor is commanded."""
+    NUMERICS = "numerics"
+    """The solver did not converge, or found forces that nothing could have produced: this proves nothing."""
     DIVERGED = "diverged"
     """The simulation broke down."""
 

@@ -17,6 +17,7 @@ from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
+from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import Car, FreeBody, Slope
 from craftsim.models.placement import placements
@@ -82,11 +83,11 @@ class Site:
         self.config = config or SimulationConfig()
         self.machines = machines
         self.size = grid.size
+        self.overlaps: tuple[Overlap, ...] = ()
+        """What stood in something else at the last reset, before it came to rest: such a start cannot be."""
         self.capped_steps = 0
         """Physics steps since the reset in which the solver gave up, at ``config.solver_iterations``. MuJoCo keeps this
         figure of the first 20 islands that move at a time."""
-        self.step_observers: list[Callable[[], None]] = []
-        """Called after every physics step, but not while the Site settles after a reset."""
         self._placements = placements(grid, machines)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
@@ -121,8 +122,9 @@ class Site:
             self.data.qpos[drive.qpos] = position
             self.data.act[drive.activation] = position
         mujoco.mj_forward(self.model, self.data)
+        self.overlaps = tuple(overlaps(self.model, self.data))
         self.capped_steps = 0
-        self._step(round(self.config.settle_s / self.config.timestep_s), ())
+        self._step(round(self.config.settle_s / self.config.timestep_s))
 
     @property
     def diverged(self) -> bool:
@@ -146,25 +148,25 @@ class Site:
         """Command the speed of a slope's hinge in rad/s, folding positive."""
         self.data.ctrl[self.slopes[slope].hinge.actuator] = speed
 
-    def advance(self) -> None:
-        """Run one control period of physics under the commands that stand."""
+    def advance(self, observe: Callable[[], None] | None = None) -> None:
+        """Run one control period of physics under the commands that stand; ``observe`` is called after every step."""
         if self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
             self.model.opt.enableflags &= ~_SLEEP
-            self._step(1, self.step_observers)
+            self._step(1, observe)
             self.model.opt.enableflags |= _SLEEP
-            self._step(self.config.steps_per_period - 1, self.step_observers)
+            self._step(self.config.steps_per_period - 1, observe)
         else:
-            self._step(self.config.steps_per_period, self.step_observers)
+            self._step(self.config.steps_per_period, observe)
 
-    def _step(self, count: int, observers: Sequence[Callable[[], None]]) -> None:
+    def _step(self, count: int, observe: Callable[[], None] | None = None) -> None:
         """Run physics steps one by one: within ``mj_step`` of many, the figures of all but the last are lost."""
         model, data, cap = self.model, self.data, self.config.solver_iterations
         iterations = data.solver_niter
         for _ in range(count):
             mujoco.mj_step(model, data)
             self.capped_steps += max(iterations.tolist()) >= cap
-            for observe in observers:
+            if observe is not None:
                 observe()
 
     def save(self) -> SiteState:

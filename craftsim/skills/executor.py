@@ -53,6 +53,8 @@ class Executor:
         self.site = site
         self.gains = gains or load_gains()
         self.observers: list[Observer] = [] if observer is None else [observer]
+        self.step_observer: Callable[[], None] | None = None
+        """Called after every physics step."""
         self.guard: Guard | None = None
         """Asked after every control period: a yes stops all cars, and ends their actions."""
         self.sensors = sensors or Sensors(site)
@@ -119,7 +121,7 @@ class Executor:
                 ended[car] = skill.outcome
                 del self._skills[car]
                 self._park(car, now)
-        self.site.advance()
+        self.site.advance(self.step_observer)
         self.sensors.observe()
         self._look()
         for observer in self.observers:

@@ -102,6 +102,7 @@ class Building:
             "matches_goal": self.reached,
             "simulated_s": round(self.episode.end_s, 6),
             "makespan_s": self.episode.makespan_s,
+            "capped_steps": sum(attempt.capped_steps for attempt in self.attempts),
             "max_car_error_mm": worst("car_error_m"),
             "max_car_heading_error_mrad": worst("heading_error_rad"),
             "max_placed_error_mm": worst("placed_error_m"),

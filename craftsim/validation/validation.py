@@ -27,6 +27,7 @@ from craftsim.validation.runs.choice import (
     PLAY,
     World,
     actions_pilot,
+    check_starts,
     items_of,
     plan_pilot,
     policy_pilot,
@@ -216,6 +217,7 @@ def validate(
         "setup": setup,
         "digests": setup.digests,
     }
+    check_starts(subjects, setup, seed)
     terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers))
     items = list(items_of(subjects, pilots, trials, terms))
     earlier = None if against is None else read_earlier(Path(against), COMMAND, folder, seed, items)

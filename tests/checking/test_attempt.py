@@ -105,7 +105,13 @@ def _spoilt(good, verdict=None, **changes):
         ({"verdict": Verdict(Finding.UNREADABLE, ("slope 0 is half open: ...",))}, Result.FAILED),
         ({"verdict": Verdict(Finding.UNREADABLE, ("car 0 leans: ...",))}, Result.FAILED),
         ({"verdict": Verdict(Finding.UNSETTLED, ("something still moves",))}, Result.FAILED),
-        ({"verdict": Verdict(Finding.DIVERGED, ("the simulation broke down",))}, Result.FAILED),
+        ({"verdict": Verdict(Finding.DIVERGED, ("the simulation broke down",))}, Result.NUMERICS),
+        ({"verdict": Verdict(Finding.NUMERICS, ("not solved",))}, Result.NUMERICS),
+        (
+            {"verdict": Verdict(Finding.UNSAFE, ("block 3 fell (0.8 m/s)",)), "capped_steps": 1},
+            Result.NUMERICS,
+        ),
+        ({"capped_steps": 3}, Result.AS_PREDICTED),
         ({"verdict": Verdict(Finding.UNSAFE, ("block 3 fell (0.8 m/s)",))}, Result.UNSAFE),
     ],
     ids=str,
@@ -174,7 +180,7 @@ def test_a_simulation_that_breaks_down_has_diverged():
     site = checked.site
     checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((1, 2), 1e30))
     attempt = checked.perform(0, Action.UNFOLD)
-    assert (attempt.finding, attempt.result) == (Finding.DIVERGED, Result.FAILED)
+    assert (attempt.finding, attempt.result) == (Finding.DIVERGED, Result.NUMERICS)
     assert "the simulation broke down" in checked.problems
     site.reset()
     assert not site.diverged

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from disturbances import push
 
+from craftsim.checking.attempt import Result
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup, Thresholds, setup_of
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.verdict import Finding
+from craftsim.models.config import SimulationConfig
 from craftsim.skills.outcome import Reason
 
 SIZE = (4, 1, 2)
@@ -188,3 +190,23 @@ def test_a_world_that_nobody_uses_is_gone_at_once():
         assert site() is None
     finally:
         gc.enable()
+
+
+def test_what_fails_while_the_solver_gives_up_is_numerics_and_counted():
+    checked = _checked(setup=Setup(simulation=SimulationConfig(solver_iterations=5)))
+    begin = checked.executor.begin
+    checked.executor.begin = lambda car, action, terrain: begin(car, Action.ROTATE_LEFT, terrain)
+    attempt = checked.perform(0, RIGHT)
+    assert attempt.capped_steps > 0
+    assert (attempt.finding, attempt.result) == (Finding.NUMERICS, Result.NUMERICS)
+    assert attempt.reason.startswith("the solver gave up in ")
+
+
+def test_a_force_that_nothing_could_have_produced_is_numerics_and_not_unsafe():
+    checked = _checked(block_at=2)
+    site, (block,) = checked.site, checked.site.blocks
+    checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((block.body, 2), -3e4))
+    attempt = checked.perform(0, RIGHT)
+    assert (attempt.finding, attempt.result) == (Finding.NUMERICS, Result.NUMERICS)
+    assert "more than weights, motors and motion could" in attempt.reason
+    assert attempt.capped_steps == 0

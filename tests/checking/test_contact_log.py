@@ -9,6 +9,7 @@ from craftsim.checking.contact_log import ContactLog
 from craftsim.checking.safety import FALL_M_S, TIPPED_RAD, hazards, is_unsafe
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
@@ -19,7 +20,7 @@ BLOCK, SMARTCAR = NOMINAL.block, NOMINAL.cars[0]
 SIZE = (4, 3, 3)
 
 
-def _site(**cells: Kind) -> Site:
+def _site(config: SimulationConfig | None = None, **cells: Kind) -> Site:
     """Return a car at (0, 1) that faces +x; cells such as ``b211=Kind.BLOCK`` hold things."""
     grid = Grid.empty(SIZE, 1)
     grid.cars[0, :4] = 0, 1, 1, 0
@@ -27,7 +28,7 @@ def _site(**cells: Kind) -> Site:
         x, y, z = (int(digit) for digit in name[1:])
         grid.kind[x, y, z] = kind
     grid.derive_marks()
-    return Site(grid)
+    return Site(grid, config)
 
 
 def _pairs(log: ContactLog) -> dict[tuple[str, str], float]:
@@ -91,6 +92,57 @@ def test_a_car_that_runs_into_a_wall_presses_on_it():
         site.advance()
         log.sample()
     assert _pairs(log)["wall", "car 0"] > 20
+
+
+AWAKE = SimulationConfig(sleep=False)
+
+
+def _strike(site: Site, log: ContactLog, force_n: float) -> None:
+    """Strike a block down for one physics step of 4 ms, as a declared disturbance, and look as a judge does."""
+    push = site.data.xfrc_applied[site.blocks[0].body]
+    push[2] = -force_n
+
+    def look() -> None:
+        push[2] = 0.0
+        log.look()
+
+    site.advance(look)
+    log.sample()
+
+
+def test_a_blow_that_is_over_within_a_control_period_is_seen():
+    site = _site(AWAKE, b211=Kind.BLOCK)
+    log, periods = ContactLog(site), ContactLog(site)
+    _strike(site, log, 500.0)
+    periods.sample()
+    assert _pairs(log)["ground", "block 0"] == pytest.approx(500 + BLOCK.mass_kg * GRAVITY, rel=0.05)
+    assert _pairs(periods)["ground", "block 0"] < 20, "looked at from period to period it does not show"
+
+
+def test_a_force_that_nothing_here_could_have_produced_is_no_hazard_but_impossible():
+    """A resting block of 0.5 kg presses with twice its weight at most; a disturbance knows no such limit."""
+    site = _site(AWAKE, b211=Kind.BLOCK)
+    log = ContactLog(site)
+    _strike(site, log, 20_000.0)
+    (line,) = log.impossible
+    assert line.startswith("ground and block 0 press on each other with 199")
+    log.begin()
+    assert log.impossible == ()
+
+
+def test_a_hard_landing_is_a_hazard_and_not_impossible():
+    """A car that is that lands at 1.5 m/s stops within some steps: 15 kg m/s in 12 ms are a kilonewton and more."""
+    site = _site(AWAKE)
+    log = ContactLog(site)
+    site.data.xfrc_applied[site.cars[0].base.body, 2] = 300.0  # a declared disturbance: somebody throws it up
+    for period in range(40):
+        if period == 5:
+            site.data.xfrc_applied[site.cars[0].base.body, 2] = 0.0
+        site.advance(log.look)
+        log.sample()
+    assert log.fall_m_s > 1.5
+    assert log.peak_n > 1000
+    assert log.impossible == ()
 
 
 def test_a_fall_and_a_tip_are_hazards_with_the_name_of_what_fell():

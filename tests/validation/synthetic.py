@@ -10,6 +10,7 @@ REASONS = {
     Result.FAILED: "blocked: 41 mm behind the path",
     Result.SIDE_EFFECT: "block 3 was moved by 12.4 mm (allowed 1.0)",
     Result.UNSAFE: "car 0 tipped by 0.6 rad; slope 0 touched car 1 (212 N)",
+    Result.NUMERICS: "the solver gave up in 2 physics steps",
 }
 
 

@@ -19,6 +19,7 @@ from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrin
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
 from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
+from craftsim.validation.statistics.records import capped_steps
 from craftsim.validation.validation import Progress
 
 COMMAND = "audit"
@@ -111,7 +112,7 @@ def run_audit(
     write_report(
         out,
         {
-            "audit": results.figures(plan, corrections),
+            "audit": results.figures(plan, corrections) | {"capped_steps": capped_steps(records)},
             "validation": figures,
             "paired": comparison,
             "smallest": smallest,

@@ -13,6 +13,7 @@ import numpy as np
 from craftsim.checking.recipe import Recipe, Step, do, run_up
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, compile_world, set_up
+from craftsim.discrete.errors import StartError
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
@@ -96,7 +97,10 @@ def _site(
     """Return a Site of a situation to use again and again, and how it differs from what was drawn."""
     grid, _ = _world(situation, legal, seed, setup.rules)
     world = compile_world(grid, setup)
-    reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
+    try:
+        reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
+    except StartError as error:
+        return world, (str(error),)
     if reading.problems or reading.grid.same_visible(grid):
         return world, reading.problems
     return world, ("the world reads otherwise than it was drawn",)

@@ -26,6 +26,7 @@ _TONES: Final = {
     Result.FAILED: Tone.CAUTION,
     Result.SIDE_EFFECT: Tone.CAUTION,
     Result.UNSAFE: Tone.BAD,
+    Result.NUMERICS: Tone.MUTED,
 }
 
 

@@ -48,6 +48,8 @@ class Coverage:
     """What all runs of a campaign covered together."""
 
     worlds: int
+    do_not_stand: int
+    """Worlds besides that cannot be: something would stand in something else. Nothing is tried there."""
     actions: int
     totals: dict[str, int]
     """Actions on slopes, turns of loads, of folding and unfolding, above the floor."""
@@ -57,11 +59,11 @@ class Coverage:
     @classmethod
     def of(cls, records: Iterable[Record]) -> Coverage | None:
         """Return what the records of a campaign covered; None where nothing was played."""
-        played: list[Mapping[str, Any]] = [
-            r["extra"]["coverage"] for r in records if "coverage" in r["extra"]
-        ]
+        known = list(records)
+        played: list[Mapping[str, Any]] = [r["extra"]["coverage"] for r in known if "coverage" in r["extra"]]
         if not played:
             return None
+        fallen = sum("does_not_stand" in record["extra"] for record in known)
         counts: dict[str, Counter[str]] = {}
         for one in played:
             for name, found in one.items():
@@ -69,4 +71,4 @@ class Coverage:
         every = sum(counts.values(), Counter())
         totals = {key[1:]: n for key, n in sorted(every.items()) if key.startswith("~")}
         rows = {name: {key: counts[name][key] for key in (ALL, *NEIGHBOURS)} for name in sorted(counts)}
-        return cls(len(played), every[ALL], totals, rows)
+        return cls(len(played), fallen, every[ALL], totals, rows)

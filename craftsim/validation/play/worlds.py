@@ -45,7 +45,7 @@ class RandomWorlds:
 
     def __post_init__(self) -> None:
         if self.n_cars is not None and not 1 <= self.n_cars <= MAX_CARS:
-            raise InputError(f"{self.n_cars} cars in a random world; allowed: 1 to {MAX_CARS}")
+            raise InputError(f"{self.n_cars} cars in a random world; allowed: 1 to {MAX_CARS} cars")
         if self.n_blocks is not None and not 0 <= self.n_blocks <= _MAX_BLOCKS:
             raise InputError(f"{self.n_blocks} blocks in a random world; allowed: 0 to {_MAX_BLOCKS}")
         if self.max_steps < 1:

@@ -8,7 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from craftsim.checking.recipe import Step
+from craftsim.checking.settings import Setup
+from craftsim.checking.world import check_start
 from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.files.documents import exists
@@ -16,6 +20,7 @@ from craftsim.discrete.files.plan import Plan, read_actions, read_plan, shipped_
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
+from craftsim.models.site import Site
 from craftsim.validation.campaign import Item
 from craftsim.validation.play.worlds import MAX_CARS, RandomWorlds
 from craftsim.validation.runs.policies import RANDOM, Policy, make_policy, policy_digest
@@ -96,6 +101,14 @@ def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: 
     task = as_task(name)
     digest = SHIPPED if name in TASK_NAMES else task.digest
     return Subject(task.name, name, digest, task.layout.n_cars)
+
+
+def check_starts(subjects: Sequence[Subject], setup: Setup, seed: int) -> None:
+    """Raise StartError for a world of one's own in which something stands in something else."""
+    for world in (subject.world for subject in subjects):
+        if not isinstance(world, RandomWorlds) and world not in TASK_NAMES:
+            start = as_task(world).draw(np.random.default_rng(seed))
+            check_start(Site(start, setup.simulation, machines=setup.machines))
 
 
 def plan_pilot(plan: Path | Plan, subject: Subject, order: PlanOrder) -> Pilot:

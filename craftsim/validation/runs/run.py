@@ -15,6 +15,7 @@ from craftsim.checking.recipe import Recipe, Step, do
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, set_up
 from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import StartError
 from craftsim.discrete.files.plan import write_plan
 from craftsim.discrete.files.saving import blueprint_text, write_blueprint
 from craftsim.discrete.grid import Grid
@@ -105,7 +106,13 @@ class _Drawn:
 def do_run(run: Run) -> Done:
     """Run in physics, and by the rules alone; write the bundle of the first disagreement, if there is one."""
     drawn = _Drawn.of(run)
-    episode = _run(run, drawn, UNWATCHED)
+    try:
+        episode = _run(run, drawn, UNWATCHED)
+    except StartError as error:
+        if drawn.played is None:
+            raise
+        nothing = {"ticks": 0, "forbidden": 0, "makespan_s": 0.0}
+        return Done(agrees=True, extra=nothing | {"does_not_stand": str(error)})
     extra: dict[str, Any] = {
         "ticks": episode.n_ticks,
         "forbidden": len(episode.forbidden),
@@ -146,6 +153,8 @@ def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: Watch) -> Epi
     recipe = Recipe(blueprint_text(drawn.grid), (), setup, drawn.physics, tuple(task.goal_cells))
     checked = set_up(drawn.grid, setup, drawn.physics, recipe.goals)
     checked.executor.observers.extend(run.terms.observers)
+    if drawn.played is not None and not checked.grid.same_visible(drawn.grid):
+        raise StartError("this world cannot be: it reads otherwise than it was drawn")
     watch.begin(checked)
     found = []
     for step in steps:

@@ -38,7 +38,7 @@ class Judgement(StrEnum):
     NO_PREDICTION = "no prediction"
     """It forbids what has no intended effect: there is nothing to try."""
     NOT_TRIED = "not tried"
-    """Errors kept all trials from an end."""
+    """Errors kept all trials from an end, or the solver gave up in all."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class AuditRow:
     legal: bool
     has_prediction: bool
     trials: int
-    """Those that were carried out; of each, the worst result of its attempts counts."""
+    """Those that were carried out and solved; of each, the worst result of its attempts counts."""
     as_predicted: int
     failed: int
     side_effect: int
@@ -64,6 +64,8 @@ class AuditRow:
     """A reason of the commonest kind why trials did not do as predicted, counted where there are other kinds."""
     bundles: tuple[str, ...]
     """Folders that replay disagreements."""
+    numerics: int = 0
+    """Trials that were not solved: they say nothing of the rule."""
     errors: int = 0
     """Trials that an exception, a timeout or a lost worker kept from an end."""
 
@@ -114,11 +116,12 @@ def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> 
 
 def _row(group: str, records: Sequence[Record]) -> AuditRow:
     action, _, context = group.partition("/")
-    results = [result for record in carried_out(records) if (result := worst(record)) is not None]
+    known = [result for record in carried_out(records) if (result := worst(record)) is not None]
+    results = [result for result in known if result is not Result.NUMERICS]
     errors = sum(record["error"] is not None for record in records)
-    good, failed, side_effect, unsafe = (results.count(result) for result in RESULTS)
+    good, failed, side_effect, unsafe, numerics = (known.count(result) for result in RESULTS)
     legal = all(attempt["legal"] for record in records for attempt in record["attempts"])
-    has_prediction = bool(results) or bool(errors)
+    has_prediction = bool(known) or bool(errors)
     low, high = wilson(good, len(results))
     return AuditRow(
         action=action,
@@ -135,6 +138,7 @@ def _row(group: str, records: Sequence[Record]) -> AuditRow:
         verdict=judge(legal, has_prediction, len(results), good).value,
         reason=_reason(records),
         bundles=tuple(record["bundle"] for record in records if record["bundle"]),
+        numerics=numerics,
         errors=errors,
     )
 

@@ -10,7 +10,14 @@ from craftsim.validation.statistics.matrix import LegalityMatrix, MatrixRow, leg
 from craftsim.validation.statistics.precision import Distribution, Precision, drift, precision
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.ranking import PolicyScore, RankAgreement, policy_scores, rank_agreement
-from craftsim.validation.statistics.records import Record, attempts_of, carried_out, error_counts, grouped
+from craftsim.validation.statistics.records import (
+    Record,
+    attempts_of,
+    capped_steps,
+    carried_out,
+    error_counts,
+    grouped,
+)
 from craftsim.validation.statistics.survival import PlanSurvival, plan_survival
 
 
@@ -31,6 +38,8 @@ class Figures:
     trials: int
     errors: dict[str, int]
     """Trials that did not come to an end, by what kept them from it; they count in no other figure."""
+    capped_steps: int
+    """Physics steps in which the solver gave up, summed over all attempts."""
     all: GroupFigures
     by_group: dict[str, GroupFigures]
     by_verb: dict[str, MatrixRow]
@@ -56,6 +65,7 @@ def campaign_figures(records: Iterable[Record], seed: int) -> Figures:
     return Figures(
         trials=len(known),
         errors=error_counts(known),
+        capped_steps=capped_steps(done),
         all=_group(done),
         by_group={name: _group(group) for name, group in grouped(done, lambda r: str(r["group"])).items()},
         by_verb={

@@ -21,6 +21,7 @@ class MatrixRow:
     failed: int
     side_effect: int
     unsafe: int
+    numerics: int
     success: Proportion
     """Share that did as predicted."""
 
@@ -28,9 +29,9 @@ class MatrixRow:
     def of(cls, attempts: Iterable[AttemptRecord]) -> MatrixRow:
         """Count the results of some attempts."""
         found: Counter[Any] = Counter(Result(attempt["result"]) for attempt in attempts)
-        good, failed, side_effect, unsafe = (found[result] for result in RESULTS)
+        good, failed, side_effect, unsafe, numerics = (found[result] for result in RESULTS)
         trials = found.total()
-        return cls(trials, good, failed, side_effect, unsafe, Proportion.of(good, trials))
+        return cls(trials, good, failed, side_effect, unsafe, numerics, Proportion.of(good, trials))
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ Record: TypeAlias = TrialRecord
 AttemptRecord: TypeAlias = Mapping[str, Any]
 """One attempt of a trial, an :class:`~craftsim.checking.attempt.Attempt` as a mapping."""
 
-RESULTS: Final = (Result.AS_PREDICTED, Result.FAILED, Result.SIDE_EFFECT, Result.UNSAFE)
-"""Results from the best to the worst, the order of columns and of :func:`worst`."""
+RESULTS: Final = (Result.AS_PREDICTED, Result.FAILED, Result.SIDE_EFFECT, Result.UNSAFE, Result.NUMERICS)
+"""Results from the best to the worst, the order of columns and of :func:`worst`; the last proves nothing."""
 
 
 _T = TypeVar("_T")
@@ -40,6 +40,11 @@ def worst(record: Record) -> Result | None:
     """Return the worst result among a trial's attempts, None when there is none."""
     results = [Result(attempt["result"]) for attempt in record["attempts"]]
     return max(results, key=RESULTS.index, default=None)
+
+
+def capped_steps(records: Iterable[Record]) -> int:
+    """Return in how many physics steps the solver gave up, summed over all attempts."""
+    return sum(int(attempt.get("capped_steps", 0)) for attempt in attempts_of(records))
 
 
 def error_counts(records: Iterable[Record]) -> dict[str, int]:

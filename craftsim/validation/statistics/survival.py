@@ -59,7 +59,7 @@ def life_with_resync(record: Record) -> Life:
 
 
 def _ends_all(attempt: AttemptRecord) -> bool:
-    unreadable = attempt["finding"] in (Finding.UNREADABLE, Finding.DIVERGED)
+    unreadable = attempt["finding"] in (Finding.UNREADABLE, Finding.NUMERICS, Finding.DIVERGED)
     return not attempt["legal"] or attempt["result"] == Result.UNSAFE or unreadable
 
 

@@ -1,0 +1,11 @@
+"""What commands print when the solver gave up."""
+
+from __future__ import annotations
+
+from craftsim.checking.attempt import capped_text
+
+
+def print_capped(steps: int) -> None:
+    """Say in how many physics steps the solver gave up, if in any."""
+    if steps:
+        print(f"Note: {capped_text(steps)}; what went wrong there is told as numerics.")

@@ -1,0 +1,50 @@
+"""A start in which things stand in each other is no start, and every door says so."""
+
+import pytest
+from drawn import draw
+
+import craftsim
+from craftsim.checking.settings import Setup
+from craftsim.checking.world import set_up
+from craftsim.commands.validate import validate
+from craftsim.discrete.actions import Action
+from craftsim.discrete.errors import StartError
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import Kind
+from craftsim.models.site import Site
+from craftsim.validation.audit.scenes import Scene
+from craftsim.validation.audit.trial import Trial, try_it
+
+IN_THE_GEAR = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(1, 1, 1, 0, Kind.BLOCK, 0, 0)])
+"""A carried block where a folded slope has its gear."""
+BESIDE = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(0, 1, 1, 0, Kind.BLOCK, 0, 0)])
+
+
+def test_a_start_names_what_stands_in_what_and_how_deep():
+    (overlap,) = Site(IN_THE_GEAR).overlaps
+    assert (overlap.first, overlap.second) == ("block 0", "slope 0")
+    assert overlap.depth_m == pytest.approx(0.016, abs=0.001)
+    assert Site(BESIDE).overlaps == ()
+
+
+def test_no_judge_takes_such_a_world(tmp_path):
+    with pytest.raises(
+        StartError, match=r"block 0 and slope 0 stand 16\.\d mm in each other \(allowed 1 mm\)"
+    ):
+        set_up(IN_THE_GEAR, Setup())
+    with pytest.raises(StartError):
+        craftsim.perform(Site(IN_THE_GEAR), 0, "DROP")
+    world = tmp_path / "world.yaml"
+    world.write_text(blueprint_text(IN_THE_GEAR), encoding="utf-8")
+    (tmp_path / "its.actions").write_text("0 DROP\n", encoding="utf-8")
+    with pytest.raises(StartError):
+        validate((str(world),), actions=tmp_path / "its.actions", out=tmp_path / "out", video="none")
+
+
+def test_an_audit_tries_nothing_there_and_says_why():
+    scene = Scene(
+        "in the gear", ((Kind.FSLOPE, (2, 1, 1), 2),), ((1, 1, 1, 0, Kind.BLOCK, 0, 0),), (Action.DROP,)
+    )
+    done = try_it(Trial(scene, True, 0, 0, Setup()))
+    assert not done.attempts
+    assert "block 0 and slope 0 stand" in done.extra["does_not_stand"][0]

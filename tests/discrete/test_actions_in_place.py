@@ -238,3 +238,10 @@ def test_a_block_turns_whatever_stands_at_the_corners(rules, scene, car, load):
     things = scene([(BLOCK, (*corner, 1)) for corner in corners], [car(3, 3, load=load)])
     loads = scene([], [car(3, 3, load=load), *(car(*corner, load=BLOCK) for corner in corners)])
     assert [rules.legal(grid, 0, turn) for grid in (things, loads) for turn in TURNS] == [True] * 4
+
+
+@BOTH
+@pytest.mark.parametrize("load", [BLOCK, FLAG, FSLOPE])
+def test_a_load_turns_whatever_is_carried_elsewhere(rules, scene, car, load):
+    grid = scene([], [car(3, 3, load=load), car(6, 6, load=FSLOPE), car(1, 6, yaw=1, load=FSLOPE)])
+    assert [rules.legal(grid, 0, turn) for turn in TURNS] == [True, True]

@@ -79,12 +79,6 @@ PLANTS: Final = (
     ),
     Plant("driving loaded through a gear", "moves.py", "return not loaded and through", "return through"),
     Plant("turning under a slope", "legality.py", "return own not in (FSLOPE, BODY)", "return True"),
-    Plant(
-        "leaving a block sideways",
-        "moves.py",
-        "if own in (BLOCK, FLAG) and not (forward or backward):",
-        "if False:",
-    ),
     Plant("leaving a slope sideways", "moves.py", "if own in (FSLOPE, BODY) and not forward:", "if False:"),
     Plant(
         "unfolding without support below the foot",
@@ -93,10 +87,10 @@ PLANTS: Final = (
         ":",
     ),
     Plant(
-        "unfolding where the foot's cell is taken",
-        "legality.py",
-        "if not is_air_or_gear(kind_at(w, nx, ny, car.z)) or not",
-        "if not",
+        "unfolding onto a car",
+        "reach.py",
+        "if car_in(w, me, fx, fy, car.z, False) or car_in(w, me, bx, by, car.z, True):",
+        "if car_in(w, me, bx, by, car.z, True):",
     ),
     Plant(
         "folding with a car on the foot",

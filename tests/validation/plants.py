@@ -99,12 +99,6 @@ PLANTS: Final = (
         "if False:",
     ),
     Plant(
-        "climbing without a landing",
-        "moves.py",
-        "if not standable(kind_at(w, x3, y3, car.z)) or top_at(w, x3, y3, car.z, me) >= 0:",
-        "if top_at(w, x3, y3, car.z, me) >= 0:",
-    ),
-    Plant(
         "climbing with a load under a block",
         "moves.py",
         "(over in (BLOCK, FLAG) and car.load == AIR)",

@@ -81,12 +81,6 @@ PLANTS: Final = (
     Plant("turning under a slope", "legality.py", "return own not in (FSLOPE, BODY)", "return True"),
     Plant("leaving a slope sideways", "moves.py", "if own in (FSLOPE, BODY) and not forward:", "if False:"),
     Plant(
-        "unfolding without support below the foot",
-        "legality.py",
-        " or not standable(kind_at(w, nx, ny, car.z - 1)):",
-        ":",
-    ),
-    Plant(
         "unfolding onto a car",
         "reach.py",
         "if car_in(w, me, fx, fy, car.z, False) or car_in(w, me, bx, by, car.z, True):",
@@ -97,12 +91,6 @@ PLANTS: Final = (
         "legality.py",
         "if top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) >= 0:",
         "if False:",
-    ),
-    Plant(
-        "climbing with a load under a block",
-        "moves.py",
-        "(over in (BLOCK, FLAG) and car.load == AIR)",
-        "over in (BLOCK, FLAG)",
     ),
     Plant("driving into a car's cell", "moves.py", "if car_in(w, me, nx, ny, car.z, False):", "if False:"),
     Plant(

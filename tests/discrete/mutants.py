@@ -42,6 +42,30 @@ MUTANTS: Final = (
         "    if own not in (BLOCK, FLAG, FSLOPE):\n        return False\n    return True\n",
     ),
     Mutant(
+        "a loaded car lifts nothing",
+        "rules/legality.py",
+        "    if car.load != AIR:\n        return False\n    own = ",
+        "    own = ",
+    ),
+    Mutant(
+        "UNFOLD needs a folded slope",
+        "rules/legality.py",
+        "if car.load != AIR or kind_at(w, car.x, car.y, car.z) != FSLOPE:",
+        "if car.load != AIR:",
+    ),
+    Mutant(
+        "a block turns past what stands at the corners",
+        "rules/legality.py",
+        "if carries_slope and not is_air_or_gear(",
+        "if not is_air_or_gear(",
+    ),
+    Mutant(
+        "a carried gear stops a turn beside it only",
+        "rules/legality.py",
+        "if beside and not points_at_me:",
+        "if not points_at_me:",
+    ),
+    Mutant(
         "FOLD needs no car on the foot",
         "rules/legality.py",
         "if top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) >= 0:",

@@ -207,3 +207,41 @@ def test_the_diagonal_moves_are_never_legal_and_stop_always_is_on_the_flat(rules
     mask = rules.mask(scene([], [car(3, 3)]))[0]
     assert mask[Action.STOP]
     assert not mask[11:].any()
+
+
+@BOTH
+@pytest.mark.parametrize("kind", [BLOCK, FLAG, FSLOPE])
+def test_a_loaded_car_neither_lifts_nor_unfolds_what_is_in_its_cell(rules, scene, car, kind):
+    mask = rules.mask(scene([(kind, (3, 3, 1), 2)], [car(3, 3, load=BLOCK)]))[0]
+    assert not mask[[Action.LIFT, Action.UNFOLD]].any()
+
+
+@BOTH
+@pytest.mark.parametrize("kind", [None, BLOCK, FLAG, GEAR, BODY])
+def test_only_a_folded_slope_is_unfolded(rules, scene, car, kind):
+    objects = [(kind, (3, 3, 1), 2)] if kind else []
+    assert not rules.legal(scene(objects, [car(3, 3)]), 0, Action.UNFOLD)
+
+
+@BOTH
+@pytest.mark.parametrize("kind", [BLOCK, FLAG])
+def test_a_block_is_lifted_and_set_down_between_loads(rules, scene, car, kind):
+    others = [car(x, y, load=BLOCK) for x, y in ((4, 3), (2, 3), (3, 4), (3, 2))]
+    assert rules.legal(scene([(kind, (3, 3, 1))], [car(3, 3), *others]), 0, Action.LIFT)
+    assert rules.legal(scene([], [car(3, 3, load=kind), *others]), 0, Action.DROP)
+
+
+@BOTH
+@pytest.mark.parametrize("load", [BLOCK, FLAG])
+def test_a_block_turns_whatever_stands_at_the_corners(rules, scene, car, load):
+    corners = [(x, y) for x in (2, 4) for y in (2, 4)]
+    things = scene([(BLOCK, (*corner, 1)) for corner in corners], [car(3, 3, load=load)])
+    loads = scene([], [car(3, 3, load=load), *(car(*corner, load=BLOCK) for corner in corners)])
+    assert [rules.legal(grid, 0, turn) for grid in (things, loads) for turn in TURNS] == [True] * 4
+
+
+@BOTH
+@pytest.mark.parametrize("load", [BLOCK, FLAG, FSLOPE])
+def test_a_load_turns_whatever_is_carried_elsewhere(rules, scene, car, load):
+    grid = scene([], [car(3, 3, load=load), car(6, 6, load=FSLOPE), car(1, 6, yaw=1, load=FSLOPE)])
+    assert [rules.legal(grid, 0, turn) for turn in TURNS] == [True, True]

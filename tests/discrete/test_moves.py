@@ -96,6 +96,20 @@ def test_a_loaded_car_keeps_out_of_carried_gears(rules, scene, car):
 
 
 @BOTH
+@pytest.mark.parametrize("load", [BLOCK, FLAG])
+def test_a_carried_block_needs_no_room_beside_it(rules, scene, car, load):
+    corners = [(BLOCK, (x, y, 1)) for x in (2, 4) for y in (2, 4)]
+    assert legal_moves(rules, scene(corners, [car(3, 3, load=load)])) == {FORWARD, BACK, LEFT, RIGHT}
+
+
+@BOTH
+@pytest.mark.parametrize("kind", [FSLOPE, BODY])
+def test_a_car_under_a_slope_is_on_the_floor(rules, scene, car, kind):
+    after = rules.apply(scene([(kind, (3, 3, 1), 0)], [car(2, 3, yaw=2)]), 0, RIGHT)
+    assert after.cars[0].tolist() == [3, 3, 1, 2, Kind.AIR, 0, 0]
+
+
+@BOTH
 def test_a_carried_gear_needs_room_beside_it(rules, scene, car):
     for kind, yaw, free in ((BLOCK, 0, False), (GEAR, 0, True), (GEAR, 2, False), (GEAR, 1, False)):
         grid = scene([(kind, (2, 4, 1), yaw)], [car(3, 3, yaw=0, load=FSLOPE)])

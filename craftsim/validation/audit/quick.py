@@ -49,12 +49,13 @@ def quick_rows(plan: Sequence[Row], rule_set: RuleSet) -> list[Row]:
 
 
 def properties(name: str) -> dict[str, str]:
-    """Return the properties that the name of a row says; the part without ``=`` is the action."""
-    found = {}
-    for part in name.split("/"):
-        key, _, value = part.partition("=")
+    """Return the properties that the name of a row says; the first part is the action, one without ``=`` a kind."""
+    action, *parts = name.split("/")
+    found = {"action": action}
+    for part in parts:
+        key, is_property, value = part.partition("=")
         what, _, where = value.partition("@")
-        found[key if value else "action"] = what or key
+        found |= {key: what} if is_property else {"kind": part}
         if where:  # a neighbour: its column and its level count apart
             column, _, level = where.strip("()").rpartition(",")
             found |= {"column": column, "above": level}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -93,10 +93,15 @@ def shrink_failures(
     bundles = list(first_of_each_kind(records).values())
     if not bundles:
         return ()
-    found = []
+    shrink_one, numbers = partial(_shrink, out), range(len(bundles))
     n = min(workers, len(bundles))
-    with progress(len(bundles)) as on_each, ProcessPoolExecutor(n, mp_context=get_context("spawn")) as pool:
-        for shrunk in pool.map(partial(_shrink, out), bundles, range(len(bundles))):
+    with progress(len(bundles)) as on_each, ExitStack() as stack:
+        results: Iterator[Shrunk] = map(shrink_one, bundles, numbers)
+        if n > 1:
+            pool = stack.enter_context(ProcessPoolExecutor(n, mp_context=get_context("spawn")))
+            results = pool.map(shrink_one, bundles, numbers)
+        found = []
+        for shrunk in results:
             found.append(shrunk)
             on_each(shrunk)
     return tuple(found)

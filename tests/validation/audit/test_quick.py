@@ -98,3 +98,8 @@ def test_a_neighbours_column_and_level_are_properties():
         "column": "1,0",
         "above": "-1",
     }
+    assert properties("MOVE-left/near=car/allowed out of reach") == {
+        "action": "MOVE-left",
+        "near": "car",
+        "kind": "allowed out of reach",
+    }

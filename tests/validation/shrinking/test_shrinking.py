@@ -1,5 +1,7 @@
 """A failure is found again in its smallest world: nothing that it does not need is left."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -100,8 +102,6 @@ def test_only_what_the_failure_needs_is_left():
         "car 0 turns left with a block on level 1; it is unsafe when car 1 is in the next cell to the right"
     ).replace("it is unsafe", {"unsafe": "it is unsafe", "failed": "it fails"}[found.attempt.result])
     assert max(found.grid.size) <= 5
-    again = shrink(Situated(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED))
-    assert (blueprint_text(again.grid), again.attempt) == (blueprint_text(found.grid), found.attempt)
 
 
 def test_the_search_ends_when_the_trials_are_used_up():
@@ -145,6 +145,21 @@ def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys
     assert f"--actions {tmp_path / 'out' / 'smallest.actions'} --rules published" in said
     found = read_blueprint(tmp_path / "out" / "smallest.yaml").grid(np.random.default_rng(0))
     assert len(pieces_of(found)) == 2
+
+
+def test_validate_shrinks_its_failures_into_report_and_page(tmp_path, capsys):
+    (tmp_path / "site.yaml").write_text(blueprint_text(grid_of(_cars_first(*NEEDED, *IDLE[4:6]), SIZE)))
+    (tmp_path / "tries.txt").write_text("1 STOP\n0 ROTATE_LEFT\n")
+    out = tmp_path / "out"
+    words = ["validate", str(tmp_path / "site.yaml"), "--actions", str(tmp_path / "tries.txt")]
+    words += ["--rules", "published", "--trials", "1", "--video", "none", "--shrink", "--out", str(out)]
+    assert cli.main(words) == 1
+    (found,) = json.loads((out / "report.json").read_text())["figures"]["smallest"]
+    assert found["sentence"].endswith("when car 1 is in the next cell to the right")
+    assert found["minimal"]
+    assert found["sentence"] in capsys.readouterr().out
+    assert found["sentence"] in (out / "report.html").read_text()
+    assert (out / found["folder"] / "smallest.actions").read_text() == "0 ROTATE_LEFT\n"
 
 
 def test_a_bundle_without_a_failure_of_a_legal_action_is_refused(tmp_path):

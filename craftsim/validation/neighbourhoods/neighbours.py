@@ -64,7 +64,7 @@ def neighbours(machines: Machines, actions: Collection[str] = ()) -> Iterator[Ne
     """
     machines = replace(machines, cars=machines.cars[:1])
     margin = margin_m(machines)
-    bodies = {occupant: _bodies(occupant, machines) for occupant in occupants()}
+    bodies = {occupant: bodies_of(occupant, machines) for occupant in occupants()}
     for situation in situations():
         if actions and ACTIONS[situation.action].verb not in actions:
             continue
@@ -75,7 +75,7 @@ def neighbours(machines: Machines, actions: Collection[str] = ()) -> Iterator[Ne
             for at in places(occupant):
                 if situation.symmetric and (at[1], occupant.name) < (-at[1], occupant.mirrored):
                     continue
-                shift = _shift(*at)
+                shift = shift_of(*at)
                 if _overlaps(start, body, shift) or (bearer is not None and _overlaps(start, bearer, shift)):
                     continue
                 below, here = (
@@ -90,12 +90,15 @@ def neighbours(machines: Machines, actions: Collection[str] = ()) -> Iterator[Ne
                     continue
                 alone = without(grid, here)
                 stacks = np.argwhere((alone.kind == Kind.BLOCK) & (bare.kind != Kind.BLOCK))
-                if any(_overlaps(start, block, _shift(*(cell - (MIDDLE, MIDDLE, LEVEL)))) for cell in stacks):
+                if any(
+                    _overlaps(start, block, shift_of(*(cell - (MIDDLE, MIDDLE, LEVEL)))) for cell in stacks
+                ):
                     continue
                 yield Neighbour(situation, occupant, at, volume.clearance(body, margin, shift), grid, alone)
 
 
-def _shift(dx: int, dy: int, dz: int) -> NDArray[np.float64]:
+def shift_of(dx: int, dy: int, dz: int) -> NDArray[np.float64]:
+    """Return how far a neighbour is from where :func:`bodies_of` has it, metres."""
     return np.array([dx * CELL_PITCH_M, dy * CELL_PITCH_M, dz * LEVEL_HEIGHT_M])
 
 
@@ -103,7 +106,7 @@ def _overlaps(start: Solids, body: Solids, shift: NDArray[np.float64]) -> bool:
     return start.clearance(body, -OVERLAP_M, shift) is not None
 
 
-def _bodies(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | None, Solids]:
+def bodies_of(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | None, Solids]:
     """Return the solids of an occupant, of its bearer, and of a block that stands below, on LEVEL of column (0, 0)."""
     parts = (occupant.bearer + occupant.scenery).moved(0, 0, LEVEL).parts(machines)
     n = len(parts) - len(occupant.bearer.things)

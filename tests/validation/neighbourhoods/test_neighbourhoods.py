@@ -1,9 +1,12 @@
 """Swept volumes follow from the machines' geometry, and find what is in the way on other levels, too."""
 
+import json
+
 import numpy as np
 import pytest
 
 from craftsim.checking.settings import setup_of
+from craftsim.cli import main
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M
@@ -115,6 +118,16 @@ def test_the_list_of_the_package_is_what_geometry_says():
             assert found == pytest.approx(float(one.clearance_mm), abs=0.11), one
         else:
             assert float(one.clearance_mm) < -19.0, one
+
+
+def test_the_command_lists_what_is_within_reach_and_fails_for_an_allowed_collision(tmp_path, capsys):
+    status = main(["clearance", "--actions", "DROP", "--rules", "published", "--out", str(tmp_path)])
+    assert status == 1
+    said = capsys.readouterr().out
+    assert "DROP/load=slope" in said
+    assert "DROP/load=slope/near=fslope-right@(-1,1,0) -14.8 mm, slope gear_right and slope gear_left" in said
+    rows = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["figures"]["clearance"]["rows"]
+    assert all(row["clearance_mm"] is not None or not row["legal"] for row in rows)
 
 
 def test_every_neighbourhood_is_drawn_as_the_rules_read_it():

@@ -3,7 +3,7 @@
 Merged are neighbours that physics cannot tell apart: of one kind, whichever way it is turned, in the way of the same
 action by the same solids to a tenth of a millimetre, and the rules alike. One stands for all of them; mirror images,
 and flags for blocks, are left out from the start. Neighbours of a kind that are in the way, or
-out of reach, or forbidden and close, are one row; what is allowed although it is close is a row each.
+forbidden and close, are one row, and so are all out of reach; what is allowed although it is close is a row each.
 """
 
 from __future__ import annotations
@@ -47,11 +47,12 @@ class Nearby(Scene):
         return self.name
 
     def row(self, legal: bool) -> str:
-        """Return the name of its row: itself where the action is allowed close by, else with others of its kind."""
-        kind = _TURNS.sub("", self.name.split("@")[0])
+        """Return the name of its row: its own where the action is allowed close by, else one with others."""
+        situation, occupant = self.name.split("/near=")
         judged = "allowed" if legal else "forbidden"
         if self.clearance_mm is None:
-            return f"{kind}/{judged} out of reach"
+            return f"{situation}/near=any/{judged} out of reach"
+        kind = f"{situation}/near={re.split('[-@]', occupant)[0]}"
         if self.clearance_mm < -_BRUSH_MM:
             return f"{kind}/{judged} in the way"
         return self.name if legal else f"{kind}/forbidden close by"

@@ -7,7 +7,7 @@ ARGS ?=
 TORCH ?= torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs hooks importtime mutants plants faults campaigns picture machines libraries clean
+.PHONY: help demo test lint format docs hooks importtime mutants plants faults campaigns picture machines neighbours libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -61,6 +61,9 @@ picture: $(VENV)/installed libraries  ## Film the clearest unsound rule again, a
 
 machines: $(VENV)/installed  ## Write the MJCF and the meshes of the nominal machines in craftsim/mjcf again
 	$(BIN)/python -m craftsim.mjcf.make_machines
+
+neighbours: $(VENV)/installed  ## Work out again which neighbours matter, after a change of geometry or rules
+	$(BIN)/python -m craftsim.validation.neighbourhoods.table
 
 libraries: $(VENV)/installed  ## Check for the system libraries of off-screen rendering (installs them when root)
 	@scripts/system-libraries $(BIN)/python

@@ -17,6 +17,7 @@ COMMANDS: Final[dict[str, str]] = {
     "demo": "Build the paper's tasks in physics, and check every action.",
     "validate": "Run plans, actions or policies in physics, and judge each action.",
     "audit": "Try in physics what the rules allow, and what they forbid.",
+    "clearance": "Compare what each action sweeps with what the rules forbid.",
     "replay": "Re-run a recorded failure bit for bit, and compare the two.",
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",

@@ -80,7 +80,7 @@ def of_board(before: Grid, after: Grid, car: int) -> Footprint:
 def of_flap(before: Grid, after: Grid, car: int) -> Footprint:
     """Return what FOLD and UNFOLD need: the slope, and room for its flap."""
     here, foot, beyond = _along_slope(before, car)
-    # The flap is a third of a metre long: it reaches into the second level above, and 13 mm past the foot's cell.
+    # The flap is a third of a metre long: it reaches into the second level above, and 12 mm past the foot's cell.
     swung = {(cx, cy, z + up) for cx, cy, z in (here, foot) for up in (0, 1, 2)} | {beyond}
     held = frozenset({(foot[0], foot[1], foot[2] - 1)})
     return Footprint(frozenset(swung), frozenset({here, foot}), held, frozenset())

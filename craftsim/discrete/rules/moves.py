@@ -133,7 +133,7 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     if loaded and w.flags.leaning_load and not load_fits(w, me, car, moved(w, car, m)):
         return False
     if loaded and not (
-        load_below_walls(w, moved(w, car, m)) and load_clears_levels(w, me, car, moved(w, car, m))
+        load_below_walls(w, car, moved(w, car, m)) and load_clears_levels(w, me, car, moved(w, car, m))
     ):
         return False
     if car.slope != 0:

@@ -196,9 +196,9 @@ def wall_over(w: World, x: int, y: int, z: int) -> bool:
 
 
 @compiled
-def load_below_walls(w: World, new: Pose) -> bool:
-    """Return whether no wall is above where a load comes, or above where it leans on a ramp's foot."""
-    if wall_over(w, new.x, new.y, new.z):
+def load_below_walls(w: World, old: Pose, new: Pose) -> bool:
+    """Return whether no wall is above a load on its way, or above where it leans on a ramp's foot."""
+    if wall_over(w, old.x, old.y, old.z) or wall_over(w, new.x, new.y, new.z):
         return False
     if new.slope != 1:
         return True
@@ -215,6 +215,10 @@ def load_fits(w: World, me: int, old: Pose, new: Pose) -> bool:
     """
     for half in (old, new):
         if half.slope == 2 and not below_gears(w, me, half):
+            return False
+        if half.slope == 1 and gear_across(
+            w, me, half.x, half.y, half.z, downhill_of(w, half.x, half.y, half.z, 1)
+        ):
             return False
     if new.slope == 0:
         gx, gy = new.x + dir_x(new.load_yaw), new.y + dir_y(new.load_yaw)
@@ -247,7 +251,7 @@ def below_gears(w: World, me: int, car: Pose) -> bool:
 
 @compiled
 def flap_has_room(w: World, me: int, car: Pose, yaw: int) -> bool:
-    """Return whether the flap of the slope in a car's cell can swing: its lip goes 13 mm beyond the foot's cell.
+    """Return whether the flap of the slope in a car's cell can swing: its lip goes 12 mm beyond the foot's cell.
 
     There may stand an unloaded car, a foot whose low end is towards this one's, and a gear that points at it.
     """

@@ -55,16 +55,17 @@ class Results:
 
     def figures(self, plan: Sequence[Row], corrected: Mapping[str, Sequence[str]]) -> dict[str, Any]:
         """Return what ``report.json`` holds; ``plan`` gives the contexts of each row."""
-        members = {row.name: len(row.members) for row in plan}
+        planned = {row.name: row for row in plan}
         return {
             "verdicts": verdict_counts(self.rows),
             "provisional": sum(row.provisional for row in self.rows),
-            "contexts": sum(members.values()),
+            "contexts": sum(len(row.members) for row in plan),
             "corrections": rows_by_flag(corrected),
             "rows": [
                 {
                     **asdict(row),
-                    "contexts": members[name_of(row)],
+                    "contexts": len(planned[name_of(row)].members),
+                    "clearance_mm": planned[name_of(row)].clearance_mm,
                     "corrections": corrected.get(name_of(row), ()),
                 }
                 for row in self.rows

@@ -19,6 +19,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Grid, Kind
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.validation.audit.intended import NoPredictionError, intended
+from craftsim.validation.audit.nearby import Nearby, nearby
 from craftsim.validation.audit.scenes import SCENES, Scene
 from craftsim.validation.contexts.context import FORWARD, NOTHING, Context, Thing, Verb
 from craftsim.validation.contexts.survey import make_world, survey
@@ -40,9 +41,16 @@ class Row:
     no_prediction: str = ""
     """Why there is nothing to try; empty where there is."""
 
+    @property
+    def clearance_mm(self) -> float | None:
+        """How close geometry expects a neighbour to come, the least of its members; None out of reach, or for none."""
+        near = [m.clearance_mm for m in self.members if isinstance(m, Nearby)]
+        return min((mm for mm in near if mm is not None), default=None)
+
 
 def audit_plan(rule_set: RuleSet, verbs: tuple[str, ...] = ()) -> list[Row]:
-    """Return the rows of these verbs, or all: what a rule set allows, what it forbids, and the scenes, by name."""
+    """Return the rows of these verbs, or all: what a rule set allows, what it forbids, the scenes, and the
+    neighbourhoods, by name."""
     found = survey(rule_set, verbs)
     members: dict[tuple[str, bool, str], list[Situation]] = {}
     for context in found.contexts:
@@ -58,6 +66,10 @@ def audit_plan(rule_set: RuleSet, verbs: tuple[str, ...] = ()) -> list[Row]:
             continue
         legal = scene.legal(Rules(rule_set))
         members.setdefault((scene.id, legal, "" if legal else scene.why_nothing()), []).append(scene)
+    for near, legal in nearby(rule_set, verbs):
+        reason = "" if legal else near.why_nothing()
+        name = f"{near.id.split('/', 1)[0]}/nothing intended: {reason}" if reason else near.row(legal)
+        members.setdefault((name, legal, reason), []).append(near)
     return [Row(name, legal, tuple(of), reason) for (name, legal, reason), of in sorted(members.items())]
 
 

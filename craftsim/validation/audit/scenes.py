@@ -40,6 +40,8 @@ class Scene:
     actions: tuple[Action, ...]
     order: Order | None = None
     """How the actions of a tick follow each other; None for a single action."""
+    size: Cell = _SIZE
+    """Of the world."""
 
     @property
     def id(self) -> str:
@@ -49,7 +51,7 @@ class Scene:
 
     def world(self) -> Grid:
         """Return its world."""
-        grid = Grid.empty(_SIZE, len(self.cars))
+        grid = Grid.empty(self.size, len(self.cars))
         for row, values in zip(grid.cars, self.cars, strict=True):
             row[:] = values
         for kind, cell, yaw in self.things:

@@ -126,7 +126,7 @@ def _has_room(w: World, grid: Grid, me: int) -> bool:
     car: Pose = pose_of(w, me)
     if car.load == Kind.AIR:
         return True
-    if not (load_below_walls(w, car) and load_fits(w, me, car, car)):
+    if not (load_below_walls(w, car, car) and load_fits(w, me, car, car)):
         return False
     if car.load != Kind.FSLOPE:
         return True

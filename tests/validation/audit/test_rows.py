@@ -13,6 +13,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.verdict import describe_car
 from craftsim.validation.audit.intended import NoPredictionError, intended
+from craftsim.validation.audit.nearby import nearby
 from craftsim.validation.audit.rows import action_in, audit_plan, distribute_trials, world_of
 from craftsim.validation.audit.scenes import SCENES, Scene
 from craftsim.validation.audit.suspects import SUSPECTS, find
@@ -24,10 +25,10 @@ BOTH = pytest.mark.parametrize("rules", PLAN)
 
 
 @BOTH
-def test_every_context_and_every_scene_is_in_exactly_one_row(rules):
+def test_every_context_scene_and_neighbourhood_is_in_exactly_one_row(rules):
     found = survey(rules)
     members = [member.id for row in PLAN[rules] for member in row.members]
-    every = [*found.contexts, *found.illegal, *SCENES]
+    every = [*found.contexts, *found.illegal, *SCENES, *(near for near, _ in nearby(rules))]
     assert Counter(members) == Counter(situation.id for situation in every)
     assert len({row.name for row in PLAN[rules]}) == len(PLAN[rules])
 
@@ -60,7 +61,7 @@ def test_physical_allows_nothing_that_published_forbids():
 @BOTH
 def test_a_full_audit_tries_each_row_often_and_each_context_and_stays_within_its_time(rules):
     items = items_of(PLAN[rules], 20, 0, setup_of("none", rules))
-    assert len({item.key for item in items}) == len(items) < 25_000
+    assert len({item.key for item in items}) == len(items) < 30_000
     tried = Counter(item.group for item in items if item.job is not None)
     assert min(tried.values()) >= 20
     assert set(tried) == {row.name for row in PLAN[rules] if not row.no_prediction}

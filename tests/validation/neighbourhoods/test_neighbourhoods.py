@@ -1,0 +1,149 @@
+"""Swept volumes follow from the machines' geometry, and find what is in the way on other levels, too."""
+
+import json
+
+import numpy as np
+import pytest
+
+from craftsim.checking.settings import setup_of
+from craftsim.cli import main
+from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.rules import Rules
+from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.models.placement import placements
+from craftsim.validation.audit.intended import intended
+from craftsim.validation.audit.nearby import nearby
+from craftsim.validation.audit.trial import Trial, try_it
+from craftsim.validation.neighbourhoods.neighbours import bodies_of, shift_of
+from craftsim.validation.neighbourhoods.occupants import occupants
+from craftsim.validation.neighbourhoods.scenery import MIDDLE, draw
+from craftsim.validation.neighbourhoods.situations import situations, sweep
+from craftsim.validation.neighbourhoods.table import read_entries
+
+SITUATIONS = {one.name: one for one in situations()}
+OCCUPANTS = {one.name: one for one in occupants()}
+CENTRE = (MIDDLE + 0.5) * CELL_PITCH_M
+
+
+def _clearance_mm(situation, occupant, at, machines=NOMINAL):
+    volume = sweep(SITUATIONS[situation], machines)
+    found = volume.clearance(bodies_of(OCCUPANTS[occupant], machines)[0], 0.05, shift_of(*at))
+    return None if found is None else found.distance_m * 1e3
+
+
+def _reach(situation, machines):
+    return sweep(SITUATIONS[situation], machines).box[1]
+
+
+def _corners(situation):
+    return np.vstack([piece.points for piece in sweep(SITUATIONS[situation], NOMINAL).pieces])
+
+
+def test_the_legs_of_a_turning_block_sweep_as_far_as_its_corners_are_from_its_middle():
+    reach = np.linalg.norm(_corners("ROTATE_LEFT/load=block")[:, :2] - CENTRE, axis=1).max()
+    assert (
+        reach == pytest.approx(NOMINAL.block.side_m / np.sqrt(2), abs=1e-4) == pytest.approx(0.226, abs=5e-4)
+    )
+
+
+def test_the_lip_of_a_flap_goes_beyond_the_foots_cell():
+    hinge = CENTRE - NOMINAL.slope.hinge_x_m
+    lip = hinge - _corners("UNFOLD")[:, 0].min()
+    assert lip == pytest.approx(0.334, abs=5e-4)
+    assert lip > CELL_PITCH_M + 0.01
+
+
+@pytest.mark.parametrize("name", [n for n in SITUATIONS if n.startswith(("MOVE", "ROTATE"))])
+def test_a_bare_situation_is_legal_and_its_way_ends_where_the_predicted_car_stands(name):
+    one = SITUATIONS[name]
+    grid = draw(one.scenery)
+    assert all(Rules(rules).legal(grid, 0, one.action) for rules in ("physical", "published"))
+    box = sweep(one, NOMINAL).box
+    for world in (grid, intended(grid, 0, one.action)):
+        position = placements(world)[0].position
+        assert (box[0] <= position + 1e-4).all()
+        assert (position <= box[1]).all()
+        # On the flat the wheels touch the floor below the car; on a ramp the lower axle is below its middle.
+        assert position[2] - box[0, 2] < 0.36 * CELL_PITCH_M
+
+
+def test_other_dimensions_sweep_other_volumes():
+    high = Machines(cars=(SmartcarParameters(board_travel_m=0.049),))
+    long = Machines(cars=(SmartcarParameters(chassis_length_m=0.226),))
+    lifted, driven = "LIFT/load=block", "MOVE-forward/load=none"
+    assert _reach(lifted, high)[2] == pytest.approx(_reach(lifted, NOMINAL)[2] + 0.004)
+    assert _reach(driven, long)[0] == pytest.approx(_reach(driven, NOMINAL)[0] + 0.003)
+
+
+@pytest.mark.parametrize(
+    ("situation", "occupant", "at", "depth_mm"),
+    [
+        ("ROTATE_LEFT/load=block", "car+block-low-left", (1, 0, -1), 20.0),
+        ("ROTATE_LEFT/load=block", "car+fslope-forward", (1, 0, -1), 9.9),
+        ("UNFOLD", "car+block-low-right", (-2, 0, -1), 4.5),
+        ("ROTATE_LEFT/load=block", "wall", (1, 0, 1), 10.0),
+        ("MOVE-forward/load=block", "wall", (1, 0, 1), 20.0),
+        ("UNFOLD", "wall", (-1, 0, 1), 20.0),
+    ],
+)
+def test_a_neighbour_on_another_level_is_in_the_way(situation, occupant, at, depth_mm):
+    assert _clearance_mm(situation, occupant, at) < -depth_mm
+
+
+@pytest.mark.parametrize(
+    ("situation", "occupant", "at"),
+    [
+        ("ROTATE_LEFT/load=block", "car-low-left", (1, 0, -1)),
+        ("ROTATE_LEFT/load=block", "car+block", (1, 0, -1)),
+        ("ROTATE_LEFT/load=slope", "car+fslope-left", (1, 0, -1)),
+    ],
+)
+def test_an_unloaded_car_below_and_loads_that_pass_one_another_are_not(situation, occupant, at):
+    found = _clearance_mm(situation, occupant, at)
+    assert found is None or found > -0.01
+
+
+def test_blocks_in_neighbouring_cells_keep_the_gap_of_the_grid():
+    assert _clearance_mm("MOVE-forward/load=block", "block", (1, 1, 0)) == pytest.approx(2.5)
+
+
+def test_the_list_of_the_package_is_what_geometry_says():
+    for one in read_entries()[::60]:
+        found = _clearance_mm(one.situation, one.occupant, one.at)
+        if not one.clearance_mm:
+            assert found is None or found > 2.3, one
+        elif found > -20.0:
+            assert found == pytest.approx(float(one.clearance_mm), abs=0.11), one
+        else:
+            assert float(one.clearance_mm) < -19.0, one
+
+
+def test_the_command_lists_what_is_within_reach_and_fails_for_an_allowed_collision(tmp_path, capsys):
+    status = main(["clearance", "--actions", "DROP", "--rules", "published", "--out", str(tmp_path)])
+    assert status == 1
+    said = capsys.readouterr().out
+    assert "DROP/load=slope" in said
+    assert "DROP/load=slope/near=fslope-right@(-1,1,0) -14.8 mm, slope gear_right and slope gear_left" in said
+    rows = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["figures"]["clearance"]["rows"]
+    assert all(row["clearance_mm"] is not None or not row["legal"] for row in rows)
+
+
+def test_every_neighbourhood_is_drawn_as_the_rules_read_it():
+    found = nearby("physical", ("UNFOLD",))
+    assert len({near.id for near, _ in found}) == len(found) > 50
+    for near, legal in found:
+        assert near.legal(Rules("physical")) == legal
+        assert parse_blueprint(blueprint_text(near.world()), near.id)
+
+
+def test_physics_meets_what_geometry_expects_in_the_way():
+    (near,) = (
+        near
+        for near, _ in nearby("physical", ("ROTATE_LEFT",))
+        if near.id == "ROTATE_LEFT/load=block/near=wall@(-1,0,1)"
+    )
+    done = try_it(Trial(near, True, 0, 0, setup_of("none", "physical")))
+    assert near.clearance_mm < -10
+    assert "wall touched block 0" in done.attempts[0].reason

@@ -34,7 +34,7 @@ class Contact:
     since_s: float
     """Simulated time at which they were first seen to touch."""
     peak_n: float
-    """Largest normal force, summed over all their points of contact."""
+    """Largest net normal force: the vector sum over all their points of contact."""
     at_start: bool
     """Whether they touched when the log began."""
 
@@ -55,6 +55,8 @@ class ContactLog:
         low, high = np.minimum.outer(machine, machine), np.maximum.outer(machine, machine)
         self._pair = np.where(low == high, -1, low * len(self.names) + high)
         """By two geoms: the pair of their machines, -1 inside one machine."""
+        self._sign = np.where(machine[:, None] < machine, 1.0, -1.0)
+        """By two geoms: whether a contact's normal, which points at the second geom, points at the second machine."""
         self._possible = PossibleForce(site, machines.roots)
         self._limit_n = impact_limit_n(site.machines)
         joints = [int(model.body_jntadr[body]) for body in machines.roots]
@@ -155,17 +157,26 @@ class ContactLog:
         return data
 
     def _note(self, data: mujoco.MjData) -> None:
-        """Note the machines of all contacts, with their normal forces."""
+        """Note the machines of all contacts, and the net force of each two.
+
+        Normal forces are summed as vectors. A boss that is wedged between pads presses on them with forces that cancel
+        out: they squeeze the two machines, and move neither.
+        """
         contact = data.contact
         address = contact.efc_address
         if not len(address):
             return
         pairs = self._pair[contact.geom1, contact.geom2]
-        counts = (pairs >= 0) & (address >= 0)
+        counts = np.flatnonzero((pairs >= 0) & (address >= 0))
+        if not len(counts):
+            return
         pairs = pairs[counts]
-        # With elliptic friction cones the first row of a contact is its normal force (MuJoCo, mj_contactForce).
-        counted = np.bincount(pairs, data.efc_force[address[counts]], minlength=len(self._peak))
-        forces = counted.astype(np.float64, copy=False)  # whole numbers where nothing is counted
+        # With elliptic friction cones the first row of a contact is its normal force, and the first three numbers of
+        # its frame are the normal (MuJoCo, mj_contactForce).
+        pushes = data.efc_force[address[counts]] * self._sign[contact.geom1[counts], contact.geom2[counts]]
+        vectors = pushes * contact.frame[counts, :3].T
+        net = [np.bincount(pairs, part, minlength=len(self._peak)) for part in vectors]
+        forces = np.sqrt(net[0] ** 2 + net[1] ** 2 + net[2] ** 2)
         if (forces > self._peak).any():
             self._check(forces)
             np.maximum(self._peak, forces, out=self._peak)

@@ -236,6 +236,8 @@ class Move(DrivingSkill):
         steepest = max(abs(self.terrain.start_rad), abs(self.terrain.end_rad))
         top_speed, force = self._motor_limits(steepest)
         most = force / (self._mass_kg + self._load_kg + self._spin_mass_kg)
+        if self._before.z > 0:
+            most = min(most, gains.rocking / self._before.z**2)
         distance = float(np.hypot(self._delta[0], self._delta[1]))
         return Profile.within(distance, min(speed * factor, top_speed), min(acceleration * factor, most))
 

@@ -38,6 +38,9 @@ class DriveGains:
     """m/s: highest speed of a move from or onto a slope: the wheels meet its foot at an angle."""
     max_slope_acceleration: float
     """m/s^2: on a slope, and therefore on the things that carry it."""
+    rocking: float
+    """m^3/s^2: largest product of acceleration and height above the floor squared. A stack of n blocks gives way under
+    a car by its push times its height in each of n joints, and tips in the end."""
     max_turn_speed: float
     max_turn_acceleration: float
     load_factor: float

@@ -17,7 +17,7 @@ from craftsim.report import SCHEMA_VERSION
 DATA = Path(__file__).parents[1] / "data"
 DERIVED = RuleFlags(derived_marks=True)
 FILES = (DATA / "traces.jsonl.gz", DATA / "plans.jsonl.gz")
-RECORDED = {"swinging_flap", "turning_load", "ramp_below_gear", "lasting_gears"}
+RECORDED = {"swinging_flap", "turning_load", "reaching_load", "ramp_below_gear", "lasting_gears"}
 """Corrections of what happens in the recordings at all."""
 
 

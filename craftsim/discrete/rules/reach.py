@@ -133,7 +133,7 @@ def reach_mm(load: int, slope: int) -> int:
 
 @compiled
 def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> bool:
-    """Return whether another car's load stands into a cell from the level below, higher than this above its floor.
+    """Return whether another car's load stands into a cell from the level below, up to this height above its floor.
 
     One that leans into the cell below does so by less than 50 mm.
     """
@@ -142,7 +142,7 @@ def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> boo
             continue
         if w.cars[other, F_X] != x or w.cars[other, F_Y] != y or w.cars[other, F_Z] != z - 1:
             continue
-        if reach_mm(w.cars[other, F_LOAD], w.cars[other, F_SLOPE]) > height_mm:
+        if reach_mm(w.cars[other, F_LOAD], w.cars[other, F_SLOPE]) >= height_mm:
             return True
     return height_mm < 50 and leans_into(w, me, x, y, z - 1, -1)
 

@@ -13,7 +13,7 @@ from craftsim.checking.attempt import Attempt, Evidence, capped_text, judge
 from craftsim.checking.contact_log import ContactLog, speed_m_s
 from craftsim.checking.safety import hazards, is_unsafe
 from craftsim.checking.settings import Thresholds
-from craftsim.checking.unexpected import handled, shoved, under, unexpected_contacts
+from craftsim.checking.unexpected import handled, under, unexpected_contacts
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Poses, Reading, read_grid
@@ -52,7 +52,7 @@ class _Running:
     cars: set[int]
     """Those that act meanwhile, its own included."""
     meant: set[int]
-    """Objects that may move though no acting car carries them: what is shoved, what other acting cars handle."""
+    """Objects that may move though no acting car carries them: what the action and those beside it are about."""
     below: set[int]
     """Objects that the car stands and drives on: a stack sways under it until it has come to rest."""
 
@@ -182,7 +182,7 @@ class CheckedSite:
         return one
 
     def _now(self, step: ScheduledAction, index: int = -1) -> _Running:
-        meant = set(shoved(self.reading, step.after, step.car))
+        meant = set(handled(self.reading, step.after, step.car))
         below, site = set(under(self.reading, step.after, step.car)), self.site
         return _Running(
             *(index, step, site.time_s, site.capped_steps, self.poses, self.reading),

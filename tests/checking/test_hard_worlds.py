@@ -50,3 +50,10 @@ def test_a_car_drives_up_to_the_level_above_the_top(name):
     result = validate(WORLDS / f"{name}.yaml", actions=WORLDS / f"{name}.actions")
     assert len(result.attempts) == 3
     assert result.agrees, [attempt.reason for attempt in result.attempts]
+
+
+def test_the_solver_copes_with_six_cars_among_stacks_and_says_how_often_it_did_not():
+    result = validate(WORLDS / "solver_1007.yaml", plan=WORLDS / "solver_1007.plan", order="ticks")
+    assert len(result.attempts) == 36
+    assert result.agrees, [attempt.reason for attempt in result.attempts if not attempt.agrees]
+    assert sum(attempt.capped_steps for attempt in result.attempts) == 0

@@ -163,6 +163,36 @@ MUTANTS: Final = (
         "if False and leans_into",
     ),
     Mutant(
+        "a load turns above none that reaches up",
+        "rules/levels.py",
+        "if reaches_up(w, me, x, y, car.z, legs_mm) or",
+        "if",
+    ),
+    Mutant(
+        "no load passes below one that leans over",
+        "rules/levels.py",
+        "if below_leaning(w, me, old) or below_leaning(w, me, new):",
+        "if False:",
+    ),
+    Mutant(
+        "a load on a foot leans below no wall",
+        "rules/levels.py",
+        "return not wall_over(w, new.x + dir_x(downhill), new.y + dir_y(downhill), new.z)",
+        "return True",
+    ),
+    Mutant(
+        "a flap passes above no load that reaches up",
+        "rules/levels.py",
+        "return not reaches_up(w, me, fx + dir_x(yaw), fy + dir_y(yaw), car.z, LIP_MM)",
+        "return True",
+    ),
+    Mutant(
+        "a gear comes down on no side of a foot",
+        "rules/reach.py",
+        "return kind_at(w, x, y, car.z) != FOOT or (yaw_at(w, x, y, car.z) - yaw) & 1 == 0",
+        "return True",
+    ),
+    Mutant(
         "a car goes on to its own ramp's body only",
         "rules/moves.py",
         "return yaw_at(w, nx, ny, car.z) == (m + 2) & 3 and not",

@@ -28,15 +28,8 @@ from craftsim.discrete.cells import (
     yaw_at,
 )
 from craftsim.discrete.compiled import compiled
-from craftsim.discrete.rules.reach import (
-    below_leaning,
-    flap_clears_levels,
-    flap_has_room,
-    gear_has_room,
-    leans_into,
-    turn_clears_levels,
-    wall_over,
-)
+from craftsim.discrete.rules.levels import below_leaning, flap_clears_levels, turn_clears_levels, wall_over
+from craftsim.discrete.rules.reach import flap_has_room, gear_has_room, leans_into
 
 ROTATE_LEFT = int(Action.ROTATE_LEFT)
 ROTATE_RIGHT = int(Action.ROTATE_RIGHT)

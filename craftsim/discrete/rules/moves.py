@@ -22,14 +22,8 @@ from craftsim.discrete.cells import (
     yaw_at,
 )
 from craftsim.discrete.compiled import compiled
-from craftsim.discrete.rules.reach import (
-    car_in,
-    carried_gear_in,
-    load_below_walls,
-    load_clears_levels,
-    load_fits,
-    wall_over,
-)
+from craftsim.discrete.rules.levels import load_below_walls, load_clears_levels, wall_over
+from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_fits
 
 
 @compiled

@@ -10,7 +10,8 @@ import numpy as np
 from craftsim.discrete.cells import Pose, World, pose_of
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.rules import RULE_FLAGS
-from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_below_walls, load_fits
+from craftsim.discrete.rules.levels import load_below_walls
+from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_fits
 from craftsim.discrete.rules.sets import world_of
 
 _LOADS: Final = (Kind.BLOCK, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.FSLOPE)

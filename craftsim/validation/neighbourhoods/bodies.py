@@ -32,7 +32,7 @@ class Clearance:
     theirs: str
 
 
-class Piece:
+class Convex:
     """One convex solid in the world."""
 
     def __init__(self, name: str, points: NDArray[np.float64]) -> None:
@@ -60,7 +60,7 @@ class Piece:
 class Solids:
     """Convex solids that count as one thing."""
 
-    def __init__(self, pieces: Sequence[Piece]) -> None:
+    def __init__(self, pieces: Sequence[Convex]) -> None:
         """Take the pieces, at least one."""
         self.pieces = tuple(pieces)
         self.boxes = np.array([(p.points.min(axis=0), p.points.max(axis=0)) for p in self.pieces])
@@ -88,7 +88,7 @@ class Solids:
         return found
 
 
-def _distance(a: Piece, b: Piece, shift: NDArray[np.float64]) -> float:
+def _distance(a: Convex, b: Convex, shift: NDArray[np.float64]) -> float:
     """Return the signed distance of two convex solids, the second one moved.
 
     FCL's own depths end the process where faces touch, so the depth is that of the origin in the hull of all
@@ -111,11 +111,11 @@ def _bounds(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float6
     return np.where(outside > 0.0, outside, apart.max(axis=2))
 
 
-def pieces_of(placement: Placement, machines: Machines) -> list[Piece]:
+def convexes_of(placement: Placement, machines: Machines) -> list[Convex]:
     """Return the solids of a part where it stands."""
     figure = figure_of(placement.kind, machines)
     points = figure.posed(pose_of(placement), placement.joint)
     return [
-        Piece(f"{placement.kind} {solid.name}", corners)
+        Convex(f"{placement.kind} {solid.name}", corners)
         for solid, corners in zip(figure.solids, points, strict=True)
     ]

@@ -15,7 +15,7 @@ from craftsim.discrete.rules.table import ACTIONS
 from craftsim.models.parameters import Machines
 from craftsim.models.placement import placements
 from craftsim.validation.contexts.worlds import ImpossibleError
-from craftsim.validation.neighbourhoods.bodies import Clearance, Solids, pieces_of
+from craftsim.validation.neighbourhoods.bodies import Clearance, Solids, convexes_of
 from craftsim.validation.neighbourhoods.occupants import Occupant, occupants, places
 from craftsim.validation.neighbourhoods.scenery import MIDDLE, Scenery, draw, without
 from craftsim.validation.neighbourhoods.situations import LEVEL, Situation, situations, sweep
@@ -70,7 +70,7 @@ def neighbours(machines: Machines, actions: Collection[str] = ()) -> Iterator[Ne
             continue
         bare = draw(situation.scenery)
         volume = sweep(situation, machines)
-        start = Solids([p for part in placements(bare, machines) for p in pieces_of(part, machines)])
+        start = Solids([p for part in placements(bare, machines) for p in convexes_of(part, machines)])
         for occupant, (body, bearer, block) in bodies.items():
             for at in places(occupant):
                 if situation.symmetric and (at[1], occupant.name) < (-at[1], occupant.mirrored):
@@ -112,6 +112,6 @@ def bodies_of(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | 
     n = len(parts) - len(occupant.bearer.things)
     stack = Scenery(((Kind.BLOCK, (0, 0, LEVEL), 0),)).parts(machines)
     own, below, block = (
-        [p for part in of for p in pieces_of(part, machines)] for of in (parts[:n], parts[n:], stack)
+        [p for part in of for p in convexes_of(part, machines)] for of in (parts[:n], parts[n:], stack)
     )
     return Solids(own), Solids(below) if below else None, Solids(block)

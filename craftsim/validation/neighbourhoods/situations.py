@@ -16,7 +16,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Kind
 from craftsim.models.parameters import Machines
 from craftsim.validation.contexts.context import BACK, FORWARD, LEFT
-from craftsim.validation.neighbourhoods.bodies import Piece, Solids
+from craftsim.validation.neighbourhoods.bodies import Convex, Solids
 from craftsim.validation.neighbourhoods.scenery import MIDDLE, CarRow, Scenery, Thing
 from craftsim.validation.neighbourhoods.solids import Pose, figure_of, pose_of
 from craftsim.validation.neighbourhoods.surface import poses_along
@@ -126,7 +126,7 @@ def sweep(situation: Situation, machines: Machines) -> Solids:
             if all(np.allclose(points, path[0]) for points in path):
                 continue
             name = f"{track.kind} {solid.name}"
-            pieces += [Piece(name, np.vstack(pair)) for pair in pairwise(path)]
+            pieces += [Convex(name, np.vstack(pair)) for pair in pairwise(path)]
     return Solids(pieces)
 
 

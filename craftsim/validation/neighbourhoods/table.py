@@ -6,12 +6,14 @@ Working them out takes a minute, too long for each audit; ``make neighbours`` wr
 from __future__ import annotations
 
 import csv
+import io
 import sys
 from collections.abc import Collection, Iterator
 from dataclasses import astuple, dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 
+from craftsim.discrete.files.documents import write_whole
 from craftsim.discrete.grid import Cell
 from craftsim.discrete.rules import RULE_FLAGS, Rules
 from craftsim.models.parameters import NOMINAL
@@ -60,11 +62,12 @@ def _entry(one: Neighbour) -> Entry:
 
 
 def write_entries(path: Path) -> None:
-    """Write all that matters into a CSV file."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(field.name for field in fields(Entry))
-        writer.writerows(map(astuple, entries()))
+    """Write all that matters into a CSV file, which is whole or as it was."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(field.name for field in fields(Entry))
+    writer.writerows(map(astuple, entries()))
+    write_whole(path, text.getvalue())
 
 
 def read_entries() -> list[Entry]:

@@ -27,10 +27,10 @@ def run_of(tmp_path):
 def test_a_simulation_that_breaks_down_ends_its_run_and_can_be_replayed(run_of, monkeypatch, tmp_path):
     advance = Site.advance
 
-    def explode(site):
+    def explode(site, observe=None):
         if site.time_s > 2.0:
             site.data.qvel[:] = 1e12
-        advance(site)
+        advance(site, observe)
 
     monkeypatch.setattr(Site, "advance", explode)
     done = do_run(run_of("strip", "planner"))
@@ -38,7 +38,7 @@ def test_a_simulation_that_breaks_down_ends_its_run_and_can_be_replayed(run_of, 
     assert done.extra["physics_success"] is False
     assert done.extra["grid_success"] is True
     last = done.attempts[-1]
-    assert (last.result, last.finding) == ("failed", "diverged")
+    assert (last.result, last.finding) == ("numerics", "diverged")
     assert all(attempt.result == "as predicted" for attempt in done.attempts if attempt.tick < last.tick)
     recorded = read_bundle(tmp_path / done.bundle)
     assert recorded.bundle.attempts[-1].finding == "diverged"

@@ -141,9 +141,9 @@ def test_every_neighbourhood_is_drawn_as_the_rules_read_it():
 def test_physics_meets_what_geometry_expects_in_the_way():
     (near,) = (
         near
-        for near, _ in nearby("physical", ("ROTATE_LEFT",))
+        for near, _ in nearby("published", ("ROTATE_LEFT",))
         if near.id == "ROTATE_LEFT/load=block/near=wall@(-1,0,1)"
     )
-    done = try_it(Trial(near, True, 0, 0, setup_of("none", "physical")))
+    done = try_it(Trial(near, True, 0, 0, setup_of("none", "published")))
     assert near.clearance_mm < -10
     assert "wall touched block 0" in done.attempts[0].reason

@@ -51,7 +51,7 @@ campaigns: $(VENV)/installed  ## Measure the skills at length (hours on two core
 	$(BIN)/craftsim audit --rules physical --only legal --randomize none --workers 2 --out out/legal
 	$(BIN)/craftsim audit --rules physical --only legal --randomize strong --workers 2 --out out/legal-strong
 	$(BIN)/craftsim validate --order concurrent --randomize strong --trials 20 --workers 2 --video none --out out/tasks-strong
-	$(BIN)/craftsim validate random --randomize none --trials 10 --workers 2 --video none --out out/random
+	$(BIN)/craftsim validate random --randomize none --trials 505 --seed 2026 --workers 2 --video none --out out/random
 	$(BIN)/craftsim audit --rules physical --workers 2 --out out/audit-physical
 	$(BIN)/craftsim audit --workers 2 --out out/audit-published
 

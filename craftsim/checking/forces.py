@@ -23,8 +23,8 @@ def impact_limit_n(machines: Machines = NOMINAL) -> float:
 
     The heaviest loaded car weighs 112 N and its wheel motors push with 202 N at most. What is put on at once loads a
     stiff contact up to twice as much as it does at rest; more can only come from the motion of something that is
-    stopped. Of the legal actions that ``craftsim audit --rules physical --only legal`` performs, 99 % stay below
-    314 N, and the hardest reaches 482 N.
+    stopped. Of 34,184 actions of ``craftsim validate random --trials 505 --seed 2026 --randomize none`` 99 % stay below
+    361 N, and the hardest reaches 517 N.
     """
     load = max(machines.block.mass_kg, machines.slope.mass_kg)
     return max(

@@ -272,6 +272,8 @@ def test_a_wall_overhead_keeps_loads_away(scene, car):
         for cell in ((3, 3, 2), (4, 3, 2)):
             onto_foot = scene([*RAMP, (WALL, cell)], [car(4, 3, yaw=2, load=load)])
             assert corrected(onto_foot, 0, LEFT, "overhead_wall")
+        down = scene([*RAMP, (WALL, (4, 3, 2))], [car(2, 3, 2, yaw=0, load=load, slope=2)])
+        assert corrected(down, 0, RIGHT, "overhead_wall")
     assert allows(scene([over], [car(2, 3)]), 0, RIGHT) == (True, True)
     assert allows(scene([over, (BLOCK, (3, 3, 1))], [car(2, 3)]), 0, RIGHT) == (True, True)
 

@@ -8,4 +8,4 @@ from craftsim.checking.attempt import capped_text
 def print_capped(steps: int) -> None:
     """Say in how many physics steps the solver gave up, if in any."""
     if steps:
-        print(f"Note: {capped_text(steps)}; what went wrong there is told as numerics.")
+        print(f"Note: {capped_text(steps)}; failures there are reported as numerics.")

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"craftsim {craftsim.__version__}")
         return 0
 
-    from craftsim.discrete.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
+    from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
 
     name = words[0]
     try:
@@ -94,7 +94,7 @@ def _without_empty_defaults(function: Callable[..., int]) -> Callable[..., int]:
 
 def _with_checked_seed(function: Callable[..., int]) -> Callable[..., int]:
     """Refuse a seed that no random generator takes, before the command begins."""
-    from craftsim.discrete.errors import InputError
+    from craftsim.errors import InputError
 
     @functools.wraps(function)
     def checked(*arguments: Any, **options: Any) -> int:

@@ -15,7 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
+from craftsim.storage.writing import write_whole
 
 SCHEMA_VERSION: Final = 2
 """Raised whenever a key of the report changes its meaning or goes away."""
@@ -90,16 +91,6 @@ def write_report(
     }
     text = json.dumps(plain(report), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
     return write_whole(output_directory(out) / "report.json", text)
-
-
-def write_whole(path: Path, text: str) -> Path:
-    """Write a file that appears whole or not at all, whatever happens, and return its path."""
-    partial = path.with_name(f".{path.name}.partial")
-    with partial.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    return partial.replace(path)
 
 
 def plain(value: Any) -> Any:

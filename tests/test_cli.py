@@ -10,7 +10,7 @@ import craftsim
 from craftsim import cli
 from craftsim.commands import doctor as doctor_module
 from craftsim.commands.doctor import Check
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 
 
 def _run(*words: str) -> subprocess.CompletedProcess[str]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.report import SCHEMA_VERSION, output_directory, write_report
 
 

@@ -12,8 +12,8 @@ from disturbances import pushed
 from craftsim import cli
 from craftsim.checking import settings, world
 from craftsim.checking.settings import Thresholds
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.errors import InputError
 from craftsim.validation import validation
 from craftsim.validation.campaign import local
 from craftsim.validation.campaign.items import perform

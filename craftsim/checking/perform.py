@@ -7,8 +7,8 @@ from craftsim.checking.recipe import Act
 from craftsim.checking.settings import Setup, Thresholds, nominal_gains
 from craftsim.checking.world import judge_on
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules import RuleSet
+from craftsim.errors import InputError
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
 from craftsim.skills.gains import Gains

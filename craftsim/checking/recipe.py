@@ -20,11 +20,11 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import SEED_0, Seed, set_up
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.files.blueprint import Blueprint, parse_blueprint
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.schedule import Order
+from craftsim.errors import InputError, suggestion
 from craftsim.models.randomization import RandomizedSite
 
 _NAMES: Final = [action.name for action in Action]

@@ -8,8 +8,8 @@ from functools import cache
 from pathlib import Path
 from typing import Final, Literal
 
-from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.rules import RuleSet
+from craftsim.errors import InputError, suggestion
 from craftsim.models.config import SimulationConfig
 from craftsim.models.noise import EXACT, MILD, NOISY, SensorNoise
 from craftsim.models.parameter_files import load_machines, load_noise

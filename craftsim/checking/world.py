@@ -10,9 +10,9 @@ import numpy as np
 
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
-from craftsim.discrete.errors import StartError
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
+from craftsim.errors import StartError
 from craftsim.models.motors import Motors
 from craftsim.models.overlaps import ALLOWED_M
 from craftsim.models.randomization import RandomizedSite

@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from craftsim.commands.options import CampaignOptions, Dir
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.validation.contexts.context import Verb
 
 if TYPE_CHECKING:

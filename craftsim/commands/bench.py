@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 
-from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.rules import RuleSet
+from craftsim.errors import CraftsimError
 
 if TYPE_CHECKING:
     import numpy as np

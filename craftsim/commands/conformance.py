@@ -38,10 +38,10 @@ def conformance(
         show: how many of the first mismatches to draw.
         out: folder for report.json.
     """
-    from craftsim.discrete.errors import InputError
     from craftsim.discrete.records.conformance import Checker
     from craftsim.discrete.records.traces import read_records
     from craftsim.discrete.rules import Rules
+    from craftsim.errors import InputError
     from craftsim.report import output_directory, write_report
 
     if not files:

@@ -11,8 +11,8 @@ import tyro
 from rich.console import Console
 
 from craftsim.commands.options import Dir, File, PhysicsOptions
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.errors import InputError
 
 OPTIONS: Final = PhysicsOptions(randomize="none")
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules import RuleSet
+from craftsim.errors import InputError
 
 if TYPE_CHECKING:
     from craftsim.checking.settings import Setup

@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 
 from craftsim.commands.films import film_bundle, rendering_works
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.report import output_directory, versions, write_report
 
 if TYPE_CHECKING:

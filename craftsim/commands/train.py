@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.report import output_directory, write_report
 from craftsim.training.config import AlgoName, TrainConfig
 from craftsim.training.extra import need_torch

@@ -14,9 +14,9 @@ import yaml
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import suggestion
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules.table import ACTIONS
+from craftsim.errors import suggestion
 
 SITUATIONS: Final = ("flat", "flat_loaded", "slope", "slope_loaded")
 """Columns of the table: whether a move starts or ends on a slope, and whether the car is loaded before its action."""

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import gymnasium
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
+from craftsim.errors import InputError
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv

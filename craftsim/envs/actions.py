@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 
 N_ACTIONS = len(Action)
 

@@ -8,11 +8,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import Task
 from craftsim.envs.core import Core
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.envs.spaces import central_space, joint_action_space
+from craftsim.errors import InputError
 
 Observation = dict[str, NDArray[Any]]
 

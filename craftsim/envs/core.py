@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
@@ -21,6 +20,7 @@ from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.backend import Backend
 from craftsim.envs.options import Options
+from craftsim.errors import InputError
 
 _RESET_FIRST: Final = "call reset() before anything else"
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, fields
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from craftsim.discrete.errors import InputError, suggestion
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.envs.backend import MOTION_FPS, Backend
 from craftsim.envs.grid_backend import GridBackend
 from craftsim.envs.observe import Observe
+from craftsim.errors import InputError, suggestion
 
 if TYPE_CHECKING:
     from craftsim.models.config import SimulationConfig

@@ -9,7 +9,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import N_ACTIONS
@@ -17,6 +16,7 @@ from craftsim.envs.backend import Backend
 from craftsim.envs.core import Core
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.envs.spaces import car_space, state_space
+from craftsim.errors import InputError
 
 Observation = dict[str, NDArray[Any]]
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.errors import InputError, suggestion
 from craftsim.envs.backend import MOTION_FPS
+from craftsim.errors import InputError, suggestion
 from craftsim.rendering.renderer import make_renderer
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from craftsim.discrete.durations import tick_durations
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
@@ -18,6 +17,7 @@ from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.options import BackendName, Options
 from craftsim.envs.spaces import central_space, joint_action_space
+from craftsim.errors import InputError
 
 Observation = dict[str, NDArray[Any]]
 Bools = NDArray[np.bool_]

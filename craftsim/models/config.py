@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 
 Solver = Literal["newton", "pgs"]
 

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any, Final, Literal
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 
 Origin = Literal["published", "derived", "assumed"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.readback import LIFT_RANGE_M
+from craftsim.errors import InputError
 
 if TYPE_CHECKING:
     from craftsim.models.parameters import BlockParameters, Machines, SmartcarParameters

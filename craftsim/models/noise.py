@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.documents import (
     Mapping,
     Node,
@@ -29,6 +28,7 @@ from craftsim.discrete.files.documents import (
     parse_keys,
     read_text,
 )
+from craftsim.errors import InputError
 from craftsim.models.figures import check_figure
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.parameters import (

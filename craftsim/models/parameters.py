@@ -17,8 +17,8 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import ClassVar, Final
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
+from craftsim.errors import InputError
 from craftsim.models.figures import Allowed, assumed, check, derived, digest_of, fixed, published
 from craftsim.models.fit import check_car, check_machines
 

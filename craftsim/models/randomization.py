@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.models.site import Site, SiteState
 
 

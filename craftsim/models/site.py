@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.errors import InputError
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
 from craftsim.models.overlaps import Overlap, overlaps

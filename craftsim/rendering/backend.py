@@ -15,7 +15,7 @@ import subprocess
 import sys
 from typing import Final
 
-from craftsim.discrete.errors import CraftsimError
+from craftsim.errors import CraftsimError
 
 BACKENDS: Final = ("egl", "osmesa")
 """Off-screen backends of MuJoCo on Linux, the preferred one first."""

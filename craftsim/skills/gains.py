@@ -11,7 +11,7 @@ from typing import Final
 
 import yaml
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.models.figures import digest_of
 from craftsim.models.parameter_files import MACHINE_SECTIONS, numbers, read_keys
 

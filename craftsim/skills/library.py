@@ -7,8 +7,8 @@ from functools import partial
 from typing import Final
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules.table import check_complete
+from craftsim.errors import InputError
 from craftsim.skills.driving import Move, Rotate
 from craftsim.skills.folding import Fold, Unfold
 from craftsim.skills.lifting import Drop, Lift

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import torch
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.rules.legality import N_ACTIONS
+from craftsim.errors import InputError
 from craftsim.training.config import TrainConfig
 from craftsim.training.features import Shape
 from craftsim.training.identity import TaskIdentity

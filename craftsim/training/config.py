@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final, Literal, get_args
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql"]
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)

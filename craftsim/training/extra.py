@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import Final
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 
 PACKAGES: Final = ("torch", "tensordict", "torchrl")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.training.extra import need_torch
 
 if TYPE_CHECKING:

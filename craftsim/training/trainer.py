@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import Task, as_task
+from craftsim.errors import InputError
 from craftsim.report import versions
 from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_run, save_policy, save_run

@@ -11,12 +11,12 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.episode import Episode, Watch
 from craftsim.checking.settings import Setup
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import Plan, read_plan, shipped_plan
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.discrete.tasks.measures import Finished
+from craftsim.errors import InputError
 from craftsim.validation.runs.run import Run, Terms, run_episode
 from craftsim.validation.runs.steps import PlanOrder, steps_of
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.settings import Randomize, setup_of
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
+from craftsim.errors import InputError
 from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import Machines
 from craftsim.report import write_report

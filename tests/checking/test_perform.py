@@ -9,8 +9,8 @@ from craftsim.checking.perform import perform
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Kind
+from craftsim.errors import InputError
 from craftsim.models.site import Site
 
 GRID = draw((4, 2, 2), [(Kind.BLOCK, (3, 1, 1))], [(0, 0, 1, 0)])

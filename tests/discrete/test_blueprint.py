@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.discrete.errors import BlueprintError
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
+from craftsim.errors import BlueprintError
 
 GOOD = """\
 area_length: 5

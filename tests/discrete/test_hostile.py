@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from craftsim.discrete.errors import BlueprintError
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
-from craftsim.discrete.files.documents import MAX_BYTES
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
+from craftsim.errors import BlueprintError
+from craftsim.storage.limits import YAML
 
 BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"{name}: &{name} [{','.join([f'*{before}'] * 9)}]\n"
@@ -79,7 +79,7 @@ def test_the_largest_file_that_is_allowed_is_read_within_two_seconds(tmp_path):
         + "block:\n"
         + "".join(entries)
     )
-    assert MAX_BYTES / 4 < len(text) < MAX_BYTES
+    assert YAML.file_bytes / 4 < len(text) < YAML.file_bytes
     (tmp_path / "large.yaml").write_text(text)
     begun = time.process_time()
     grid = read_blueprint(tmp_path / "large.yaml").grid(np.random.default_rng(0))

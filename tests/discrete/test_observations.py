@@ -2,13 +2,13 @@
 
 import pytest
 
-from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import GridEpisode
 from craftsim.discrete.tasks.observation import Layout, as_arrays, design_rows
 from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.errors import CraftsimError
 
 RULES = Rules("published")
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import BlueprintError, InputError, PlanError
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
 from craftsim.discrete.files.plan import read_plan, write_plan
 from craftsim.discrete.files.saving import write_blueprint
@@ -15,6 +14,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task, task_of
 from craftsim.discrete.tasks.measures import FlagAtGoal, OnePlatform
 from craftsim.discrete.tasks.rewards import Reward
+from craftsim.errors import BlueprintError, InputError, PlanError
 
 START = """\
 area_length: 5

@@ -5,10 +5,10 @@ from importlib.resources import files
 import pytest
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import PlanError
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
+from craftsim.errors import PlanError
 
 GOOD = "# two cars\n0 0 LIFT\n\n0 1 STOP # waits\n2 1 MOVE_LEFT\n"
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import BlueprintError, InputError
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
 from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
 from craftsim.discrete.tasks.measures import CodePlatform, Complexity, PaperPlatform
 from craftsim.discrete.tasks.rewards import CodeBarrier, PaperBarrier, Reward
+from craftsim.errors import BlueprintError, InputError
 
 BLOCK, GEAR, FSLOPE, BODY, FOOT = Kind.BLOCK, Kind.GEAR, Kind.FSLOPE, Kind.BODY, Kind.FOOT
 

@@ -9,10 +9,10 @@ import pytest
 from gymnasium import spaces
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
 from craftsim.envs.observe import Observe
 from craftsim.envs.vector import GridVectorEnv
+from craftsim.errors import InputError
 from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.skills.gains import load_gains
 from craftsim.testing import check_api

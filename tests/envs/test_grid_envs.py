@@ -7,12 +7,12 @@ from gymnasium.utils.env_checker import check_env
 from platforms import platform
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.plan import read_plan, shipped_plan
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.tasks import TASK_NAMES, make_task, shipped_blueprint
 from craftsim.discrete.tasks.episodes import GridEpisode
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
+from craftsim.errors import InputError
 from craftsim.testing import check_api, check_deterministic, check_masks, random_policy
 
 STOP = int(Action.STOP)

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.starts import starting_from
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.envs.vector import GridVectorEnv
+from craftsim.errors import InputError
 
 STOP = int(Action.STOP)
 

@@ -13,9 +13,9 @@ from platforms import platform
 from craftsim.checking.recipe import do, run_up
 from craftsim.checking.settings import Thresholds
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
+from craftsim.errors import InputError
 from craftsim.models.noise import NOISY
 from craftsim.models.randomization import DomainRandomization
 from craftsim.testing import check_api, check_deterministic, check_masks, check_skills, random_policy

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
+from craftsim.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("rendering")
 

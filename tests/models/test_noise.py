@@ -6,8 +6,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.errors import InputError
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
 from craftsim.models.parameter_files import load_noise
 from craftsim.models.sensing import Sensors, measure

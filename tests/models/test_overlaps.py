@@ -8,9 +8,9 @@ from craftsim.checking.settings import Setup
 from craftsim.checking.world import set_up
 from craftsim.commands.validate import validate
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import StartError
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Kind
+from craftsim.errors import StartError
 from craftsim.models.site import Site
 from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.audit.trial import Trial, try_it

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, BlockParameters, SlopeParameters, SmartcarParameters
 

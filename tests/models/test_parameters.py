@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.mjcf.meshes import make_meshes, shipped
 from craftsim.mjcf.rendering import PARTS, render
 from craftsim.models.figures import provenance

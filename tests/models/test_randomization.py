@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.errors import InputError
 from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.site import Site
 

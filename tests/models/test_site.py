@@ -5,8 +5,8 @@ import pytest
 from drawn import draw
 from numpy.typing import NDArray
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.errors import InputError
 from craftsim.models.config import SimulationConfig
 from craftsim.models.site import Site
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Kind
+from craftsim.errors import InputError
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.sensing import CarMeasurement, measure
 from craftsim.skills.executor import Executor

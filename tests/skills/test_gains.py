@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.skills.gains import SECTIONS, load_gains
 
 

@@ -6,9 +6,9 @@ from drawn import draw
 
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
+from craftsim.errors import InputError
 from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.scene import write_scene

@@ -9,11 +9,11 @@ import pytest
 import torch
 from platforms import platform
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs import parallel_env
+from craftsim.errors import InputError
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
 from craftsim.training.config import ALGO_NAMES, TrainConfig
 from craftsim.training.policy import load_policy

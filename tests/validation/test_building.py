@@ -10,11 +10,11 @@ import pytest
 from craftsim.checking import world
 from craftsim.checking.settings import Setup, setup_of
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import CarField, Grid, Kind, beside
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.errors import InputError
 from craftsim.validation.building import Building, read_building
 
 RULE_SETS = ("published", "physical")

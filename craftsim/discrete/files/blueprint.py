@@ -11,13 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.errors import BlueprintError
 from craftsim.discrete.files.blueprint_checks import check_blueprint
 from craftsim.discrete.files.documents import Mapping, Scalar, Sequence, Source, parse_keys, read_text
 from craftsim.discrete.files.listing import ListedCar, ListedObject, Listing, Override, Snapshot
 from craftsim.discrete.files.placement import Placement, build_grid
 from craftsim.discrete.files.shipped import find
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
+from craftsim.errors import BlueprintError
 
 NO_CELL: Final[Cell] = (-1, -2, 1)
 """The coordinates with which CraftEnv's files say that there is no flag or no goal."""

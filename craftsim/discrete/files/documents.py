@@ -6,7 +6,6 @@ bounds are checked. Anchors, aliases and tags have no use in our files and are r
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,9 +13,10 @@ from typing import Final, NoReturn
 
 import yaml
 
-from craftsim.discrete.errors import BlueprintError, InputError, suggestion
+from craftsim.errors import BlueprintError, InputError, suggestion
+from craftsim.storage import reading as storage
+from craftsim.storage.limits import YAML, Limits
 
-MAX_BYTES: Final = 256 * 1024
 MAX_NODES: Final = 30_000
 MAX_DEPTH: Final = 8
 
@@ -130,36 +130,12 @@ def exists(path: str | Path) -> bool:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
+def read_text(path: Path, limits: Limits = YAML) -> str:
     """Return a text file of bounded size; raise BlueprintError if it is missing, too large or not UTF-8."""
-    source = Source(path)
     try:
-        if not path.exists():
-            source.fail(None, "no such file")
-        if not path.is_file():
-            source.fail(None, "not a regular file")
-        with path.open("rb") as file:
-            data = file.read(max_bytes + 1)
-    except OSError as error:
-        source.fail(None, f"cannot be read: {error.strerror}")
-    if len(data) > max_bytes:
-        source.fail(None, f"larger than the {max_bytes // 1024} KiB that are allowed")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        source.fail(data[: error.start].count(b"\n") + 1, "not UTF-8 text")
-
-
-def write_whole(path: str | Path, text: str) -> None:
-    """Write a text file such that it is whole or, if something goes wrong, as it was; raise InputError then."""
-    target = Path(path)
-    part = target.with_name(f"{target.name}.{os.getpid()}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(target)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"{target}: cannot be written: {error.strerror}") from error
+        return storage.read_text(path, limits)
+    except InputError as error:
+        raise BlueprintError(str(error)) from error
 
 
 def parse_keys(path: Path, text: str, known: list[str]) -> tuple[Source, Mapping]:

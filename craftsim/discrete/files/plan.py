@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import Final, NoReturn
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import BlueprintError, InputError, PlanError, suggestion
-from craftsim.discrete.files.documents import read_text, write_whole
+from craftsim.discrete.files.documents import read_text
 from craftsim.discrete.files.shipped import find, shipped_plan
+from craftsim.errors import BlueprintError, InputError, PlanError, suggestion
+from craftsim.storage.limits import TEXT
+from craftsim.storage.writing import write_whole
 
 __all__ = ["Plan", "plan_text", "read_actions", "read_plan", "shipped_plan", "write_plan"]
 
@@ -122,7 +124,7 @@ def _found(path: str | Path) -> Path:
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the number and the words of each line that has some."""
     try:
-        text = read_text(path)
+        text = read_text(path, TEXT)
     except BlueprintError as error:
         raise PlanError(str(error)) from None
     for line, content in enumerate(text.split("\n"), start=1):

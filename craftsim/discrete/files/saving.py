@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.errors import BlueprintError
 from craftsim.discrete.files.blueprint import LOADS, NO_CELL, OBJECT_KEYS, parse_blueprint
 from craftsim.discrete.files.design import TARGET_KEYS
-from craftsim.discrete.files.documents import write_whole
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
+from craftsim.errors import BlueprintError
+from craftsim.storage.writing import write_whole
 
 _LOAD_NAMES: Final = {kind: name for name, kind in LOADS.items()}
 _UNNAMED: Final = Path("saved world")

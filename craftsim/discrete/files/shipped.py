@@ -6,8 +6,8 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final, Literal
 
-from craftsim.discrete.errors import BlueprintError, suggestion
 from craftsim.discrete.files.documents import exists
+from craftsim.errors import BlueprintError, suggestion
 
 Shelf = Literal["blueprints", "goals", "plans"]
 

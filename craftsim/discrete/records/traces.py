@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.errors import InputError
 
 KIND_NAMES: Final = {
     "wall": Kind.WALL,

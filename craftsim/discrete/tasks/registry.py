@@ -9,10 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.discrete.errors import CraftsimError, InputError, suggestion
 from craftsim.discrete.files.documents import exists
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
 from craftsim.discrete.tasks.task_files import read_task
+from craftsim.errors import CraftsimError, InputError, suggestion
 
 _REGISTERED: Final[dict[str, Task]] = {}
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")

@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.tasks.task import Task
+from craftsim.errors import InputError
 
 _ARRAYS: Final = tuple(field.name for field in fields(Grid))
 

@@ -12,7 +12,6 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.errors import BlueprintError, InputError, suggestion
 from craftsim.discrete.files.blueprint import NO_CELL, Blueprint, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.placement import Placement
@@ -33,6 +32,7 @@ from craftsim.discrete.tasks.measures import (
 )
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.rewards import CodeBarrier, CodeReward, PaperBarrier, Reward
+from craftsim.errors import BlueprintError, InputError, suggestion
 
 TaskName = Literal[
     "strip", "block", "simple_two_story", "complex_two_story", "free_building", "breaking_barrier"

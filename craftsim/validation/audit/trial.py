@@ -13,10 +13,10 @@ import numpy as np
 from craftsim.checking.recipe import Recipe, Step, do, run_up
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, compile_world, set_up
-from craftsim.discrete.errors import StartError
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
+from craftsim.errors import StartError
 from craftsim.models.randomization import RandomizedSite
 from craftsim.validation.audit.intended import intended
 from craftsim.validation.audit.rows import Row, Situation, action_in, distribute_trials, world_of

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Literal
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.validation.campaign.distribute import Worker, distribute
 from craftsim.validation.campaign.items import (
     Answer,

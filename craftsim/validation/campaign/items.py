@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict
 
-from craftsim.discrete.errors import DISK_ERRORS
+from craftsim.errors import DISK_ERRORS
 from craftsim.report import plain
 
 

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final
 
-from craftsim.discrete.errors import InputError
-from craftsim.report import output_directory, plain, versions, write_whole
+from craftsim.errors import InputError
+from craftsim.report import output_directory, plain, versions
+from craftsim.storage.writing import write_whole
 from craftsim.validation.campaign.items import Item, TrialRecord
 
 SCHEMA_VERSION: Final = 1

@@ -14,9 +14,9 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
 from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.errors import CraftsimError
 from craftsim.validation.contexts.context import FORWARD, NOTHING, Context, Ground, Thing, Verb
 from craftsim.validation.contexts.worlds import (
     Drawing,

@@ -10,7 +10,8 @@ from typing import Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from craftsim.report import output_directory, write_whole
+from craftsim.report import output_directory
+from craftsim.storage.writing import write_whole
 from craftsim.validation.html import plots
 from craftsim.validation.html.film_links import Films
 from craftsim.validation.html.page import Page, count, interval, percent

@@ -13,10 +13,10 @@ from dataclasses import astuple, dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 
-from craftsim.discrete.files.documents import write_whole
 from craftsim.discrete.grid import Cell
 from craftsim.discrete.rules import RULE_FLAGS, Rules
 from craftsim.models.parameters import NOMINAL
+from craftsim.storage.writing import write_whole
 from craftsim.validation.neighbourhoods.neighbours import Neighbour, neighbours
 
 NAME = "neighbours.csv"

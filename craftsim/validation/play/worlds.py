@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.errors import BlueprintError, CraftsimError, InputError
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, Grid, Kind
 from craftsim.discrete.tasks import Task, free_play
+from craftsim.errors import BlueprintError, CraftsimError, InputError
 from craftsim.validation.play.cars import Place, put_car, put_load
 
 MAX_CARS: Final = 12

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter, ValidationError
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe, do, run_up
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.models.randomization import Nominal
 from craftsim.models.scene import write_scene
 from craftsim.models.site import Site

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.recipe import do, run_up
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.models.site import Site
 from craftsim.report import versions
 from craftsim.skills.executor import Observer

@@ -13,13 +13,13 @@ import numpy as np
 from craftsim.checking.recipe import Step
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import check_start
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.files.documents import exists
 from craftsim.discrete.files.plan import Plan, read_actions, read_plan, shipped_plan
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
+from craftsim.errors import InputError
 from craftsim.models.site import Site
 from craftsim.validation.campaign import Item
 from craftsim.validation.play.worlds import MAX_CARS, RandomWorlds

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.documents import exists
 from craftsim.discrete.tasks import Task
+from craftsim.errors import InputError
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` and ``action_mask`` (docs/envs.md)."""

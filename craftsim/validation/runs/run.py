@@ -15,7 +15,6 @@ from craftsim.checking.recipe import Recipe, Step, do
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, set_up
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import StartError
 from craftsim.discrete.files.plan import write_plan
 from craftsim.discrete.files.saving import blueprint_text, write_blueprint
 from craftsim.discrete.grid import Grid
@@ -24,6 +23,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
+from craftsim.errors import StartError
 from craftsim.skills.executor import Observer
 from craftsim.validation.campaign import Done
 from craftsim.validation.play.coverage import covered

@@ -11,9 +11,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
 
-from craftsim.discrete.files.documents import write_whole
 from craftsim.discrete.files.saving import write_blueprint
 from craftsim.report import output_directory
+from craftsim.storage.writing import write_whole
 from craftsim.validation.campaign import TrialRecord
 from craftsim.validation.replays.bundle import Bundle, read_bundle
 from craftsim.validation.shrinking.shrink import DependsError, OnTrial, Smallest, failing_actions, shrink

@@ -16,11 +16,11 @@ from craftsim.checking.recipe import Recipe, run_up
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import SEED_0, Seed, set_up
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
+from craftsim.errors import InputError
 from craftsim.models.noise import EXACT
 from craftsim.validation.shrinking.pieces import (
     Piece,

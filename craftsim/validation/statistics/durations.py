@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.report import output_directory
 from craftsim.validation.statistics.records import AttemptRecord, as_predicted
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.validation.campaign import FinishedCampaign, Item, read_finished
 from craftsim.validation.campaign.store import CAMPAIGN, differences, read_header
 from craftsim.validation.statistics.proportions import Proportion

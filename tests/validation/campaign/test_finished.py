@@ -5,7 +5,7 @@ import json
 import cheap_work
 import pytest
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.validation.campaign import Header, read_finished, run_campaign
 
 

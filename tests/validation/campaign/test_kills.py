@@ -12,7 +12,7 @@ from pathlib import Path
 import cheap_work
 import pytest
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.validation.campaign import Header, run_campaign
 
 SCRIPT = Path(__file__).parent / "run_cheap.py"

@@ -7,7 +7,7 @@ import cheap_work
 import pytest
 
 from craftsim.cli import main
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.validation.campaign import Header, run_campaign
 
 ray = pytest.importorskip("ray", reason="the extra 'ray' is not installed")

@@ -5,7 +5,7 @@ import json
 import cheap_work
 import pytest
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.validation.campaign import Header, run_campaign
 
 HEADER = Header("test", 7, {"trials": 1, "nested": {"a": [1.5]}})

@@ -6,7 +6,7 @@ from dataclasses import replace
 import cheap_work
 import pytest
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.validation.campaign import Done, Header
 from craftsim.validation.campaign.items import make_record
 from craftsim.validation.campaign.store import Store

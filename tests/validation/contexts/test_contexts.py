@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import CraftsimError
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import Rules
+from craftsim.errors import CraftsimError
 from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
 from craftsim.validation.contexts.context import DIRECTION_NAMES, Ground, Thing, Verb

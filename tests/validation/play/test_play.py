@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from craftsim.checking.attempt import Attempt
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
+from craftsim.errors import InputError
 from craftsim.validation.play.play import play
 from craftsim.validation.play.worlds import RandomWorlds
 from craftsim.validation.validation import validate

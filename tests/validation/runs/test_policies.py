@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.validation.runs.policies import make_policy, policy_digest
 
 OBSERVATIONS = {

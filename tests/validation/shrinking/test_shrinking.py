@@ -9,10 +9,10 @@ from craftsim import cli
 from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.settings import Setup
 from craftsim.discrete.actions import Action
-from craftsim.discrete.errors import InputError
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.errors import InputError
 from craftsim.validation.audit.scenes import SCENES
 from craftsim.validation.replays.bundle import write_bundle
 from craftsim.validation.shrinking.campaign import first_of_each_kind

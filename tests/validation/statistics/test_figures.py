@@ -9,7 +9,7 @@ import pytest
 from synthetic import attempt, audit, episodes, record
 
 from craftsim.checking.attempt import Result
-from craftsim.discrete.errors import InputError
+from craftsim.errors import InputError
 from craftsim.report import write_report
 from craftsim.validation.statistics.audit_rows import (
     Judgement,

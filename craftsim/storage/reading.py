@@ -1,0 +1,188 @@
+"""Reading files from people one does not know: regular files alone, within limits, with one kind of error."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.errors import InputError
+from craftsim.storage.limits import Limits, size_text
+
+Arrays = dict[str, NDArray[np.generic]]
+
+MAX_MEMBERS: Final = 64
+"""Files in an archive."""
+MAX_AXES: Final = 6
+"""Of an array."""
+_HEADER_BYTES: Final = 4096
+_KINDS: Final = "biuf"
+"""Kinds of the elements of arrays: booleans and numbers."""
+_PACKED: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_DAMAGED: Final = (ValueError, EOFError, KeyError, RuntimeError, NotImplementedError, OverflowError)
+"""What zipfile and NumPy raise for archives that are none, besides errors of their own."""
+
+
+def open_file(path: Path, limits: Limits) -> IO[bytes]:
+    """Open a regular file; raise InputError for what is none, cannot be read, or is larger than its limit.
+
+    A pipe or device is not waited for.
+    """
+    try:
+        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
+    file = os.fdopen(number, "rb") if _is_regular(number) else None
+    if file is None:
+        os.close(number)
+        raise InputError(f"{path}: not a regular file")
+    if (size := os.fstat(number).st_size) > limits.file_bytes:
+        file.close()
+        raise InputError(
+            f"{path}: {size_text(size)}; a {limits.what} is no larger than the "
+            f"{size_text(limits.file_bytes)} that are allowed"
+        )
+    return file
+
+
+def read_bytes(path: Path, limits: Limits) -> bytes:
+    """Return what a file holds; raises as :func:`open_file`."""
+    try:
+        with open_file(path, limits) as file:
+            # It may grow while it is read.
+            return file.read(limits.file_bytes)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
+
+
+def read_text(path: Path, limits: Limits) -> str:
+    """Return a text; raise InputError, with the line, where it is not UTF-8, and as :func:`open_file`."""
+    data = read_bytes(path, limits)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise InputError(f"{path}:{line}: not UTF-8 text") from None
+
+
+def parse_json(data: bytes, where: str) -> Any:
+    """Return a value of JSON, nested 200 levels deep at most; raise InputError, beginning with ``where``, for others.
+
+    Whether its numbers are finite, and all else, is for a schema to check.
+    """
+    from pydantic_core import from_json
+
+    try:
+        return from_json(data, allow_inf_nan=False)
+    except ValueError as error:
+        raise InputError(f"{where}: not JSON: {error}") from None
+
+
+def read_json(path: Path, limits: Limits) -> Any:
+    """Return the value of a JSON file; raises as :func:`read_bytes` and :func:`parse_json`."""
+    return parse_json(read_bytes(path, limits), str(path))
+
+
+def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tuple[int, bytes]]:
+    """Yield the number and the bytes of each line, its end included; ``packed`` is for gzip.
+
+    Raises InputError for a line, or a content, that is longer than its limit, and as :func:`open_file`.
+    """
+    with open_file(path, limits) as file:
+        lines: IO[bytes] = gzip.GzipFile(fileobj=file) if packed else file  # type: ignore[assignment]
+        number = total = 0
+        while True:
+            try:
+                line = lines.readline(limits.line_bytes + 1)
+            except (OSError, EOFError, zlib.error) as error:
+                raise InputError(f"{path}: not a gzip file of text: {_reason(error)}") from error
+            if not line:
+                return
+            number, total = number + 1, total + len(line)
+            if len(line) > limits.line_bytes:
+                raise InputError(
+                    f"{path}:{number}: the line is longer than the {size_text(limits.line_bytes)} that are allowed"
+                )
+            if total > limits.content_bytes:
+                raise InputError(
+                    f"{path}:{number}: holds more than the {size_text(limits.content_bytes)} that are allowed"
+                )
+            yield number, line
+
+
+def read_arrays(path: Path, limits: Limits) -> Arrays:
+    """Return the arrays of an ``.npz`` file by name; nothing in it can run.
+
+    What each array claims to be is checked before any memory is asked for.
+
+    Raises InputError for another file, or more or larger arrays than allowed.
+    """
+    with open_file(path, limits) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                return _arrays(path, archive, limits)
+        except zipfile.BadZipFile as error:
+            raise InputError(f"{path}: not an archive of arrays: {error}") from None
+        except (zlib.error, OSError, *_DAMAGED) as error:
+            raise InputError(f"{path}: damaged or not an archive of arrays: {_reason(error)}") from None
+
+
+def check_archive(path: Path, archive: zipfile.ZipFile, limits: Limits) -> None:
+    """Raise InputError for an archive that unpacks to more than it may."""
+    members = archive.infolist()
+    if len(members) > MAX_MEMBERS:
+        raise InputError(f"{path}: {len(members)} files inside; allowed: at most {MAX_MEMBERS}")
+    total = sum(member.file_size for member in members)
+    if total > limits.content_bytes:
+        raise InputError(
+            f"{path}: unpacks to {size_text(total)}; allowed: at most {size_text(limits.content_bytes)}"
+        )
+    if any(member.compress_type not in _PACKED for member in members):
+        raise InputError(f"{path}: packed in a way that is not allowed; allowed: stored or deflated")
+
+
+def _arrays(path: Path, archive: zipfile.ZipFile, limits: Limits) -> Arrays:
+    check_archive(path, archive, limits)
+    found: Arrays = {}
+    for member in archive.infolist():
+        name = member.filename.removesuffix(".npy")
+        if name == member.filename or name in found:
+            raise InputError(f"{path}: holds '{name[:40]}', which is not an array of its own name")
+        found[name] = _array(f"{path}: array '{name[:40]}'", archive.read(member))
+    return found
+
+
+def _array(where: str, data: bytes) -> NDArray[np.generic]:
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    if version != (1, 0):
+        raise InputError(f"{where}: is of version {version} of NumPy's format; allowed: (1, 0)")
+    shape, _, dtype = np.lib.format.read_array_header_1_0(file, max_header_size=_HEADER_BYTES)
+    if dtype.kind not in _KINDS or dtype.itemsize > 8:
+        raise InputError(f"{where}: holds {dtype}; allowed: booleans and numbers")
+    n, there = dtype.itemsize, len(data) - file.tell()
+    for length in shape:
+        n *= length
+    if len(shape) > MAX_AXES or n != there:
+        raise InputError(f"{where}: claims shape {shape} of {dtype}, but there are {there} bytes")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False, max_header_size=_HEADER_BYTES)
+
+
+def _is_regular(number: int) -> bool:
+    return stat.S_ISREG(os.fstat(number).st_mode)
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__

@@ -7,7 +7,7 @@ ARGS ?=
 TORCH ?= torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs hooks importtime mutants plants faults campaigns picture machines neighbours libraries clean
+.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults campaigns picture machines neighbours libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -43,6 +43,9 @@ mutants: $(VENV)/installed-dev  ## Mutation testing: break one grid rule at a ti
 
 plants: $(VENV)/installed  ## Plant unsound rules one at a time, see whether a quick audit finds them (an hour; ARGS are parts of their names)
 	$(BIN)/python tests/validation/plants.py $(ARGS)
+
+fuzz: $(VENV)/installed-dev  ## Read 100,000 damaged files of all formats (some minutes; ARGS such as --cases 1000, or parts of formats' names)
+	PYTHONPATH=tests $(BIN)/python -m fuzzing.fuzz $(ARGS)
 
 faults: $(VENV)/installed-dev  ## Fault injection: kill a validation ten times at random, resume it, compare (some minutes)
 	$(BIN)/python tests/validation/campaign/faults.py

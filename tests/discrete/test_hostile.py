@@ -9,6 +9,8 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from fuzzing.drawings import SNAPSHOT
+from fuzzing.mutations import mutated_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -87,48 +89,6 @@ def test_the_largest_file_that_is_allowed_is_read_within_two_seconds(tmp_path):
     assert (grid.kind == 3).sum() == len(entries)
 
 
-PIECES = [
-    "0", "-1", "1", "3", "99", "1e9", ".nan", "~", "''", "\"", "[", "]", "{", "}", ":", ",", "- ", "\n", "  ", "\t",
-    "&a", "*a", "!t", "#", "---\n", "...\n", "x", "yaw: 1", "id: 0", "load: flag", "slope: 2", "snapshot: {}\n",
-    "flag:\n  - {id: 0, x: 1, y: 1, z: 1}\n", "wall:\n", "goal:\n", "null",
-    "\u00e9", "\x00", "\u2028", "\ud7ff", "%YAML 9.9\n",
-]  # fmt: skip
-
-
-def mutate(text, rng):
-    """Return a text with a few pieces cut out, put in, doubled or swapped."""
-    for _ in range(rng.integers(1, 5)):
-        a, b = sorted(rng.integers(0, len(text) + 1, 2))
-        b = min(b, a + int(rng.integers(0, 30)))
-        piece = PIECES[rng.integers(len(PIECES))]
-        kind = rng.integers(5)
-        if kind == 0:
-            text = text[:a] + text[b:]
-        elif kind == 1:
-            text = text[:a] + piece + text[a:]
-        elif kind == 2:
-            text = text[:a] + piece + text[b:]
-        elif kind == 3:
-            text = text[:b] + text[a:]
-        else:
-            digits = [i for i, letter in enumerate(text) if letter.isdigit()]
-            if digits:
-                i = digits[rng.integers(len(digits))]
-                text = text[:i] + str(rng.integers(-2, 12)) + text[i + 1 :]
-    return text
-
-
-SNAPSHOT = """
-snapshot:
-  cells:
-    - {x: 0, y: 0, z: 1, kind: gear, yaw: 1}
-  top:
-    - {x: 0, y: 0, z: 0, mark: -2}
-  back:
-    - {x: 0, y: 0, z: 1, mark: 1}
-"""
-
-
 def test_ten_thousand_mutated_blueprints_give_a_world_or_our_error():
     seeds = [shipped_blueprint(name).read_text() for name in TASK_NAMES]
     seeds += [seeds[2] + SNAPSHOT, seeds[3].replace("block_num: 6", "block_num: 9")]
@@ -141,7 +101,7 @@ def test_ten_thousand_mutated_blueprints_give_a_world_or_our_error():
         rng = np.random.default_rng(seed)
         for _ in range(10):
             try:
-                worlds.append(parse_blueprint(mutate(text, rng), "mutated.yaml").grid(rng).size)
+                worlds.append(parse_blueprint(mutated_text(text, rng), "mutated.yaml").grid(rng).size)
             except BlueprintError as error:
                 messages.append(str(error))
 

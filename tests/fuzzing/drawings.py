@@ -1,0 +1,69 @@
+"""Damaged files that people write: blueprints, goals, plans, actions, task files, gains, machines and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from craftsim.discrete.files.blueprint import read_blueprint
+from craftsim.discrete.files.design import read_design
+from craftsim.discrete.files.plan import read_actions, read_plan
+from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
+from craftsim.discrete.tasks.task_files import read_task
+from craftsim.models.parameter_files import load_machines, load_noise
+from craftsim.skills.gains import load_gains
+from fuzzing.mutations import mutated_bytes, mutated_text
+
+SNAPSHOT = """
+snapshot:
+  cells:
+    - {x: 0, y: 0, z: 1, kind: gear, yaw: 1}
+  top:
+    - {x: 0, y: 0, z: 0, mark: -2}
+  back:
+    - {x: 0, y: 0, z: 1, mark: 1}
+"""
+_DATA = files("craftsim.data")
+_STARTS = [shipped_blueprint(name).read_text() for name in TASK_NAMES]
+_STARTS += [_STARTS[2] + SNAPSHOT, _STARTS[3].replace("block_num: 6", "block_num: 9")]
+_SEEDS: dict[str, list[str]] = {
+    "blueprint": _STARTS,
+    "goal": [(_DATA / "blueprints" / f"{name}_goal.yaml").read_text() for name in ("strip", "block")],
+    "plan": [(_DATA / "plans" / f"{name}.plan").read_text() for name in ("strip", "simple_two_story")],
+    "actions": ["# tries\n0 MOVE_LEFT\n1 LIFT\n0 ROTATE_RIGHT\n"],
+    "task": ["start: strip\ngoal: strip_goal\nreward: paper\nmax_steps: 40\ncars: 3\nblocks: 6\n"],
+    "machines": [
+        "smartcar: {chassis_mass_kg: 1.1, wheel_torque_nm: 3.0}\ncars: [{}, {wheel_mass_kg: 2.5}]\n"
+        "slope: {hinge_speed_rad_s: 1.0}\ngains:\n  drive: {max_speed: 0.4}\n"
+    ],
+    "gains": [(_DATA / "gains" / "nominal.yaml").read_text()],
+    "noise": ["{min_delay_s: 0.02, max_delay_s: 0.04, position_m: 0.001}\n"],
+}
+_READERS: dict[str, Callable[[Path], object]] = {
+    "blueprint": lambda path: read_blueprint(path).grid(np.random.default_rng(0)),
+    "goal": read_design,
+    "plan": lambda path: read_plan(path, n_cars=2),
+    "actions": lambda path: read_actions(path, n_cars=2),
+    "task": read_task,
+    "machines": load_machines,
+    "gains": load_gains,
+    "noise": load_noise,
+}
+
+
+def _target(name: str) -> Callable[[np.random.Generator, Path], None]:
+    seeds, read = _SEEDS[name], _READERS[name]
+
+    def attack(rng: np.random.Generator, folder: Path) -> None:
+        path, text = folder / "mutated.yaml", seeds[rng.integers(len(seeds))]
+        data = mutated_text(text, rng).encode("utf-8", "surrogatepass")
+        path.write_bytes(mutated_bytes(data, rng) if rng.random() < 0.1 else data)
+        read(path)
+
+    return attack
+
+
+TARGETS = {name: _target(name) for name in _READERS}

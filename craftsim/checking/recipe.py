@@ -26,6 +26,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.schedule import Order
 from craftsim.errors import InputError, suggestion
 from craftsim.models.randomization import RandomizedSite
+from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 
 _NAMES: Final = [action.name for action in Action]
 
@@ -49,7 +50,8 @@ class Act:
 class Step:
     """What is done at one time: one action, or with an ``order`` one tick of many cars, or a whole plan.
 
-    Raises InputError for several actions without an order, and for an intended world with one.
+    Raises InputError for several actions without an order, for an intended world with one, for a car that acts twice
+    in a tick, and for more actions than allowed.
     """
 
     ticks: tuple[tuple[Act, ...], ...]
@@ -64,6 +66,12 @@ class Step:
     def __post_init__(self) -> None:
         if self.order is None and len(self.acts) != 1:
             raise InputError(f"a step without an order has one action, not {len(self.acts)}")
+        if len(self.acts) > STEP_ACTIONS:
+            raise InputError(
+                f"a step of {len(self.acts)} actions; allowed: at most {STEP_ACTIONS} at one time"
+            )
+        if any(len({act.car for act in tick}) < len(tick) for tick in self.ticks):
+            raise InputError("a car acts twice in one tick; allowed: once")
         if self.order is not None and self.intended is not None:
             raise InputError("only a single action, in a step without an order, can have an intended world")
 
@@ -120,14 +128,38 @@ def _blueprint(text: str) -> Blueprint:
 
 def run_up(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
     """Return the world of a recipe before its last step; ``reuse`` as of :func:`set_up`."""
-    grid = recipe.grid
-    for act in (act for step in recipe.steps for act in step.acts):
-        if not 0 <= act.car < grid.n_cars:
-            raise InputError(f"there is no car {act.car}: the world has {grid.n_cars}, counted from 0")
-    checked = set_up(grid, recipe.setup, recipe.seed, recipe.goals, reuse)
+    checked = start(recipe, reuse)
     for step in recipe.steps[:-1]:
         do(checked, step)
     return checked
+
+
+def start(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
+    """Return the world of a recipe before its first step; ``reuse`` as of :func:`set_up`.
+
+    Raises InputError where something in the recipe does not fit together.
+    """
+    grid = check_recipe(recipe)
+    return set_up(grid, recipe.setup, recipe.seed, recipe.goals, reuse)
+
+
+def check_recipe(recipe: Recipe) -> Grid:
+    """Return the start of a recipe; raise InputError for steps that are not for its world, and for too many."""
+    grid = recipe.grid
+    acts = [act for step in recipe.steps for act in step.acts]
+    if len(acts) > RECIPE_ACTIONS:
+        raise InputError(f"a recipe of {len(acts)} actions; allowed: at most {RECIPE_ACTIONS}")
+    for act in acts:
+        if not 0 <= act.car < grid.n_cars:
+            raise InputError(f"there is no car {act.car}: the world has {grid.n_cars}, counted from 0")
+    for step in recipe.steps:
+        if step.intended is not None:
+            intended = _grid(step.intended)
+            if (intended.size, intended.n_cars) != (grid.size, grid.n_cars):
+                raise InputError(
+                    "the intended world of a step has another size, or other cars, than the start"
+                )
+    return grid
 
 
 def do(checked: CheckedSite, step: Step) -> tuple[Attempt, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
@@ -22,7 +23,10 @@ nominal_gains = cache(load_gains)
 
 @dataclass(frozen=True)
 class Thresholds:
-    """The largest errors with which an action still agrees with its prediction; set before anything is run."""
+    """The largest errors with which an action still agrees with its prediction; set before anything is run.
+
+    Raises InputError for what is no finite number.
+    """
 
     car_m: float = 0.001
     """Distance of the car from its cell's centre."""
@@ -32,6 +36,11 @@ class Thresholds:
     bystander_m: float = 0.001
     """Displacement of anything that the action does not concern."""
     height_m: float = 0.002
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            if not math.isfinite(getattr(self, f.name)):
+                raise InputError(f"Thresholds.{f.name} must be a finite number, not {getattr(self, f.name)}")
 
 
 @dataclass(frozen=True)

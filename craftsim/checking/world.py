@@ -12,7 +12,7 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
-from craftsim.errors import StartError
+from craftsim.errors import InputError, StartError
 from craftsim.models.motors import Motors
 from craftsim.models.overlaps import ALLOWED_M
 from craftsim.models.randomization import RandomizedSite
@@ -21,12 +21,25 @@ from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 
 
+MAX_WORDS: Final = 64
+"""Numbers in a seed."""
+
+
 @dataclass(frozen=True)
 class Seed:
-    """Where a random generator starts: entropy and spawn key of NumPy's SeedSequence."""
+    """Where a random generator starts: entropy and spawn key of NumPy's SeedSequence.
+
+    Raises InputError for what NumPy does not take.
+    """
 
     entropy: tuple[int, ...]
     spawn_key: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if min((*self.entropy, *self.spawn_key), default=0) < 0 or max(self.spawn_key, default=0) >= 2**32:
+            raise InputError("a seed's entropy must be 0 or more, and its spawn key from 0 to 2**32 - 1")
+        if len(self.entropy) + len(self.spawn_key) > MAX_WORDS:
+            raise InputError(f"a seed of more than {MAX_WORDS} numbers")
 
     @classmethod
     def of(cls, sequence: np.random.SeedSequence) -> Seed:

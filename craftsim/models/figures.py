@@ -33,6 +33,10 @@ class Allowed:
 ANY: Final = Allowed()
 """Above 0 and finite."""
 
+REACH: Final = 1e6
+"""By what factor a figure may be larger or smaller than its nominal value, where nothing narrower is declared: beyond
+it arithmetic ends before physics does."""
+
 
 def fixed(reason: str) -> Allowed:
     """Return that a figure cannot be changed, and why."""
@@ -96,3 +100,11 @@ def check_figure(name: str, value: object, declared: Any) -> None:
     if not allowed.above < value <= allowed.most:
         most = f" and at most {allowed.most:g}" if allowed.most < math.inf else ""
         raise InputError(f"{name} must be above {allowed.above:g}{most}, not {value!r}")
+    check_reach(name, value, declared.default)
+
+
+def check_reach(name: str, value: float, nominal: float) -> None:
+    """Raise InputError, calling the figure ``name``, for a value of another order than the nominal one."""
+    least, most = abs(nominal) / REACH, abs(nominal) * REACH
+    if value and not least <= abs(value) <= most:
+        raise InputError(f"{name} must be from {least:g} to {most:g}, not {value!r}")

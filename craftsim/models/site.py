@@ -17,6 +17,7 @@ from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.errors import InputError
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
+from craftsim.models.extent import check_extent
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import Car, FreeBody, Slope
@@ -77,8 +78,10 @@ class Site:
             reset: False leaves the first reset to the caller, who is about to change the physics.
             machines: figures of cars, blocks and slopes.
 
-        Raises InputError for figures of another number of cars than the grid has.
+        Raises InputError for a world that is larger than physics takes, for figures of another number of cars than the
+        grid has, and for figures of which MuJoCo makes no world.
         """
+        check_extent(grid, goals)
         machines.check_number(grid.n_cars)
         self.config = config or SimulationConfig()
         self.machines = machines
@@ -92,7 +95,10 @@ class Site:
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
         spec, names = compose(grid, self._placements, self.config, goals, machines)
-        self.model: mujoco.MjModel = spec.compile()
+        try:
+            self.model: mujoco.MjModel = spec.compile()
+        except ValueError as error:
+            raise InputError(f"MuJoCo makes no world of these figures: {error}") from error
         self.data = mujoco.MjData(self.model)
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""

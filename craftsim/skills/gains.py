@@ -12,7 +12,7 @@ from typing import Final
 import yaml
 
 from craftsim.errors import InputError
-from craftsim.models.figures import digest_of
+from craftsim.models.figures import check_reach, digest_of
 from craftsim.models.parameter_files import MACHINE_SECTIONS, numbers, read_keys
 
 
@@ -164,7 +164,7 @@ class HealthGains:
 
 @dataclass(frozen=True)
 class Gains:
-    """The gains of all skills; hashable. Raises InputError for a gain that is not a positive finite number.
+    """The gains of all skills; hashable. Raises InputError for a gain that is no positive number near the nominal one.
 
     Example:
         >>> import craftsim
@@ -194,6 +194,7 @@ class Gains:
                     raise InputError(
                         f"{self.source}: {section}.{name} must be a positive number, not {value!r}"
                     )
+                check_reach(f"{self.source}: {section}.{name}", value, _nominal()[section][name])
 
 
 SECTIONS: Final[dict[str, type]] = {
@@ -241,6 +242,7 @@ def load_gains(path: Path | str | None = None) -> Gains:
         for key, (value, line) in own.items():
             if not 0 < value < math.inf:
                 source.fail(line, f"{name}.{key} must be a positive number, not {value:g}")
+            check_reach(f"{path}:{line}: {name}.{key}", value, nominal[name][key])
         merged[name] = kind(**(nominal[name] | {key: value for key, (value, _) in own.items()}))
     return Gains(**merged, source=str(path) if sections else "nominal")
 

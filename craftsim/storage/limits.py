@@ -44,6 +44,28 @@ RUN: Final = _plain("run file", 256 * MIB)
 REPORT: Final = _plain("report.json", 64 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
 
+JSON_VALUES: Final = 200_000
+"""Values in a JSON document that is read whole, about: commas are counted."""
+YAML_VALUES: Final = 40_000
+"""Values in a YAML file, lists and mappings included; so many a world may also make when it is written out."""
+YAML_DEPTH: Final = 8
+"""Levels of lists and mappings in a YAML file."""
+
+PHYSICS_CELLS: Final = 8192
+"""Of the area of a world in physics: ten times that of the largest random world."""
+PHYSICS_CARS: Final = 32
+PHYSICS_PARTS: Final = 256
+"""Cars, loads, blocks, slopes, flags and walls of a world in physics together: what compiles in 2 s and 400 MB."""
+PHYSICS_STEPS: Final = 1_000_000
+"""Of a replay: an hour of simulated time at the usual time step."""
+SHRINK_S: Final = 3600.0
+"""Of simulated time, for all trials of the search for the smallest world of one failure."""
+STEP_ACTIONS: Final = 2000
+"""Scheduled together, in one step of a recipe: 2 s of scheduling."""
+RECIPE_ACTIONS: Final = 10_000
+ACTIONS_WITHOUT_TIME: Final = 1000
+"""Of a recipe, beyond one in each control period: what the rules forbid takes no simulated time."""
+
 ALL: Final = (YAML, TEXT, BUNDLE, ARRAYS, STARTS, RECORDING, HEADER, TRIALS, POLICY, RUN, REPORT, TABLE)
 
 

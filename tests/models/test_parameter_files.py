@@ -71,7 +71,7 @@ def test_single_cars_differ_from_the_others(tmp_path):
         ("cars: [{}, {wheel_mas_kg: 1}]", ":1: unknown key 'wheel_mas_kg'"),
         ("smartcar: &x {}", ":1: anchors and aliases"),
         ("smartcar: [", ":2: not valid YAML"),
-        ("# " + "x" * 300_000, ": larger than the 256 KiB that are allowed"),
+        ("# " + "x" * 300_000, ": 293 KiB; a YAML file is no larger than the 256 KiB"),
     ],
 )
 def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path, text, message):

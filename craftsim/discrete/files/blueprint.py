@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.files.blueprint_checks import check_blueprint
+from craftsim.discrete.files.blueprint_checks import check_blueprint, check_written
 from craftsim.discrete.files.documents import Mapping, Scalar, Sequence, Source, parse_keys, read_text
 from craftsim.discrete.files.listing import ListedCar, ListedObject, Listing, Override, Snapshot
 from craftsim.discrete.files.placement import Placement, build_grid
@@ -76,11 +76,13 @@ class Blueprint(Listing):
                 raise BlueprintError(
                     f"{self.path}: {number} {what} asked for; it lists {listed}, allowed: {listed} to {most}"
                 )
-        return replace(
+        counted = replace(
             self,
             n_cars=self.n_cars if n_cars is None else n_cars,
             n_blocks=self.n_blocks if n_blocks is None else n_blocks,
         )
+        check_written(counted)
+        return counted
 
 
 def read_blueprint(path: str | Path) -> Blueprint:
@@ -130,7 +132,7 @@ def parse_blueprint(text: str, path: str | Path) -> Blueprint:
         cars=reader.cars(count("smartcar_num", MAX_CARS)),
         goal=reader.goal(),
         notes=reader.notes(),
-        snapshot=reader.snapshot(),
+        snapshot=reader.snapshot(count("smartcar_num", MAX_CARS)),
     )
     check_blueprint(blueprint)
     return blueprint
@@ -225,7 +227,7 @@ class _Reader:
             notes.append("only the first goal is used")
         return tuple(notes)
 
-    def snapshot(self) -> Snapshot | None:
+    def snapshot(self, n_cars: int) -> Snapshot | None:
         """Return the part that only worlds saved while they run have."""
         if "snapshot" not in self.keys.items:
             return None
@@ -243,7 +245,7 @@ class _Reader:
             kind = kinds[self.source.word(entry.items["kind"], f"{where}.kind", list(kinds))]
             cells.append(Override(self.cell(entry, where), kind, self.field(entry, where, "yaw", 0, 3)))
         top = [
-            (self.cell(entry, where, low_z=0), self.field(entry, where, "mark", -2, MAX_CARS))
+            (self.cell(entry, where, low_z=0), self.field(entry, where, "mark", -2, n_cars - 1))
             for where, entry in entries("top", "mark")
         ]
         back = [

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from typing import Final
+
 from craftsim.discrete.files.documents import Source
 from craftsim.discrete.files.listing import ListedCar, ListedObject, Listing
 from craftsim.discrete.grid import SECOND_PART, Cell, Kind, beside
 from craftsim.discrete.kinds import NAMES
+from craftsim.storage.limits import YAML_VALUES
+
+_ENTRY: Final = 9
+"""Values that an object, or a mark, makes in a file: its mapping, and four keys with theirs."""
+_SLOPE: Final = _ENTRY + 2
+_CAR: Final = 2 * _ENTRY
+_BASE: Final = 50
+"""Values of a file beside its entries."""
+_ODD: Final = _ENTRY + 3 * _SLOPE
+"""The most that a cell which the listed objects do not account for makes: what it breaks, and the marks left behind."""
 
 
 def parts(item: ListedObject) -> list[tuple[Cell, Kind]]:
@@ -123,6 +136,31 @@ class _Checker:
             self.source.fail(self.lines[goal], f"the goal {goal} is inside a wall")
 
 
+def check_written(blueprint: Listing) -> None:
+    """Raise BlueprintError for a world that makes more values than allowed when it is written as a blueprint.
+
+    Everything is listed then, and what was drawn at random leaves marks that are listed, too.
+    """
+    slopes = (Kind.FSLOPE, Kind.BODY)
+    values = _BASE + _CAR * blueprint.n_cars
+    values += sum(_SLOPE if item.kind in slopes else _ENTRY for item in blueprint.objects)
+    values += 3 * _ENTRY * (blueprint.n_blocks - blueprint.listed(Kind.BLOCK))
+    values += (_SLOPE + 2 * _ENTRY) * (blueprint.n_slopes - blueprint.listed(*slopes))
+    values += _ENTRY * (blueprint.n_cars - len(blueprint.cars))
+    if blueprint.snapshot is not None:
+        taken = Counter(cell for item in blueprint.objects for cell, _ in parts(item))
+        odd = len(blueprint.snapshot.cells) + sum(n - 1 for n in taken.values())
+        values += _ODD * odd + _ENTRY * (len(blueprint.snapshot.top) + len(blueprint.snapshot.back))
+    if values > YAML_VALUES:
+        Source(blueprint.path).fail(
+            None,
+            f"a world of {blueprint.n_blocks} blocks, {blueprint.n_slopes} slopes and {blueprint.n_cars} cars makes "
+            f"{values} values when all is written down; allowed: at most {YAML_VALUES}, which are about "
+            f"{YAML_VALUES // _ENTRY // 100 * 100} listed blocks, or {YAML_VALUES // (3 * _ENTRY) // 100 * 100} "
+            "that are drawn",
+        )
+
+
 def check_blueprint(blueprint: Listing) -> None:
     """Raise BlueprintError if a blueprint contradicts itself.
 
@@ -130,6 +168,7 @@ def check_blueprint(blueprint: Listing) -> None:
     """
     checker = _Checker(blueprint)
     checker.counts()
+    check_written(blueprint)
     for item in blueprint.objects:
         checker.within(item)
     if blueprint.snapshot is not None:

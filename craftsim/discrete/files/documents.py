@@ -15,10 +15,7 @@ import yaml
 
 from craftsim.errors import BlueprintError, InputError, suggestion
 from craftsim.storage import reading as storage
-from craftsim.storage.limits import YAML, Limits
-
-MAX_NODES: Final = 30_000
-MAX_DEPTH: Final = 8
+from craftsim.storage.limits import YAML, YAML_DEPTH, YAML_VALUES, Limits
 
 _INTEGER: Final = re.compile(r"[-+]?(0|[1-9][0-9]{0,8})")
 _LOADER: Final = getattr(yaml, "CLoader", yaml.Loader)
@@ -174,8 +171,8 @@ class _Builder:
     def add(self, node: Node) -> None:
         """Put a finished scalar, or a list or mapping just begun, into what is open."""
         self.nodes += 1
-        if self.nodes > MAX_NODES:
-            self.source.fail(node.line, f"more than the {MAX_NODES} values that are allowed")
+        if self.nodes > YAML_VALUES:
+            self.source.fail(node.line, f"more than the {YAML_VALUES} values that are allowed")
         if not self.open:
             self.documents.append(node)
             return
@@ -196,8 +193,8 @@ class _Builder:
         self.add(node)
         self.open.append(node)
         self.keys.append(None)
-        if len(self.open) > MAX_DEPTH:
-            self.source.fail(node.line, f"nested deeper than the {MAX_DEPTH} levels that are allowed")
+        if len(self.open) > YAML_DEPTH:
+            self.source.fail(node.line, f"nested deeper than the {YAML_DEPTH} levels that are allowed")
 
     def end(self) -> None:
         """Close the innermost list or mapping."""

@@ -103,6 +103,7 @@ def blueprint_text(grid: Grid, goal: Cell | None = None) -> str:
     listed_slopes = sum(len(_objects(grid, kind)) for kind in (Kind.FSLOPE, Kind.BODY)) + carried[1]
     bare_text = _text(grid, goal, listed_blocks, listed_slopes, ["snapshot: {}"])
     bare = parse_blueprint(bare_text, _UNNAMED).grid(np.random.default_rng(0))
+    odd = grid.kind[(grid.kind != bare.kind) | (grid.yaw != bare.yaw)]
     snapshot = _snapshot(grid, bare)
     if not snapshot:
         plain = _text(grid, goal, listed_blocks, listed_slopes, [])
@@ -111,8 +112,9 @@ def blueprint_text(grid: Grid, goal: Cell | None = None) -> str:
         except BlueprintError:
             return bare_text
         return plain
-    n_blocks = int((grid.kind == Kind.BLOCK).sum()) + carried[0]
-    n_slopes = int(np.isin(grid.kind, (Kind.FSLOPE, Kind.BODY)).sum()) + carried[1]
+    # Counts cover all that is given, also what is both listed and odd, such as a block with a yaw.
+    n_blocks = listed_blocks + int((odd == Kind.BLOCK).sum())
+    n_slopes = listed_slopes + int(np.isin(odd, (Kind.FSLOPE, Kind.BODY)).sum())
     return _text(grid, goal, n_blocks, n_slopes, snapshot)
 
 

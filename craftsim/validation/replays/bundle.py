@@ -6,24 +6,27 @@ contacts, and the scene as MJCF for people. Nothing in it is code: text, and Num
 
 from __future__ import annotations
 
-import zipfile
-import zlib
+import io
+import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.recipe import Recipe, do, run_up
+from craftsim.checking.recipe import Recipe, check_recipe, do, run_up
+from craftsim.discrete.files.documents import exists
 from craftsim.errors import InputError
 from craftsim.models.randomization import Nominal
 from craftsim.models.scene import write_scene
 from craftsim.models.site import Site
 from craftsim.report import output_directory, versions
+from craftsim.storage import limits
+from craftsim.storage.reading import Arrays, read_arrays
+from craftsim.storage.schema import Schema
+from craftsim.storage.writing import write_whole
 
 SCHEMA_VERSION: Final = 3
 """Raised whenever something in a bundle changes its meaning or goes away."""
@@ -36,7 +39,9 @@ CONTACTS: Final = "contacts.csv"
 SCENE: Final = "scene"
 FILM: Final = "film.mp4"
 
-Arrays = dict[str, NDArray[np.generic]]
+_LATE: Final = 1.5
+_LATE_S: Final = 10.0
+"""By what factor, and by how much more, a replay may take longer than what it shows: versions differ."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,13 @@ class Bundle:
     """Simulated time at which the last step began."""
     end_s: float
 
+    @property
+    def most_s(self) -> float:
+        """The most simulated time that a replay may take."""
+        # Where the simulation broke down it started over, and so did its time.
+        ends = (attempt.start_s + attempt.duration_s for attempt in self.attempts)
+        return _LATE * max(self.start_s, self.end_s, *ends) + _LATE_S
+
 
 @dataclass(frozen=True)
 class Recorded:
@@ -66,7 +78,7 @@ class Recorded:
     after: Arrays
 
 
-_BUNDLE: Final = TypeAdapter(Bundle)
+_SCHEMA: Final = Schema(Bundle)
 
 
 def state_of(site: Site) -> Arrays:
@@ -132,49 +144,68 @@ def _write(folder: Path, bundle: Bundle, checked: CheckedSite, before: Arrays) -
         (BEFORE, before),
         (AFTER, state_of(checked.site)),
     ):
-        np.savez_compressed(folder / name, allow_pickle=False, **arrays)
+        # In memory first, for a zip archive cannot be closed on a full disk.
+        archive = io.BytesIO()
+        np.savez_compressed(archive, allow_pickle=False, **arrays)
+        write_whole(folder / name, archive.getvalue())
     assert checked.log is not None
     checked.log.write(folder / CONTACTS)
     recipe = bundle.recipe
     write_scene(folder / SCENE, recipe.grid, recipe.setup.simulation, recipe.goals, recipe.setup.machines)
     # Written last, so that a folder with this file is a whole bundle.
-    (folder / TEXT).write_bytes(_BUNDLE.dump_json(bundle, indent=1) + b"\n")
+    write_whole(folder / TEXT, _SCHEMA.text(bundle))
 
 
 def read_bundle(folder: Path) -> Recorded:
-    """Read and check a bundle. Raises InputError, naming the file, for one that is missing or damaged."""
+    """Read and check a bundle. Raises InputError, naming the file, for one that is missing, damaged or too large."""
     path = folder / TEXT
+    if not exists(path):
+        raise InputError(f"{path}: no such file; give the folder of a replay bundle")
+    bundle = _SCHEMA.read(path, limits.BUNDLE)
     try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); give the folder of a replay bundle"
-        ) from error
-    try:
-        bundle = _BUNDLE.validate_json(text)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise InputError(
-            f"{path}: {where}: {first['msg']}" if where else f"{path}: {first['msg']}"
-        ) from error
+        _check_text(bundle)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    if bundle.schema_version != SCHEMA_VERSION:
-        raise InputError(
-            f"{path}: schema_version is {bundle.schema_version}; this craftsim reads version {SCHEMA_VERSION}"
-        )
-    if not bundle.recipe.steps:
-        raise InputError(f"{path}: recipe.steps is empty; a bundle shows its last step")
-    arrays = [_read_arrays(folder / name) for name in (PHYSICS, BEFORE, AFTER)]
+    arrays = [read_arrays(folder / name, limits.ARRAYS) for name in (PHYSICS, BEFORE, AFTER)]
     return Recorded(folder, bundle, *arrays)
 
 
-def _read_arrays(path: Path) -> Arrays:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: damaged or no archive of arrays: {error}") from error
+def _check_text(bundle: Bundle) -> None:
+    """Raise InputError for a bundle that contradicts itself, or claims more than a replay may take."""
+    recipe = bundle.recipe
+    if bundle.schema_version != SCHEMA_VERSION:
+        raise InputError(
+            f"schema_version is {bundle.schema_version}; this craftsim reads version {SCHEMA_VERSION}"
+        )
+    if not recipe.steps:
+        raise InputError("recipe.steps is empty; a bundle shows its last step")
+    check_recipe(recipe)
+    acts = [(act.car, act.action) for act in recipe.steps[-1].acts]
+    if not acts:
+        raise InputError("recipe.steps: the last step has no actions; a bundle shows what became of them")
+    if acts != [(attempt.car, attempt.action) for attempt in bundle.attempts]:
+        raise InputError(
+            f"attempts: {len(bundle.attempts)}, but the last step has {len(acts)} actions; "
+            "allowed: one for each of them, in their order"
+        )
+    _check_times(bundle)
+
+
+def _check_times(bundle: Bundle) -> None:
+    config, most_s = bundle.recipe.setup.simulation, bundle.most_s
+    times = [bundle.start_s, bundle.end_s]
+    times += [time for a in bundle.attempts for time in (a.start_s, a.duration_s)]
+    if not all(0 <= time < math.inf for time in times):
+        raise InputError("start_s, end_s and the times of attempts must be 0 or more, and finite")
+    if (steps := most_s / config.timestep_s) > limits.PHYSICS_STEPS:
+        raise InputError(
+            f"end_s and attempts claim {bundle.end_s:.6g} s of simulated time, which may take {steps:.3g} physics "
+            f"steps; allowed: at most {limits.PHYSICS_STEPS}"
+        )
+    n_acts = sum(len(step.acts) for step in bundle.recipe.steps)
+    fit = int(limits.ACTIONS_WITHOUT_TIME + most_s / config.control_period_s)
+    if n_acts > fit:
+        raise InputError(
+            f"recipe.steps: {n_acts} actions do not fit into the {bundle.end_s:.6g} s that end_s claims; "
+            f"allowed: at most {fit}"
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import mujoco
@@ -12,12 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.recipe import do, run_up
+from craftsim.checking.recipe import do, start
+from craftsim.checking.timekeeper import Timekeeper
 from craftsim.errors import InputError
 from craftsim.models.site import Site
 from craftsim.report import versions
 from craftsim.skills.executor import Observer
-from craftsim.validation.replays.bundle import AFTER, BEFORE, PHYSICS, Arrays, Recorded, physics_of, state_of
+from craftsim.storage.reading import Arrays
+from craftsim.validation.replays.bundle import (
+    AFTER,
+    BEFORE,
+    PHYSICS,
+    TEXT,
+    Recorded,
+    physics_of,
+    state_of,
+)
 
 DECISIVE: Final = ("craftsim", "mujoco", "numpy")
 """Packages whose version decides every bit; with other versions poses are compared with a tolerance."""
@@ -61,22 +72,36 @@ def unwatched(site: Site) -> AbstractContextManager[None]:
 def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
     """Re-run what a bundle shows, and compare.
 
-    Raises InputError for a bundle whose recipe makes no world, or whose arrays are of another one.
+    Raises InputError for a bundle whose recipe makes no world or takes longer than it says, or whose arrays are of
+    another one.
     """
     bundle = recorded.bundle
-    checked = run_up(bundle.recipe)
+    checked = start(bundle.recipe)
     site = checked.site
-    parts = [(PHYSICS, recorded.physics, physics_of(site)), (BEFORE, recorded.before, state_of(site))]
+    physics = physics_of(site)
+    _check_shapes(recorded.folder / PHYSICS, recorded.physics, physics)
+    for file, array in ((BEFORE, recorded.before), (AFTER, recorded.after)):
+        _check_shapes(recorded.folder / file, array, state_of(site))
+    Timekeeper(
+        checked,
+        bundle.most_s,
+        f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,",
+    )
+    for step in bundle.recipe.steps[:-1]:
+        do(checked, step)
+    before = state_of(site)
     with watch(site) as observer:
         if observer is not None:
             checked.executor.observers.append(observer)
         attempts = do(checked, bundle.recipe.steps[-1])
         after = state_of(site)  # a film goes on
-    parts.append((AFTER, recorded.after, after))
     differing: list[str] = []
-    for file, was, now in parts:
-        _check_shapes(f"{recorded.folder / file}", was, now)
-        differing += [f"{file}: {name}" for name in now if was[name].tobytes() != now[name].tobytes()]
+    for name, was, now in (
+        (PHYSICS, recorded.physics, physics),
+        (BEFORE, recorded.before, before),
+        (AFTER, recorded.after, after),
+    ):
+        differing += [f"{name}: {key}" for key in now if was[key].tobytes() != now[key].tobytes()]
     if bundle.attempts != attempts:
         differing.append("the attempts")
     position_m, angle_rad = _apart(site.model, recorded.after["qpos"], after["qpos"])
@@ -97,7 +122,9 @@ def _changed(was: dict[str, str]) -> dict[str, tuple[str, str]]:
     return {package: pair for package, pair in pairs.items() if pair[0] != pair[1]}
 
 
-def _check_shapes(file: str, was: Arrays, now: Arrays) -> None:
+def _check_shapes(file: Path, was: Arrays, now: Arrays) -> None:
+    if unknown := set(was) - set(now):
+        raise InputError(f"{file}: has an unknown array '{min(unknown)[:40]}'")
     for name, array in now.items():
         if name not in was:
             raise InputError(f"{file}: has no array '{name}'")

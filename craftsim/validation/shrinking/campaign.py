@@ -61,7 +61,7 @@ def shrink_bundle(bundle: Bundle, folder: Path, name: str, on_trial: OnTrial = l
     Raises InputError where no legal action fails, and for a folder that cannot be written.
     """
     rules, why = bundle.recipe.setup.rules, ""
-    for failing in failing_actions(bundle.recipe, bundle.attempts):
+    for failing in failing_actions(bundle.recipe, bundle.attempts, bundle.most_s):
         try:
             found = shrink(failing, on_trial)
         except DependsError as error:

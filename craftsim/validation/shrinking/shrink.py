@@ -7,13 +7,15 @@ single piece, and what stands on it, the action does as predicted, or the rules 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.recipe import Recipe, run_up
+from craftsim.checking.recipe import Recipe, do, start
 from craftsim.checking.settings import Setup, Thresholds
+from craftsim.checking.timekeeper import OverrunError, Timekeeper
 from craftsim.checking.world import SEED_0, Seed, set_up
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.files.saving import blueprint_text
@@ -22,6 +24,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.errors import InputError
 from craftsim.models.noise import EXACT
+from craftsim.storage.limits import SHRINK_S
 from craftsim.validation.shrinking.pieces import (
     Piece,
     cropped,
@@ -33,7 +36,7 @@ from craftsim.validation.shrinking.pieces import (
 )
 
 MOST_TRIALS: Final = 150
-"""After so many trials the search ends with the smallest world so far."""
+"""After so many trials the search ends with the smallest world so far; as after :data:`SHRINK_S` of simulated time."""
 
 OnTrial = Callable[[bool], None]
 """Called after each trial: whether the action still failed."""
@@ -70,18 +73,22 @@ class DependsError(Exception):
     """The action by itself, from a fresh start, does not fail: why, in words."""
 
 
-def failing_actions(recipe: Recipe, attempts: Sequence[Attempt]) -> list[Situated]:
+def failing_actions(recipe: Recipe, attempts: Sequence[Attempt], most_s: float = math.inf) -> list[Situated]:
     """Return the legal actions of a recipe's last step that fail, each in the world right before it.
 
     That world is what was read before the step, and after the actions of the step that come before it, by the rules.
     Of cars that act at the same time several may be held responsible for what one of them did.
 
-    Raises InputError where no legal action fails.
+    Raises InputError where no legal action fails, and where what comes before takes longer than ``most_s`` seconds of
+    simulated time.
     """
     wrong = [a for a in attempts if a.legal and a.performed and not a.agrees]
     if not wrong:
         raise InputError("no action that the rules allow fails there; only such a failure can be shrunk")
-    step, checked = recipe.steps[-1], run_up(recipe)
+    step, checked = recipe.steps[-1], start(recipe)
+    Timekeeper(checked, most_s, "what comes before the last step")
+    for earlier in recipe.steps[:-1]:
+        do(checked, earlier)
     ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
     schedule = make_schedule(checked.grid, ticks, checked.rules, step.order or "sequential")
     before = {(step.number + s.tick, s.car): s.before for s in schedule.steps}
@@ -125,6 +132,7 @@ class _Search:
     def __init__(self, failing: Situated, on_trial: OnTrial, most: int) -> None:
         self.setup, self.seed, self.rules = failing.setup, failing.seed, Rules(failing.setup.rules)
         self.on_trial, self.most, self.trials = on_trial, most, 0
+        self.left_s = SHRINK_S
         self.known: dict[str, bool] = {}
         self.attempt: Attempt | None = None
         self.result: str | None = None
@@ -173,7 +181,13 @@ class _Search:
         if checked.problems or not checked.grid.same_visible(grid):
             return False
         self.trials += 1
-        attempt = checked.perform(0, action)
+        time = Timekeeper(checked, self.left_s, action.name)
+        try:
+            attempt = checked.perform(0, action)
+        except OverrunError:
+            self.trials = self.most
+            return False
+        self.left_s -= time.passed_s
         fails = not attempt.agrees and self.result in (None, attempt.result)
         if fails:
             self.attempt, self.result = attempt, attempt.result

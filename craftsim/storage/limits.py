@@ -44,6 +44,12 @@ RUN: Final = _plain("run file", 256 * MIB)
 REPORT: Final = _plain("report.json", 64 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
 
+MAX_ERROR_CHARACTERS: Final = 8000
+"""Of an error's message, and of its traceback, in the record of a trial; of a longer one the middle is left out."""
+
+MAX_TRIALS: Final = 10_000_000
+"""Of a campaign."""
+
 ALL: Final = (YAML, TEXT, BUNDLE, ARRAYS, STARTS, RECORDING, HEADER, TRIALS, POLICY, RUN, REPORT, TABLE)
 
 

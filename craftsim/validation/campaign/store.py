@@ -64,7 +64,17 @@ class Store:
     @property
     def n_kept(self) -> int:
         """How many trials are on disk."""
-        return _count_lines(self._number)
+        found = start = last = 0
+        while text := os.pread(self._number, MIB, start):
+            if (place := text.rfind(b"\n")) >= 0:
+                found, last = found + text.count(b"\n"), start + place
+            start += len(text)
+            if start - last > TRIALS_LIMITS.line_bytes + MIB:
+                allowed = size_text(TRIALS_LIMITS.line_bytes)
+                raise InputError(
+                    f"{self._path}:{found + 1}: the line is longer than the {allowed} that are allowed"
+                )
+        return found
 
     def kept(self) -> Iterator[TrialRecord]:
         """Yield the records of an earlier run without an error."""
@@ -203,13 +213,6 @@ def _check_same(path: Path, there: Mapping[str, Any], wanted: Mapping[str, Any])
             f"{path}: cannot go on with another campaign: its {key} is {reprlib.repr(old)}, not {reprlib.repr(new)}; "
             "use the options that it was begun with, or choose another --out"
         )
-
-
-def _count_lines(number: int) -> int:
-    found = start = 0
-    while text := os.pread(number, MIB, start):
-        found, start = found + text.count(b"\n"), start + len(text)
-    return found
 
 
 def _remove(path: Path) -> None:

@@ -29,6 +29,8 @@ def work(job):
             return Done(False, [{"error_m": float("nan")}])
         case "disk":
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "bundles/one")
+        case "large":
+            return Done(True, [{"sum": number / 3, "text": "x" * 400}] * 60)
         case "slow":
             time.sleep(0.02)
         case ("die once", Path() as mark) if not mark.exists():

@@ -4,6 +4,7 @@ import errno
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from craftsim.validation.campaign import Done, Item
@@ -40,3 +41,16 @@ def work(job):
             mark.touch()
             time.sleep(3600)
     return Done(True, [{"sum": number / 3}], extra={"number": number})
+
+
+def left_in(folder, item):
+    """Return an item of work that leaves a file in a folder."""
+    return replace(item, job=(folder, item.job))
+
+
+def leave(job):
+    """Do the work, and leave a file."""
+    folder, inner = job
+    done = work(inner)
+    (folder / f"left-{inner[0]}").touch()
+    return done

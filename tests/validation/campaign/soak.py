@@ -93,17 +93,16 @@ def _read(path: Path) -> str:
 def _soak(
     what: str, items: Sequence[Item], work: Callable[..., object], memory: Memory, batch: int = 1
 ) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        with contextlib.suppress(_EnoughError):
-            run_campaign(
-                items,
-                work,
-                Path(folder),
-                Header("soak", 0, {}),
-                workers=WORKERS,
-                batch=batch,
-                on_record=memory.on_record,
-            )
+    with tempfile.TemporaryDirectory() as folder, contextlib.suppress(_EnoughError):
+        run_campaign(
+            items,
+            work,
+            Path(folder),
+            Header("soak", 0, {}),
+            workers=WORKERS,
+            batch=batch,
+            on_record=memory.on_record,
+        )
     memory.print_and_check(what)
 
 

@@ -18,8 +18,8 @@ from craftsim.validation.campaign import Header, run_campaign
 SCRIPT = Path(__file__).parent / "run_cheap.py"
 
 
-def _start(out, *options, **popen):
-    words = [sys.executable, str(SCRIPT), str(out), *options]
+def _start(out, *options, what="cheap", **popen):
+    words = [sys.executable, str(SCRIPT), str(out), what, *options]
     return subprocess.Popen(words, stderr=subprocess.PIPE, text=True, **popen)
 
 

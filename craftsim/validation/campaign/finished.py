@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,8 +39,8 @@ def read_finished(folder: Path, command: str, form: Form = ANY) -> FinishedCampa
     header = read_header(path)
     if header["command"] != command:
         raise InputError(
-            f"{folder} holds a campaign of 'craftsim {header['command']}'; give the --out of an earlier "
-            f"'craftsim {command}'"
+            f"{folder} holds a campaign of {reprlib.repr('craftsim ' + header['command'])}; "
+            f"give the --out of an earlier 'craftsim {command}'"
         )
     lines, place = Lines(header["items"]), folder / TRIALS
     start = 0

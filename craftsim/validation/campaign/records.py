@@ -60,8 +60,6 @@ class Lines:
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Lines) and self._starts == other._starts and self._lengths == other._lengths
 
-    __hash__ = None  # type: ignore[assignment]
-
 
 class Records(Sequence[TrialRecord]):
     """The records of a campaign in the order of its items; each is read when it is asked for.
@@ -106,8 +104,6 @@ class Records(Sequence[TrialRecord]):
         if not isinstance(other, Sequence):
             return NotImplemented
         return len(self) == len(other) and all(a == b for a, b in zip(self, other, strict=True))
-
-    __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
         return f"<{len(self)} records of {self._path}>"

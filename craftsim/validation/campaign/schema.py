@@ -104,6 +104,8 @@ def _check(wanted: TypeAdapter[Any], data: bytes, where: str) -> None:
         wanted.validate_json(data)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
-        place = "".join(f"{part}: " for part in [".".join(map(str, first["loc"]))] if part)
+        # What is in a file may be long, and steer a terminal.
+        place = repr(".".join(map(str, first["loc"]))[:80])[1:-1]
         found = "" if first["type"] == "missing" else f", not {reprlib.repr(first['input'])}"
-        raise InputError(f"{where}: {place}{first['msg']}{found}") from None
+        text = f"{place}: {first['msg']}" if place else first["msg"]
+        raise InputError(f"{where}: {text}{found}") from None

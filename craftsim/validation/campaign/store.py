@@ -141,36 +141,22 @@ class Store:
         path = self.out / CAMPAIGN
         there = read_header(path) if path.exists() else None
         n_lines = self.n_kept
-        if there is None:
-            self._refuse_strangers()
-        elif resume and n_lines:
+        if there is not None and resume and n_lines:
             _check_same(path, there, self._header)
             self._read()
             return
-        elif 0 < n_lines < there["items"]:
+        if there is not None and 0 < n_lines < there["items"]:
             raise InputError(
                 f"{self.out} holds an unfinished campaign ({n_lines} of {there['items']} trials): go on with "
                 "--resume, or choose another --out, or remove that folder"
             )
-        else:
-            for name in (*_FILES, *_FOLDERS):
-                _remove(self.out / name)
+        for name in (*_FILES, *_FOLDERS):
+            _remove(self.out / name)
         # A file of its own: who still holds the records of the campaign before can read on.
         self._path.unlink()
         before, self._number = self._number, self._open()
         os.close(before)
         write_whole(path, json.dumps(self._header, indent=2, sort_keys=True) + "\n")
-
-    def _refuse_strangers(self) -> None:
-        """Raise InputError where there are results that nothing says to be a campaign's: they are not to be lost."""
-        strangers = [name for name in (*_FILES, *_FOLDERS) if (self.out / name).exists()]
-        if os.fstat(self._number).st_size:
-            strangers.insert(0, TRIALS)
-        if strangers:
-            raise InputError(
-                f"{self.out} holds {' and '.join(strangers)}, but no {CAMPAIGN} that says what campaign they are of; "
-                f"choose another --out, or move them away, or put {CAMPAIGN} back"
-            )
 
     def _read(self) -> None:
         """Take every whole line without an error; what a kill left of the last one is cut off."""
@@ -182,7 +168,8 @@ class Store:
             index = record["index"]
             if index >= len(self._items) or {**record, **identity(self._items[index], index)} != record:
                 raise InputError(
-                    f"{self._path}:{number}: trial '{record['key']}' is none of this campaign; delete this line"
+                    f"{self._path}:{number}: trial {reprlib.repr(record['key'])} is none of this campaign; "
+                    "delete this line"
                 )
             if record["error"] is None:
                 self._lines.put(index, start, len(line))
@@ -199,12 +186,20 @@ def read_record(form: Form, line: bytes, where: str, remedy: str) -> TrialRecord
 
 
 def _check_places(out: Path) -> None:
-    """Raise InputError where something else is in the place of a file or folder of a campaign."""
+    """Raise InputError where something else is in the place of a file or folder of a campaign, or a stranger's."""
     for name in (CAMPAIGN, TRIALS, *_FILES, *_FOLDERS):
         path, what = out / name, "folder" if name in _FOLDERS else "regular file"
         fits = path.is_dir() if name in _FOLDERS else path.is_file()
         if path.exists() and not fits:
             raise InputError(f"{path}: not a {what}; move it away, or choose another --out")
+    trials = out / TRIALS
+    strangers = [TRIALS] if trials.exists() and trials.stat().st_size else []
+    strangers += [name for name in (*_FILES, *_FOLDERS) if (out / name).exists()]
+    if strangers and not (out / CAMPAIGN).exists():
+        raise InputError(
+            f"{out} holds {' and '.join(strangers)}, but no {CAMPAIGN} that says what campaign they are of; "
+            f"choose another --out, or move them away, or put {CAMPAIGN} back"
+        )
 
 
 def _check_same(path: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:

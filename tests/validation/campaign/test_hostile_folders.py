@@ -67,7 +67,6 @@ def test_what_no_campaign_of_ours_wrote_is_never_overwritten(tmp_path, name, res
     else:
         (tmp_path / name).mkdir()
         (tmp_path / name / "mine").touch()
-    (tmp_path / "trials.jsonl").touch()
     _refused(tmp_path, rf"holds {name}, but no campaign\.json .*choose another --out", resume)
 
 

@@ -7,7 +7,7 @@ ARGS ?=
 TORCH ?= torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults campaigns picture machines neighbours libraries clean
+.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults soak campaigns picture machines neighbours libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -47,8 +47,11 @@ plants: $(VENV)/installed  ## Plant unsound rules one at a time, see whether a q
 fuzz: $(VENV)/installed-dev  ## Read 100,000 damaged files of all formats (some minutes; ARGS such as --cases 1000, or parts of formats' names)
 	PYTHONPATH=tests $(BIN)/python -m fuzzing.fuzz $(ARGS)
 
-faults: $(VENV)/installed-dev  ## Fault injection: kill a validation ten times at random, resume it, compare (some minutes)
-	$(BIN)/python tests/validation/campaign/faults.py
+faults: $(VENV)/installed-dev  ## Fault injection: kill validations, an audit and a training again and again, mostly while they write, resume, compare (an hour; ARGS='audit --rounds 2')
+	$(BIN)/python tests/validation/campaign/faults.py $(ARGS)
+
+soak: $(VENV)/installed-dev  ## Run trials for ten minutes and hold that memory stays flat (ARGS='--minutes 2')
+	$(BIN)/python tests/validation/campaign/soak.py $(ARGS)
 
 campaigns: $(VENV)/installed  ## Measure the skills at length (hours on two cores): what the rules allow with and without noise, the six tasks, long episodes, both audits
 	$(BIN)/craftsim audit --rules physical --only legal --randomize none --workers 2 --out out/legal

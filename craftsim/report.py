@@ -96,12 +96,15 @@ def write_report(
 def plain(value: Any) -> Any:
     """Return a value made of what JSON knows: dict, list, str, int, float, bool and None.
 
-    Enums become their names, and numbers that are not finite None. Raises TypeError for what has no place in JSON.
+    Enums become their names, numbers that are not finite None, and what UTF-8 cannot say of a text escapes. Raises
+    TypeError for what has no place in JSON.
     """
     match value:
         case Enum():
             return value.name
-        case None | bool() | int() | str():
+        case str():
+            return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
+        case None | bool() | int():
             return value
         case float():
             return value if math.isfinite(value) else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final
@@ -54,9 +54,9 @@ def film_bundle(recorded: Recorded, path: Path) -> Replay:
     return replay(recorded, watch)
 
 
-def film_failures(console: Console, out: Path, records: Sequence[TrialRecord]) -> None:
+def film_failures(console: Console, out: Path, records: Iterable[TrialRecord]) -> None:
     """Film the bundles that have no film yet."""
-    folders = [out / record["bundle"] for record in records if record["bundle"]]
+    folders = (out / record["bundle"] for record in records if record["bundle"])
     missing = [folder for folder in folders if not (folder / FILM).exists()]
     with counting(console, "films", len(missing), bool) as tell:
         for folder in missing:
@@ -66,11 +66,11 @@ def film_failures(console: Console, out: Path, records: Sequence[TrialRecord]) -
             tell(True)
 
 
-def film_runs(console: Console, out: Path, items: Sequence[Item], records: Sequence[TrialRecord]) -> None:
+def film_runs(console: Console, out: Path, items: Sequence[Item], records: Iterable[TrialRecord]) -> None:
     """Film runs from their start to their end, those that came to one and have no film yet."""
     folder = output_directory(out / FILMS)
-    ended = [item for item, record in zip(items, records, strict=True) if record["error"] is None]
-    paths = [(item, folder / f"{item.key.replace('/', '-')}.mp4") for item in ended]
+    ended = (item for item, record in zip(items, records, strict=True) if record["error"] is None)
+    paths = ((item, folder / f"{item.key.replace('/', '-')}.mp4") for item in ended)
     missing = [(item, path) for item, path in paths if not path.exists()]
     with counting(console, "films", len(missing), bool) as tell:
         for item, path in missing:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from array import array
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from statistics import median
 from typing import Final
@@ -17,9 +21,10 @@ from craftsim.validation.validation import Validation
 
 _SHOWN: Final = 20
 """Disagreements that are printed; the report has all."""
+_GOALS: Final = ("physics_success", "grid_success")
 
 
-def runs_table(records: Sequence[TrialRecord]) -> Table:
+def runs_table(records: Iterable[TrialRecord]) -> Table:
     """Return a table with a row for each world and each plan or policy."""
     caption = "goal: runs that reach it, in physics and by the rules; makespan: median, s simulated"
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), caption=caption)
@@ -27,29 +32,40 @@ def runs_table(records: Sequence[TrialRecord]) -> Table:
     table.add_column("plan or policy", overflow="fold")
     for heading in ("runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for name, by in dict.fromkeys((record["context"], record["group"]) for record in records):
-        own = [record for record in records if (record["context"], record["group"]) == (name, by)]
-        done = [record for record in own if record["error"] is None]
-        results = [attempt["result"] for record in done for attempt in record["attempts"]]
-        goal, by_rules = (
-            f"{sum(record['extra'][key] for record in done)}/{len(done)}"
-            if done and all(key in record["extra"] for record in done)
-            else "-"
-            for key in ("physics_success", "grid_success")
-        )
-        table.add_row(
-            name,
-            by,
-            str(len(own)),
-            str(sum(record["agrees"] for record in done)),
-            str(len(results)),
-            str(results.count(Result.AS_PREDICTED)),
-            goal,
-            by_rules,
-            f"{median(r['extra']['makespan_s'] for r in done):.1f}" if done else "-",
-            str(len(own) - len(done)),
-        )
+    rows: dict[tuple[str | None, str], _Row] = {}
+    for record in records:
+        rows.setdefault((record["context"], record["group"]), _Row()).add(record)
+    for (name, by), row in rows.items():
+        table.add_row(name, by, *row.cells())
     return table
+
+
+@dataclass
+class _Row:
+    """What is counted of the runs of one plan or policy in one world."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    makespans: array[float] = field(default_factory=lambda: array("d"))
+
+    def add(self, record: TrialRecord) -> None:
+        self.counts["runs"] += 1
+        if record["error"] is not None:
+            return
+        self.makespans.append(record["extra"]["makespan_s"])
+        self.counts["agree"] += record["agrees"]
+        self.counts["actions"] += len(record["attempts"])
+        self.counts["good"] += sum(a["result"] == Result.AS_PREDICTED for a in record["attempts"])
+        for key in _GOALS:
+            self.counts[f"with {key}"] += key in record["extra"]
+            self.counts[key] += record["extra"].get(key, False)
+
+    def cells(self) -> list[str]:
+        done, n = len(self.makespans), self.counts
+        known = done and all(n[f"with {key}"] == done for key in _GOALS)
+        goals = [f"{n[key]}/{done}" if known else "-" for key in _GOALS]
+        makespan = f"{median(self.makespans):.1f}" if done else "-"
+        counted = [str(n[key]) for key in ("runs", "agree", "actions", "good")]
+        return [*counted, *goals, makespan, str(n["runs"] - done)]
 
 
 def coverage_table(coverage: Coverage) -> Table:
@@ -67,10 +83,10 @@ def coverage_table(coverage: Coverage) -> Table:
     return table
 
 
-def print_disagreements(out: Path, records: Sequence[TrialRecord]) -> None:
+def print_disagreements(out: Path, records: Iterable[TrialRecord]) -> None:
     """Print the first disagreement of each run, and how to see it again."""
-    wrong = [record for record in records if not record["agrees"]]
-    for record in wrong[:_SHOWN]:
+    wrong = (record for record in records if not record["agrees"])
+    for record in islice(wrong, _SHOWN):
         text = record["error"] or ""
         if bad := next((a for a in record["attempts"] if a["result"] != Result.AS_PREDICTED), None):
             text = f"tick {bad['tick']} car {bad['car']} {bad['action']}: "
@@ -78,8 +94,8 @@ def print_disagreements(out: Path, records: Sequence[TrialRecord]) -> None:
         print(f"{record['key']}: {text}")
         if record["bundle"]:
             print(f"  craftsim replay {out / record['bundle']}")
-    if len(wrong) > _SHOWN:
-        print(f"and {len(wrong) - _SHOWN} more in the report")
+    if more := sum(1 for _ in wrong):
+        print(f"and {more} more in the report")
 
 
 def conclusion(result: Validation) -> str:

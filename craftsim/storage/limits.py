@@ -66,6 +66,12 @@ RECIPE_ACTIONS: Final = 10_000
 ACTIONS_WITHOUT_TIME: Final = 1000
 """Of a recipe, beyond one in each control period: what the rules forbid takes no simulated time."""
 
+MAX_ERROR_CHARACTERS: Final = 8000
+"""Of an error's message, and of its traceback, in the record of a trial; of a longer one the middle is left out."""
+
+MAX_TRIALS: Final = 10_000_000
+"""Of a campaign."""
+
 ALL: Final = (YAML, TEXT, BUNDLE, ARRAYS, STARTS, RECORDING, HEADER, TRIALS, POLICY, RUN, REPORT, TABLE)
 
 

@@ -21,6 +21,7 @@ from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains
 from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign, run_here
+from craftsim.validation.forms import RUNS
 from craftsim.validation.play.coverage import Coverage
 from craftsim.validation.runs.choice import (
     PLANNER,
@@ -63,8 +64,8 @@ class Validation:
         4
     """
 
-    records: list[TrialRecord]
-    """One for each run, as in ``trials.jsonl``."""
+    records: Sequence[TrialRecord]
+    """One for each run, as in ``trials.jsonl``; read from there one at a time where there is a folder for results."""
     figures: Figures
     config: dict[str, Any]
     """What decided it, besides the seed."""
@@ -220,8 +221,9 @@ def validate(
     check_starts(subjects, setup, seed)
     terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers))
     items = list(items_of(subjects, pilots, trials, terms))
-    earlier = None if against is None else read_earlier(Path(against), COMMAND, folder, seed, items)
+    earlier = None if against is None else read_earlier(Path(against), COMMAND, folder, seed, items, RUNS)
     with progress(len(items)) as on_record:
+        records: Sequence[TrialRecord]
         if folder is None:
             records = run_here(items, do_run, on_record)
         else:
@@ -235,6 +237,7 @@ def validate(
                 timeout_s=timeout_s,
                 resume=resume,
                 on_record=on_record,
+                form=RUNS,
             )
     figures = campaign_figures(records, seed)
     coverage = Coverage.of(records)
@@ -242,7 +245,7 @@ def validate(
     smallest: tuple[Shrunk, ...] = ()
     if folder is not None:
         if shrink is not None:
-            smallest = shrink_failures(folder, records, workers, shrink)
+            smallest = shrink_failures(folder, records, workers, shrink, engine)
         wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
         found = {"validation": figures, "paired": comparison, "coverage": coverage, "smallest": smallest}
         asked = config | {"against": against}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from craftsim.validation.audit.results import Results, bundle_disagreements, jud
 from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
 from craftsim.validation.campaign import Engine, Header, TrialRecord, run_campaign
+from craftsim.validation.forms import TRIALS
 from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrink_failures
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
@@ -29,7 +30,7 @@ COMMAND = "audit"
 class Audit:
     """The result of an audit."""
 
-    records: list[TrialRecord]
+    records: Sequence[TrialRecord]
     results: Results
     figures: Figures
     config: dict[str, Any]
@@ -41,7 +42,7 @@ class Audit:
     """The first failure of each kind in its smallest world, where that was asked for."""
 
     @property
-    def judged(self) -> list[TrialRecord]:
+    def judged(self) -> Iterable[TrialRecord]:
         """The records without those of what is begun all at once."""
         return judged_by_rules(self.records)
 
@@ -88,7 +89,7 @@ def run_audit(
     output_directory(out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     items = items_of(plan, trials, seed, setup)
-    earlier = None if against is None else read_earlier(against, COMMAND, out, seed, items)
+    earlier = None if against is None else read_earlier(against, COMMAND, out, seed, items, TRIALS)
     with progress(len(items)) as on_record:
         records = run_campaign(
             items,
@@ -101,9 +102,10 @@ def run_audit(
             batch=batch or BATCH,
             resume=resume,
             on_record=on_record,
+            form=TRIALS,
         )
-    bundle_disagreements(out, items, records, workers)
-    smallest = () if shrink is None else shrink_failures(out, records, workers, shrink)
+    records = bundle_disagreements(out, items, records, workers, engine)
+    smallest = () if shrink is None else shrink_failures(out, records, workers, shrink, engine)
     results = Results.of(records)
     corrections = results.corrected(plan, setup.rules)
     judged = judged_by_rules(records)

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
-from functools import partial
-from multiprocessing import get_context
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.rules import RuleSet
+from craftsim.errors import InputError
 from craftsim.validation.audit.corrections import corrections, rows_by_flag
 from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.suspects import SuspectFinding, find
-from craftsim.validation.audit.trial import recipe_of
-from craftsim.validation.campaign import Item, TrialRecord
+from craftsim.validation.audit.trial import Trial, recipe_of
+from craftsim.validation.campaign import (
+    Done,
+    Engine,
+    Failure,
+    Item,
+    Records,
+    TrialRecord,
+    do_all,
+    select,
+)
 from craftsim.validation.replays.bundle import TEXT, write_bundle
 from craftsim.validation.statistics.audit_rows import AuditRow, Judgement, audit_rows, verdict_counts
 
 AT_ONCE: Final = "order=at-once"
 """How the names of rows end that are evidence only."""
+
+BUNDLE_S: Final = 300.0
+"""After which a worker that writes a bundle is given up."""
 
 DISAGREEMENTS: Final = (Judgement.UNSOUND, Judgement.CONSERVATIVE)
 
@@ -37,7 +47,7 @@ class Results:
     suspects: tuple[SuspectFinding, ...]
 
     @classmethod
-    def of(cls, records: Sequence[TrialRecord]) -> Results:
+    def of(cls, records: Iterable[TrialRecord]) -> Results:
         """Return what the records of an audit say."""
         rows = audit_rows(records)
         together = tuple(row for row in rows if row.context.endswith(AT_ONCE))
@@ -75,9 +85,9 @@ class Results:
         }
 
 
-def judged_by_rules(records: Sequence[TrialRecord]) -> list[TrialRecord]:
+def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     """Return the records without those of what is begun all at once: the rules say nothing of it."""
-    return [record for record in records if not record["group"].endswith(AT_ONCE)]
+    return select(records, lambda record: not record["group"].endswith(AT_ONCE))
 
 
 def name_of(row: AuditRow) -> str:
@@ -86,26 +96,41 @@ def name_of(row: AuditRow) -> str:
 
 
 def bundle_disagreements(
-    out: Path, items: Sequence[Item], records: Sequence[TrialRecord], workers: int
-) -> None:
-    """Write the replay bundle of the first disagreement of each unsound or conservative row, and note it there."""
+    out: Path, items: Sequence[Item], records: Records, workers: int, engine: Engine = "local"
+) -> Records:
+    """Write the replay bundle of the first disagreement of each unsound or conservative row, unless it is there.
+
+    Returns the records, those of the disagreements with the folders of their bundles.
+
+    Raises:
+        InputError: a bundle cannot be written; those that are finished are kept.
+    """
     shown = {name_of(row) for row in Results.of(records).rows if row.verdict in DISAGREEMENTS}
     first: dict[str, int] = {}
     for index, record in enumerate(records):
         if record["group"] in shown and record["attempts"] and not record["agrees"]:
             first.setdefault(record["group"], index)
-    chosen = list(first.values())
-    pairs = [(items[index], records[index]) for index in chosen]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for index, folder in zip(chosen, pool.map(partial(_bundle, out), pairs), strict=True):
-            records[index]["bundle"] = folder
+    folders = {index: f"bundles/{index:05d}" for index in first.values()}
+    missing = [
+        replace(
+            items[index], job=(out.resolve() / folder, items[index].key, items[index].job, records[index])
+        )
+        for index, folder in folders.items()
+        if not (out / folder / TEXT).exists()
+    ]
+    doing = "writing replay bundles"
+    answers = do_all(missing, _bundle, out, doing, workers=workers, engine=engine, timeout_s=BUNDLE_S)
+    for item, answer in zip(missing, answers, strict=True):
+        if isinstance(answer, Failure):
+            raise InputError(
+                f"no replay bundle of the trial '{item.key}': {answer.text}; all trials are kept in {out}: "
+                "--resume tries the bundle again"
+            )
+    return records.with_bundles(folders)
 
 
-def _bundle(out: Path, pair: tuple[Item, Mapping[str, Any]]) -> str:
-    """Write one bundle, unless it is there, and return its folder relative to ``out``."""
-    item, record = pair
-    folder = f"bundles/{record['index']:05d}"
-    if not (out / folder / TEXT).exists():
-        attempts = tuple(map(Attempt.of, record["attempts"]))
-        write_bundle(out / folder, item.key, recipe_of(item.job), attempts)
-    return folder
+def _bundle(job: tuple[Path, str, Trial, TrialRecord]) -> Done:
+    """Write one bundle; it must come out as its record has it."""
+    folder, key, trial, record = job
+    write_bundle(folder, key, recipe_of(trial), tuple(map(Attempt.of, record["attempts"])))
+    return Done(agrees=True)

@@ -28,7 +28,7 @@ BATCH: Final = 20
 TIMEOUT_S: Final = 120.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Trial:
     """One trial, as it goes to a worker."""
 

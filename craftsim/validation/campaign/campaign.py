@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain, islice
 from pathlib import Path
 from types import FrameType
 from typing import Literal
 
 from craftsim.errors import InputError
 from craftsim.validation.campaign.distribute import Worker, distribute
+from craftsim.validation.campaign.header import Header
 from craftsim.validation.campaign.items import (
     Answer,
     Failure,
@@ -21,7 +23,9 @@ from craftsim.validation.campaign.items import (
     answer_of,
     make_record,
 )
-from craftsim.validation.campaign.store import Header, Store
+from craftsim.validation.campaign.records import Records
+from craftsim.validation.campaign.schema import ANY, Form
+from craftsim.validation.campaign.store import Store
 
 Engine = Literal["local", "ray"]
 
@@ -38,7 +42,8 @@ def run_campaign(
     batch: int = 1,
     resume: bool = False,
     on_record: Callable[[TrialRecord], None] = lambda record: None,
-) -> list[TrialRecord]:
+    form: Form = ANY,
+) -> Records:
     """Try every item and return the records in the order of the items.
 
     Each record is in ``out/trials.jsonl`` as soon as it is known. The records depend on nothing but the items and
@@ -57,29 +62,64 @@ def run_campaign(
             neighbours share what a worker keeps.
         resume: go on with the campaign in the folder, if there is one; what has an error there is tried again.
         on_record: called with each record, those of an earlier run first.
+        form: what the records must hold; those of an earlier run are checked before anything is tried.
 
     Raises:
         InputError: the folder, the cluster, or what is to be resumed is not as it should be, or the disk is full.
         KeyboardInterrupt: interrupted or terminated; the message says how to go on.
     """
-    store = Store(out, header, items, resume)
+    store = Store(out, header, items, resume, form)
     try:
-        index = {item.key: i for i, item in enumerate(items)}
-        for record in store.records.values():
+        for record in store.kept():
             on_record(record)
-        rest = [item for item in items if item.key not in store.records]
-        answers = _answers(rest, work, workers, engine, timeout_s, batch)
-        with _interruptible(store, len(items)):
-            for item, answer in answers:
-                if isinstance(answer, Failure) and answer.stops:
-                    raise InputError(
-                        f"{answer.text}; what was finished is kept in {out}: make room, then --resume"
-                    )
-                store.append([make_record(item, index[item.key], answer)])
-                on_record(store.records[item.key])
+        with _interruptible(lambda: f"{store.n_kept} of {len(items)} trials are kept in {out}"):
+            for index, answer in _answers(store.missing(), work, workers, engine, timeout_s, batch):
+                _check_room(answer, out)
+                on_record(store.append(make_record(items[index], index, answer)))
         return store.finish()
     finally:
         store.close()
+
+
+def do_all(
+    items: Sequence[Item],
+    work: Work,
+    out: Path,
+    doing: str,
+    *,
+    workers: int = 1,
+    engine: Engine = "local",
+    timeout_s: float = 600.0,
+    on_answer: Callable[[int, Answer], None] = lambda number, answer: None,
+) -> list[Answer]:
+    """Do what a finished campaign still needs, in the same kind of workers, and return the answers to the items.
+
+    Args:
+        items: what to do.
+        work: does an item's job, as in :func:`run_campaign`.
+        out: the campaign's folder.
+        doing: what is done, for messages.
+        workers: processes to share the work.
+        engine: processes of this machine, or actors of an existing Ray cluster.
+        timeout_s: after which an item's worker is killed; its answer is a failure.
+        on_answer: called with each answer and its item's number, as they come.
+
+    Raises:
+        InputError: the disk is full, or the cluster is not as it should be.
+        KeyboardInterrupt: interrupted or terminated; the message says how to go on.
+    """
+    answers: dict[int, Answer] = {}
+    with _interruptible(lambda: f"while {doing}; all trials are kept in {out}"):
+        for number, answer in _answers(enumerate(items), work, workers, engine, timeout_s, 1):
+            _check_room(answer, out)
+            answers[number] = answer
+            on_answer(number, answer)
+    return [answers[number] for number in range(len(items))]
+
+
+def _check_room(answer: Answer, out: Path) -> None:
+    if isinstance(answer, Failure) and answer.stops:
+        raise InputError(f"{answer.text}; what was finished is kept in {out}: make room, then --resume")
 
 
 def run_here(
@@ -95,12 +135,15 @@ def run_here(
 
 
 def _answers(
-    items: Sequence[Item], work: Work, workers: int, engine: Engine, timeout_s: float, batch: int
-) -> Iterator[tuple[Item, Answer]]:
-    if not items:
+    items: Iterable[tuple[int, Item]], work: Work, workers: int, engine: Engine, timeout_s: float, batch: int
+) -> Iterator[tuple[int, Answer]]:
+    """Yield the answers to numbered items; no more workers are started than there are batches."""
+    rest = iter(items)
+    begin = list(islice(rest, workers * batch))
+    if not begin:
         return iter(())
-    n = min(workers, -(-len(items) // batch))
-    return distribute(_start(work, n, engine), items, timeout_s, batch)
+    n = -(-len(begin) // batch)
+    return distribute(_start(work, n, engine), chain(begin, rest), timeout_s, batch)
 
 
 def _start(work: Work, n: int, engine: Engine) -> list[Worker]:
@@ -115,8 +158,8 @@ def _start(work: Work, n: int, engine: Engine) -> list[Worker]:
 
 
 @contextmanager
-def _interruptible(store: Store, n_items: int) -> Iterator[None]:
-    """Let the signal to terminate stop a campaign as an interrupt does, and say how to go on with it."""
+def _interruptible(state: Callable[[], str]) -> Iterator[None]:
+    """Let the signal to terminate stop a campaign as an interrupt does, and say how things are and how to go on."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -127,10 +170,7 @@ def _interruptible(store: Store, n_items: int) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"interrupted: {store.n_kept} of {n_items} trials are kept in {store.out}; "
-            "the same command with --resume goes on"
-        ) from None
+        raise KeyboardInterrupt(f"interrupted: {state()}; the same command with --resume goes on") from None
     finally:
         if main:
             signal.signal(signal.SIGTERM, before)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,9 +10,11 @@ from typing import Any, TypedDict
 
 from craftsim.errors import DISK_ERRORS
 from craftsim.report import plain
+from craftsim.storage.limits import MAX_ERROR_CHARACTERS
+from craftsim.validation.campaign.tidying import tidy
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Item:
     """One thing to try, independent of all others."""
 
@@ -54,8 +57,8 @@ Answer = Done | Failure
 Work = Callable[[Any], Done]
 
 
-class TrialRecord(TypedDict):
-    """A line of ``trials.jsonl``."""
+class Identity(TypedDict):
+    """What a record says of its item."""
 
     key: str
     index: int
@@ -64,6 +67,11 @@ class TrialRecord(TypedDict):
     seed: int
     context: str | None
     episode: int | None
+
+
+class TrialRecord(Identity):
+    """A line of ``trials.jsonl``."""
+
     attempts: list[dict[str, Any]]
     agrees: bool
     error: str | None
@@ -76,26 +84,49 @@ class TrialRecord(TypedDict):
 def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
     """Return the record of an item; a failure has no attempts and does not agree."""
     failure = answer if isinstance(answer, Failure) else None
-    traced = {"traceback": failure.traceback} if failure is not None and failure.traceback else {}
+    traced = {"traceback": shortened(failure.traceback)} if failure is not None and failure.traceback else {}
     done = answer if isinstance(answer, Done) else Done(agrees=False, extra=traced)
     return {
-        "key": item.key,
-        "index": index,
-        "group": item.group,
-        "seed": item.seed,
-        "context": item.context,
-        "episode": item.episode,
+        **identity(item, index),
         "attempts": list(done.attempts),
         "agrees": done.agrees,
-        "error": None if failure is None else failure.text,
+        "error": None if failure is None else shortened(failure.text),
         "bundle": done.bundle,
         "extra": done.extra,
     }
 
 
+def identity(item: Item, index: int) -> Identity:
+    """Return what the record of an item says of the item itself."""
+    return {
+        "key": plain(item.key),
+        "index": index,
+        "group": plain(item.group),
+        "seed": item.seed,
+        "context": plain(item.context),
+        "episode": item.episode,
+    }
+
+
+def line_of(record: TrialRecord) -> bytes:
+    """Return a record as its line of ``trials.jsonl``."""
+    return (json.dumps(record, sort_keys=True, allow_nan=False) + "\n").encode()
+
+
+def shortened(text: str) -> str:
+    """Return the beginning and the end of a text that would make a record too long, such as an error's message."""
+    half = MAX_ERROR_CHARACTERS // 2
+    whole = text if len(text) <= MAX_ERROR_CHARACTERS else f"{text[:half]} [...] {text[-half:]}"
+    return str(plain(whole))
+
+
 def perform(work: Work, jobs: Sequence[Any]) -> list[Answer]:
     """Do the work of several items, in a worker; what one of them raises is its answer."""
-    return [answer_of(work, job) for job in jobs]
+    answers = []
+    for job in jobs:
+        answers.append(answer_of(work, job))
+        tidy()
+    return answers
 
 
 def answer_of(work: Work, job: Any, interruptible: bool = False) -> Answer:

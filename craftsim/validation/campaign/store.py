@@ -7,226 +7,207 @@ which they finish, and is put into the items' order at the end.
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import json
 import os
+import reprlib
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from craftsim.errors import InputError
-from craftsim.report import output_directory, plain, versions
-from craftsim.storage.writing import write_whole
-from craftsim.validation.campaign.items import Item, TrialRecord
+from craftsim.report import output_directory
+from craftsim.storage.limits import MIB, size_text
+from craftsim.storage.limits import TRIALS as TRIALS_LIMITS
+from craftsim.storage.reading import read_lines
+from craftsim.storage.writing import whole, write_whole
+from craftsim.validation.campaign.header import CAMPAIGN, Header, described, differences, read_header
+from craftsim.validation.campaign.items import Failure, Item, TrialRecord, identity, line_of, make_record
+from craftsim.validation.campaign.records import Lines, Records
+from craftsim.validation.campaign.schema import ANY, Form
 
-SCHEMA_VERSION: Final = 1
 TRIALS: Final = "trials.jsonl"
-CAMPAIGN: Final = "campaign.json"
-_NEEDED: Final = {"key", "index", "agrees", "error", "attempts"}
-_RESULTS: Final = ("report.json", "report.html", "durations.csv", "bundles", "films", "worlds")
+_FILES: Final = ("report.json", "report.html", "durations.csv")
+_FOLDERS: Final = ("bundles", "films", "worlds", "smallest")
 """What a campaign leaves besides; it goes when another one begins in its folder."""
-
-
-@dataclass(frozen=True)
-class Header:
-    """What decides the results of a campaign, besides its items."""
-
-    command: str
-    seed: int
-    config: Mapping[str, Any]
 
 
 class Store:
     """The records of one campaign; one process at a time may have it open."""
 
-    def __init__(self, out: Path, header: Header, items: Sequence[Item], resume: bool) -> None:
+    def __init__(
+        self, out: Path, header: Header, items: Sequence[Item], resume: bool, form: Form = ANY
+    ) -> None:
         """Begin a campaign in a folder, or go on with the one that is there.
 
         Raises:
-            InputError: the folder cannot be written to; another process works in it; it holds an unfinished
-                campaign and ``resume`` is not set; or, with it, holds another campaign, or records that cannot be
-                read.
+            InputError: the folder cannot be written to; another process works in it; it holds results of no campaign,
+                or an unfinished campaign and ``resume`` is not set; or, with it, holds another campaign, or
+                records that cannot be read.
         """
-        self.out = output_directory(out)
-        self._index = {item.key: i for i, item in enumerate(items)}
-        if len(self._index) != len(items):
+        if len({item.key for item in items}) != len(items):
             raise ValueError("keys of a campaign's items must be unique")
-        self._header = _header(header, items)
-        self.records: dict[str, TrialRecord] = {}
+        self.out = output_directory(out)
+        self._path = self.out / TRIALS
+        self._items, self._form, self._header = items, form, described(header, items)
+        self._lines = Lines(len(items))
         with _disk(self.out):
-            self._file = self._open()
+            _check_places(self.out)
+            self._number = self._open()
             try:
                 self._begin(resume)
             except BaseException:
-                self._file.close()
+                self.close()
                 raise
 
     @property
     def n_kept(self) -> int:
         """How many trials are on disk."""
-        return (self.out / TRIALS).read_bytes().count(b"\n")
+        found = start = last = 0
+        while text := os.pread(self._number, MIB, start):
+            if (place := text.rfind(b"\n")) >= 0:
+                found, last = found + text.count(b"\n"), start + place
+            start += len(text)
+            if start - last > TRIALS_LIMITS.line_bytes + MIB:
+                allowed = size_text(TRIALS_LIMITS.line_bytes)
+                raise InputError(
+                    f"{self._path}:{found + 1}: the line is longer than the {allowed} that are allowed"
+                )
+        return found
 
-    def append(self, records: Iterable[TrialRecord]) -> None:
-        """Write records down for good; raise InputError where the disk does not take them."""
-        lines = {record["key"]: _line(record) for record in records}
+    def kept(self) -> Iterator[TrialRecord]:
+        """Yield the records of an earlier run without an error."""
+        kept = [index for index in range(len(self._items)) if index in self._lines]
+        for start, length in sorted(map(self._lines.__getitem__, kept)):
+            yield json.loads(os.pread(self._number, length, start))
+
+    def missing(self) -> Iterator[tuple[int, Item]]:
+        """Yield the items that have no record, with their numbers."""
+        return ((index, self._items[index]) for index in self._lines.missing())
+
+    def append(self, record: TrialRecord) -> TrialRecord:
+        """Write a record down for good, and return it as it would be read back.
+
+        One that is longer than a line may be gives way to one of a failure. Raises InputError where the disk does not
+        take it.
+        """
+        line, index = line_of(record), record["index"]
+        if len(line) > TRIALS_LIMITS.line_bytes:
+            allowed = size_text(TRIALS_LIMITS.line_bytes)
+            failure = Failure(f"its record has {size_text(len(line))}; allowed: at most {allowed}")
+            line = line_of(make_record(self._items[index], index, failure))
         with _disk(self.out):
-            self._file.write("".join(lines.values()).encode())
-            self._file.flush()
-            os.fsync(self._file.fileno())
-        # As they would be read back, so that a resumed campaign has the very same.
-        self.records |= {key: json.loads(line) for key, line in lines.items()}
+            start = os.lseek(self._number, 0, os.SEEK_END)
+            try:
+                rest = memoryview(line)
+                while rest:
+                    rest = rest[os.write(self._number, rest) :]
+                os.fsync(self._number)
+            except OSError:
+                os.ftruncate(self._number, start)
+                raise
+        self._lines.put(index, start, len(line))
+        written: TrialRecord = json.loads(line)
+        return written
 
-    def finish(self) -> list[TrialRecord]:
+    def finish(self) -> Records:
         """Return all records in the order of the items, and leave them on disk in that order."""
-        records = [self.records[key] for key in self._index]
+        ordered = self._lines.in_order()
         with _disk(self.out):
-            write_whole(self.out / TRIALS, "".join(map(_line, records)))
-        return records
+            if ordered != self._lines or ordered.size != os.fstat(self._number).st_size:
+                with whole(self._path) as partial, partial.open("wb") as file:
+                    for index in range(len(self._items)):
+                        start, length = self._lines[index]
+                        file.write(os.pread(self._number, length, start))
+            return Records(self._path, ordered)
 
     def close(self) -> None:
         """Let others open the folder."""
-        self._file.close()
+        os.close(self._number)
 
-    def _open(self) -> IO[bytes]:
-        file = (self.out / TRIALS).open("a+b", buffering=0)
+    def _open(self) -> int:
+        """Open and lock the file of records; a pipe is not waited for."""
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
+        number = os.open(self._path, flags, 0o666)
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            file.close()
+            os.close(number)
             raise InputError(f"another process is running a campaign in {self.out}") from None
-        return file
+        return number
 
     def _begin(self, resume: bool) -> None:
         path = self.out / CAMPAIGN
         there = read_header(path) if path.exists() else None
-        if resume and there is not None:
+        n_lines = self.n_kept
+        if there is not None and resume and n_lines:
             _check_same(path, there, self._header)
             self._read()
             return
-        n_lines = self.n_kept
         if there is not None and 0 < n_lines < there["items"]:
             raise InputError(
                 f"{self.out} holds an unfinished campaign ({n_lines} of {there['items']} trials): go on with "
                 "--resume, or choose another --out, or remove that folder"
             )
-        if there is not None:
-            for name in _RESULTS:
-                _remove(self.out / name)
-        self._file.truncate(0)
+        for name in (*_FILES, *_FOLDERS):
+            _remove(self.out / name)
+        # A file of its own: who still holds the records of the campaign before can read on.
+        self._path.unlink()
+        before, self._number = self._number, self._open()
+        os.close(before)
         write_whole(path, json.dumps(self._header, indent=2, sort_keys=True) + "\n")
 
     def _read(self) -> None:
-        """Read back every whole line without an error; what a kill left of the last one is cut off."""
-        path = self.out / TRIALS
-        data = path.read_bytes()
-        whole = data.rfind(b"\n") + 1
-        self._file.truncate(whole)
-        for number, record in _records(path, data[:whole], "its trial is run again"):
-            key = record["key"]
-            if key not in self._index or record["index"] != self._index[key]:
-                raise InputError(f"{path}:{number}: trial '{key}' is none of this campaign; delete this line")
+        """Take every whole line without an error; what a kill left of the last one is cut off."""
+        start = 0
+        for number, line in read_lines(self._path, TRIALS_LIMITS):
+            if not line.endswith(b"\n"):
+                break
+            record = read_record(self._form, line, f"{self._path}:{number}", "its trial is run again")
+            index = record["index"]
+            if index >= len(self._items) or {**record, **identity(self._items[index], index)} != record:
+                raise InputError(
+                    f"{self._path}:{number}: trial {reprlib.repr(record['key'])} is none of this campaign; "
+                    "delete this line"
+                )
             if record["error"] is None:
-                self.records[key] = record
+                self._lines.put(index, start, len(line))
+            start += len(line)
+        os.ftruncate(self._number, start)
 
 
-def _header(header: Header, items: Sequence[Item]) -> dict[str, Any]:
-    keys = "\n".join(item.key for item in items)
-    described = {
-        "schema_version": SCHEMA_VERSION,
-        "command": header.command,
-        "seed": header.seed,
-        "versions": versions(),
-        "config": plain(header.config),
-        "items": len(items),
-        "keys": hashlib.sha256(keys.encode()).hexdigest(),
-    }
-    loaded: dict[str, Any] = json.loads(json.dumps(described))
-    return loaded
-
-
-def read_header(path: Path) -> dict[str, Any]:
-    """Return what a campaign's folder says that it is; raise InputError for a file that says nothing of the kind."""
+def read_record(form: Form, line: bytes, where: str, remedy: str) -> TrialRecord:
+    """Return the record that a line holds; raise InputError, with the remedy, for one that is none."""
     try:
-        header = json.loads(path.read_text(encoding="utf-8"))
-        header["items"] + 0
-    except (ValueError, TypeError, KeyError):
-        raise InputError(f"{path}: not a campaign's description; choose another folder") from None
-    loaded: dict[str, Any] = header
-    return loaded
+        return form.record(line, f"{where}: not a trial's record")
+    except InputError as error:
+        raise InputError(f"{error}; delete this line, and {remedy}") from None
 
 
-@dataclass(frozen=True)
-class FinishedCampaign:
-    """A campaign that has come to its end."""
-
-    folder: Path
-    header: Mapping[str, Any]
-    """What the campaign was: command, seed, versions, config."""
-    records: list[TrialRecord]
-
-
-def read_finished(folder: Path, command: str) -> FinishedCampaign:
-    """Return the finished campaign of a command.
-
-    Raises:
-        InputError: the folder holds no campaign, an unfinished one or another command's, or a line that is no record.
-    """
-    path = folder / CAMPAIGN
-    if not path.is_file():
-        raise InputError(f"{folder} holds no campaign; give the --out of an earlier 'craftsim {command}'")
-    header = read_header(path)
-    if header.get("command") != command:
+def _check_places(out: Path) -> None:
+    """Raise InputError where something else is in the place of a file or folder of a campaign, or a stranger's."""
+    for name in (CAMPAIGN, TRIALS, *_FILES, *_FOLDERS):
+        path, what = out / name, "folder" if name in _FOLDERS else "regular file"
+        fits = path.is_dir() if name in _FOLDERS else path.is_file()
+        if path.exists() and not fits:
+            raise InputError(f"{path}: not a {what}; move it away, or choose another --out")
+    trials = out / TRIALS
+    strangers = [TRIALS] if trials.exists() and trials.stat().st_size else []
+    strangers += [name for name in (*_FILES, *_FOLDERS) if (out / name).exists()]
+    if strangers and not (out / CAMPAIGN).exists():
         raise InputError(
-            f"{folder} holds a campaign of 'craftsim {header.get('command')}'; give the --out of an earlier "
-            f"'craftsim {command}'"
+            f"{out} holds {' and '.join(strangers)}, but no {CAMPAIGN} that says what campaign they are of; "
+            f"choose another --out, or move them away, or put {CAMPAIGN} back"
         )
-    lines = folder / TRIALS
-    data = lines.read_bytes() if lines.is_file() else b""
-    if (found := data.count(b"\n")) < header["items"]:
-        raise InputError(
-            f"{folder} holds an unfinished campaign ({found} of {header['items']} trials); "
-            f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
-        )
-    records = [record for _, record in _records(lines, data, "--resume runs its trial again")]
-    return FinishedCampaign(folder, header, records)
-
-
-def _records(path: Path, data: bytes, remedy: str) -> Iterator[tuple[int, TrialRecord]]:
-    """Yield the number and the record of each whole line; raise InputError, with the remedy, for one that is none."""
-    for number, line in enumerate(data.split(b"\n")[:-1], start=1):
-        try:
-            record: TrialRecord = json.loads(line)
-            if not record.keys() >= _NEEDED:
-                raise KeyError
-        except (ValueError, AttributeError, KeyError):
-            raise InputError(
-                f"{path}:{number}: not a trial's record; delete this line, and {remedy}"
-            ) from None
-        yield number, record
 
 
 def _check_same(path: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     for key, (old, new) in differences(there, wanted):
         raise InputError(
-            f"{path}: cannot go on with another campaign: its {key} is {old!r}, not {new!r}; use the options that "
-            "it was begun with, or choose another --out"
+            f"{path}: cannot go on with another campaign: its {key} is {reprlib.repr(old)}, not {reprlib.repr(new)}; "
+            "use the options that it was begun with, or choose another --out"
         )
-
-
-def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[Any, Any]]]:
-    """Yield the dotted names of what differs, with both values."""
-    if isinstance(old, dict) and isinstance(new, dict):
-        for name in sorted({*old, *new}):
-            yield from differences(old.get(name), new.get(name), f"{key}.{name}" if key else name)
-    elif old != new:
-        yield key, (old, new)
-
-
-def _line(record: TrialRecord) -> str:
-    return json.dumps(record, sort_keys=True, allow_nan=False) + "\n"
 
 
 def _remove(path: Path) -> None:

@@ -71,7 +71,7 @@ def audit_page(audit: Audit, command: str) -> Page:
             "most_striking": [_case(row) for row in unsound if row in one_each][:MOST_STRIKING],
             "corrections": audit.rows_by_flag | {"no flag": uncorrected},
             "conservative": _by_action(rows, _striking_first(rows, Judgement.CONSERVATIVE)),
-            "legal": [a for a in attempts_of(carried_out(audit.judged)) if a["legal"]],
+            "legal": (a for a in attempts_of(carried_out(audit.judged)) if a["legal"]),
             "provenance": provenance(command, audit.seed, audit.config),
         },
     )

@@ -11,11 +11,12 @@ import numpy as np
 from markupsafe import Markup
 
 from craftsim.validation.html.svg import ACCENT, BAD, CAUTION, GOOD, GRID, MUTED, PAPER, SOFT, canvas
+from craftsim.validation.statistics import precision
 from craftsim.validation.statistics.audit_rows import AuditRow, Judgement
 from craftsim.validation.statistics.durations import Duration
 from craftsim.validation.statistics.matrix import MatrixRow
 from craftsim.validation.statistics.ranking import PolicyScore
-from craftsim.validation.statistics.records import AttemptRecord, as_predicted, grouped
+from craftsim.validation.statistics.records import AttemptRecord, grouped
 from craftsim.validation.statistics.survival import PlanSurvival, Survival
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def _curve(axes: Axes, curve: Survival, colour: str, label: str) -> None:
 
 def errors(attempts: Iterable[AttemptRecord]) -> Markup:
     """Draw how the errors of the attempts that did as predicted are distributed."""
-    good = [attempt for attempt in attempts if as_predicted(attempt)]
+    found = precision.errors(attempts)
     kinds = (
         ("car_error_m", "car", ACCENT),
         ("placed_error_m", "what is placed", GOOD),
@@ -105,8 +106,7 @@ def errors(attempts: Iterable[AttemptRecord]) -> Markup:
     with canvas(_WIDTH_IN, 2.9, "distribution of errors") as drawing:
         axes = drawing.axes
         for field, label, colour in kinds:
-            values = [1e3 * abs(a[field]) for a in good if a[field] is not None]
-            if values:
+            if values := found[field]:
                 axes.plot(np.quantile(values, _QUANTILES), _QUANTILES, color=colour, lw=1.8, label=label)
         axes.set_xscale("symlog", linthresh=0.1, linscale=0.4)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 from typing import Final
 
 from craftsim.checking.attempt import Result
@@ -21,6 +22,9 @@ from craftsim.validation.statistics.figures import Figures
 from craftsim.validation.statistics.records import Record, as_predicted, attempts_of, carried_out
 from craftsim.validation.validation import Validation
 
+MOST_CASES: Final = 1000
+"""Disagreements that a page lists."""
+
 _TONES: Final = {
     Result.AS_PREDICTED: Tone.GOOD,
     Result.FAILED: Tone.CAUTION,
@@ -32,7 +36,8 @@ _TONES: Final = {
 
 def validate_page(result: Validation, command: str) -> Page:
     """Return the page of a validation; ``command`` is how it can be run again."""
-    done = list(carried_out(result.records))
+    cases = _cases(result.records)
+    shown = list(islice(cases, MOST_CASES))
     return Page(
         "validate.html.j2",
         "Validation in physics",
@@ -43,8 +48,9 @@ def validate_page(result: Validation, command: str) -> Page:
             "figures": result.figures,
             "comparison": result.comparison,
             "smallest": result.smallest,
-            "cases": [case for record in done if (case := _case(record))],
-            "legal": [attempt for attempt in attempts_of(done) if attempt["legal"]],
+            "cases": shown,
+            "more_cases": sum(1 for _ in cases),
+            "legal": (a for a in attempts_of(carried_out(result.records)) if a["legal"]),
             "provenance": provenance(command, result.seed, result.config),
         },
     )
@@ -84,6 +90,10 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
         yield KeyFigure(f"{force.max:.0f} N", "peak contact force", f"median {force.median:.0f} N")
     if figures.rank_agreement:
         yield KeyFigure(f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst")
+
+
+def _cases(records: Iterable[Record]) -> Iterator[Case]:
+    return (case for record in carried_out(records) if (case := _case(record)))
 
 
 def _case(record: Record) -> Case | None:

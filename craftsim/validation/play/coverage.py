@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.grid import Kind
@@ -59,16 +59,16 @@ class Coverage:
     @classmethod
     def of(cls, records: Iterable[Record]) -> Coverage | None:
         """Return what the records of a campaign covered; None where nothing was played."""
-        known = list(records)
-        played: list[Mapping[str, Any]] = [r["extra"]["coverage"] for r in known if "coverage" in r["extra"]]
+        played = fallen = 0
+        counts: dict[str, Counter[str]] = {}
+        for extra in (record["extra"] for record in records):
+            fallen += "does_not_stand" in extra
+            played += "coverage" in extra
+            for name, found in extra.get("coverage", {}).items():
+                counts.setdefault(name, Counter()).update(found)
         if not played:
             return None
-        fallen = sum("does_not_stand" in record["extra"] for record in known)
-        counts: dict[str, Counter[str]] = {}
-        for one in played:
-            for name, found in one.items():
-                counts.setdefault(name, Counter()).update(found)
         every = sum(counts.values(), Counter())
         totals = {key[1:]: n for key, n in sorted(every.items()) if key.startswith("~")}
         rows = {name: {key: counts[name][key] for key in (ALL, *NEIGHBOURS)} for name in sorted(counts)}
-        return cls(len(played), fallen, every[ALL], totals, rows)
+        return cls(played, fallen, every[ALL], totals, rows)

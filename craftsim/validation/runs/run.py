@@ -50,7 +50,7 @@ class Terms:
     """Called with each run's Site after every control period."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Run:
     """What to run; goes to a worker."""
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
-from functools import partial
-from multiprocessing import get_context
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
 from craftsim.discrete.files.saving import write_blueprint
 from craftsim.report import output_directory
 from craftsim.storage.writing import write_whole
-from craftsim.validation.campaign import TrialRecord
+from craftsim.validation.campaign import Answer, Done, Engine, Failure, Item, TrialRecord, do_all
 from craftsim.validation.replays.bundle import Bundle, read_bundle
 from craftsim.validation.shrinking.shrink import DependsError, OnTrial, Smallest, failing_actions, shrink
 from craftsim.validation.shrinking.words import sentence
@@ -24,6 +21,8 @@ FOLDER: Final = "smallest"
 """Of the files, within that of a campaign."""
 BLUEPRINT: Final = "smallest.yaml"
 ACTIONS: Final = "smallest.actions"
+SHRINK_S: Final = 3600.0
+"""After which the search for a smallest world is given up."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,11 @@ def write_smallest(found: Smallest, folder: Path) -> None:
 
 
 def shrink_failures(
-    out: Path, records: Sequence[TrialRecord], workers: int, progress: ShrinkProgress
+    out: Path,
+    records: Iterable[TrialRecord],
+    workers: int,
+    progress: ShrinkProgress,
+    engine: Engine = "local",
 ) -> tuple[Shrunk, ...]:
     """Shrink the first failure of each kind that has a replay bundle, and write the smallest worlds.
 
@@ -89,25 +92,30 @@ def shrink_failures(
         records: of the campaign.
         workers: processes that share the work.
         progress: shows what is done.
+        engine: processes of this machine, or an existing Ray cluster.
     """
     bundles = list(first_of_each_kind(records).values())
-    if not bundles:
+    items = [
+        Item(bundle, FOLDER, 0, (out.resolve(), bundle, f"{FOLDER}/{number:02d}"))
+        for number, bundle in enumerate(bundles)
+    ]
+    if not items:
         return ()
-    shrink_one, numbers = partial(_shrink, out), range(len(bundles))
-    n = min(workers, len(bundles))
-    with progress(len(bundles)) as on_each, ExitStack() as stack:
-        results: Iterator[Shrunk] = map(shrink_one, bundles, numbers)
-        if n > 1:
-            pool = stack.enter_context(ProcessPoolExecutor(n, mp_context=get_context("spawn")))
-            results = pool.map(shrink_one, bundles, numbers)
-        found = []
-        for shrunk in results:
-            found.append(shrunk)
-            on_each(shrunk)
-    return tuple(found)
+    with progress(len(items)) as on_each:
+        answers = do_all(
+            items,
+            _shrink,
+            out,
+            "looking for the smallest worlds",
+            workers=workers,
+            engine=engine,
+            timeout_s=SHRINK_S,
+            on_answer=lambda number, answer: on_each(_shrunk(bundles[number], answer)),
+        )
+    return tuple(_shrunk(bundle, answer) for bundle, answer in zip(bundles, answers, strict=True))
 
 
-def first_of_each_kind(records: Sequence[TrialRecord]) -> dict[str, str]:
+def first_of_each_kind(records: Iterable[TrialRecord]) -> dict[str, str]:
     """Return the bundle of the first failure of each kind of a legal action, by the kind."""
     found: dict[str, str] = {}
     for record in records:
@@ -117,6 +125,14 @@ def first_of_each_kind(records: Sequence[TrialRecord]) -> dict[str, str]:
     return found
 
 
-def _shrink(out: Path, bundle: str, number: int) -> Shrunk:
-    name = f"{FOLDER}/{number:02d}"
-    return shrink_bundle(read_bundle(out / bundle).bundle, out / name, name)
+def _shrink(job: tuple[Path, str, str]) -> Done:
+    out, bundle, name = job
+    return Done(agrees=True, extra=asdict(shrink_bundle(read_bundle(out / bundle).bundle, out / name, name)))
+
+
+def _shrunk(bundle: str, answer: Answer) -> Shrunk:
+    """Return what became of a failure; one that could not be shrunk says why."""
+    if isinstance(answer, Failure):
+        return Shrunk(bundle, answer.text, "", minimal=False, trials=0, cells=None, folder=None)
+    cells = answer.extra["cells"]
+    return Shrunk(**{**answer.extra, "cells": None if cells is None else tuple(cells)})

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
 from craftsim.checking.attempt import Result
 from craftsim.validation.statistics.proportions import wilson
-from craftsim.validation.statistics.records import RESULTS, Record, carried_out, grouped, worst
+from craftsim.validation.statistics.records import RESULTS, Record, worst
 
 SOUND_SHARE: Final = 0.95
 """A rule that allows an action is sound where at least this share of trials does what it predicts. One that forbids an
@@ -88,7 +88,10 @@ def audit_rows(records: Iterable[Record]) -> list[AuditRow]:
     A group's name is the action, a slash and the context. A row is legal when all its attempts are; one whose trials
     have neither attempts nor errors has no prediction.
     """
-    return [_row(group, trials) for group, trials in grouped(records, lambda r: str(r["group"])).items()]
+    groups: dict[str, _Group] = {}
+    for record in records:
+        groups.setdefault(record["group"], _Group()).add(record)
+    return [group.row(name) for name, group in sorted(groups.items())]
 
 
 def kind_of(reason: str) -> str:
@@ -114,47 +117,60 @@ def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> 
     return Judgement.CONSERVATIVE if works else Judgement.RIGHTLY_FORBIDDEN
 
 
-def _row(group: str, records: Sequence[Record]) -> AuditRow:
-    action, _, context = group.partition("/")
-    known = [result for record in carried_out(records) if (result := worst(record)) is not None]
-    results = [result for result in known if result is not Result.NUMERICS]
-    errors = sum(record["error"] is not None for record in records)
-    good, failed, side_effect, unsafe, numerics = (known.count(result) for result in RESULTS)
-    legal = all(attempt["legal"] for record in records for attempt in record["attempts"])
-    has_prediction = bool(known) or bool(errors)
-    low, high = wilson(good, len(results))
-    return AuditRow(
-        action=action,
-        context=context,
-        legal=legal and has_prediction,
-        has_prediction=has_prediction,
-        trials=len(results),
-        as_predicted=good,
-        failed=failed,
-        side_effect=side_effect,
-        unsafe=unsafe,
-        wilson_low=low,
-        wilson_high=high,
-        verdict=judge(legal, has_prediction, len(results), good).value,
-        reason=_reason(records),
-        bundles=tuple(record["bundle"] for record in records if record["bundle"]),
-        numerics=numerics,
-        errors=errors,
-    )
+@dataclass
+class _Group:
+    """What is counted of the trials of one row."""
 
+    results: Counter[Result] = field(default_factory=Counter)
+    errors: int = 0
+    legal: bool = True
+    bundles: list[str] = field(default_factory=list)
+    reasons: dict[str, str] = field(default_factory=dict)
+    """Why trials did not do as predicted, the first reason of each kind: those that differ in numbers alone are one."""
+    kinds: Counter[str] = field(default_factory=Counter)
 
-def _reason(records: Iterable[Record]) -> str:
-    """Return a reason of the commonest kind why trials did not do as predicted.
+    def add(self, record: Record) -> None:
+        self.legal &= all(attempt["legal"] for attempt in record["attempts"])
+        if record["bundle"]:
+            self.bundles.append(record["bundle"])
+        if record["error"] is not None:
+            self.errors += 1
+        elif (result := worst(record)) is not None:
+            self.results[result] += 1
+            if result is not Result.AS_PREDICTED:
+                reason = next(a["reason"] for a in record["attempts"] if a["result"] == result)
+                self.reasons.setdefault(kind_of(reason), reason)
+                self.kinds[kind_of(reason)] += 1
 
-    Reasons that differ in their numbers alone are of one kind, named by the first of them.
-    """
-    kinds: dict[str, list[str]] = {}
-    for record in carried_out(records):
-        if (result := worst(record)) not in (None, Result.AS_PREDICTED):
-            reason = next(a["reason"] for a in record["attempts"] if a["result"] == result)
-            kinds.setdefault(kind_of(reason), []).append(reason)
-    if not kinds:
-        return ""
-    commonest = max(kinds.values(), key=len)
-    total = sum(map(len, kinds.values()))
-    return commonest[0] if len(kinds) == 1 else f"{commonest[0]} ({len(commonest)} of {total})"
+    def row(self, name: str) -> AuditRow:
+        action, _, context = name.partition("/")
+        good, failed, side_effect, unsafe, numerics = (self.results[result] for result in RESULTS)
+        trials = self.results.total() - numerics
+        has_prediction = bool(self.results) or bool(self.errors)
+        low, high = wilson(good, trials)
+        return AuditRow(
+            action=action,
+            context=context,
+            legal=self.legal and has_prediction,
+            has_prediction=has_prediction,
+            trials=trials,
+            as_predicted=good,
+            failed=failed,
+            side_effect=side_effect,
+            unsafe=unsafe,
+            wilson_low=low,
+            wilson_high=high,
+            verdict=judge(self.legal, has_prediction, trials, good).value,
+            reason=self._reason(),
+            bundles=tuple(self.bundles),
+            numerics=numerics,
+            errors=self.errors,
+        )
+
+    def _reason(self) -> str:
+        """Return a reason of the commonest kind why trials did not do as predicted; the first of equals."""
+        if not self.kinds:
+            return ""
+        (commonest, n), *others = self.kinds.most_common()
+        reason = self.reasons[commonest]
+        return f"{reason} ({n} of {self.kinds.total()})" if others else reason

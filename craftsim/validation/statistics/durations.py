@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import io
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -12,6 +14,9 @@ import numpy as np
 
 from craftsim.errors import InputError
 from craftsim.report import output_directory
+from craftsim.storage.limits import TABLE
+from craftsim.storage.reading import read_text
+from craftsim.storage.writing import write_whole
 from craftsim.validation.statistics.records import AttemptRecord, as_predicted
 
 FILE_NAME: Final = "durations.csv"
@@ -63,37 +68,50 @@ _READ: Final[dict[str, Callable[[str], Any]]] = {
 
 def duration_table(attempts: Iterable[AttemptRecord]) -> list[Duration]:
     """Return the durations of each kind of action that did as predicted, sorted by kind."""
-    return [
-        Duration(
-            *key, len(values), float(np.mean(values)), *np.quantile(values, (0.05, 0.5, 0.95, 1.0)).tolist()
-        )
-        for key, values in sorted(_by_kind(attempts).items())
-    ]
-
-
-def deviations(attempts: Iterable[AttemptRecord]) -> Iterator[float]:
-    """Yield how far each attempt's duration is from the median of its kind, in seconds."""
-    for values in _by_kind(attempts).values():
-        yield from np.abs(np.subtract(values, np.median(values))).tolist()
-
-
-def _by_kind(attempts: Iterable[AttemptRecord]) -> dict[DurationKey, list[float]]:
-    kinds: dict[DurationKey, list[float]] = {}
+    durations = Durations()
     for attempt in attempts:
+        durations.add(attempt)
+    return durations.table()
+
+
+class Durations:
+    """Durations of attempts that did as predicted, by their kind."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._kinds: dict[DurationKey, array[float]] = {}
+
+    def add(self, attempt: AttemptRecord) -> None:
+        """Take the duration of an attempt, if that did as predicted."""
         if as_predicted(attempt):
             key = DurationKey(attempt["verb"], attempt["load"], attempt["level"], attempt["slope"])
-            kinds.setdefault(key, []).append(attempt["duration_s"])
-    return kinds
+            self._kinds.setdefault(key, array("d")).append(attempt["duration_s"])
+
+    def table(self) -> list[Duration]:
+        """Return the durations of each kind, sorted by kind."""
+        return [
+            Duration(
+                *key,
+                len(values),
+                float(np.mean(values)),
+                *np.quantile(values, (0.05, 0.5, 0.95, 1.0)).tolist(),
+            )
+            for key, values in sorted(self._kinds.items())
+        ]
+
+    def deviations(self) -> Iterator[float]:
+        """Yield how far each duration is from the median of its kind, in seconds."""
+        for values in self._kinds.values():
+            yield from np.abs(np.subtract(values, np.median(values)))
 
 
 def write_durations(out: Path, table: Sequence[Duration]) -> Path:
     """Write a table as ``durations.csv`` into the directory ``out``, made when missing, and return its path."""
-    path = output_directory(out) / FILE_NAME
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_COLUMNS)
-        writer.writerows([round(v, 4) if isinstance(v, float) else v for v in astuple(row)] for row in table)
-    return path
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    writer.writerows([round(v, 4) if isinstance(v, float) else v for v in astuple(row)] for row in table)
+    return write_whole(output_directory(out) / FILE_NAME, text.getvalue())
 
 
 def read_durations(path: Path) -> dict[DurationKey, Duration]:
@@ -102,14 +120,14 @@ def read_durations(path: Path) -> dict[DurationKey, Duration]:
     Raises:
         InputError: the file cannot be read, has other columns, or a value is not of its column's kind.
     """
+    text = read_text(path, TABLE)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.DictReader(file, restval="")
-            if tuple(reader.fieldnames or ()) != _COLUMNS:
-                raise InputError(f"{path}: line 1: the columns must be {', '.join(_COLUMNS)}")
-            rows = [_duration(path, reader.line_num, row) for row in reader]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the table of durations {path}: {error}") from error
+        reader = csv.DictReader(io.StringIO(text, newline=""), restval="")
+        if tuple(reader.fieldnames or ()) != _COLUMNS:
+            raise InputError(f"{path}: line 1: the columns must be {', '.join(_COLUMNS)}")
+        rows = [_duration(path, reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num}: not a table: {error}") from None
     return {row.key: row for row in rows}
 
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 
+from craftsim.checking.attempt import Result
 from craftsim.validation.statistics.durations import Duration, duration_table
-from craftsim.validation.statistics.matrix import LegalityMatrix, MatrixRow, legality_matrix
+from craftsim.validation.statistics.matrix import LegalityMatrix, MatrixRow, Results, legality_matrix
 from craftsim.validation.statistics.precision import Distribution, Precision, drift, precision
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.ranking import PolicyScore, RankAgreement, policy_scores, rank_agreement
 from craftsim.validation.statistics.records import (
+    AttemptRecord,
     Record,
     attempts_of,
     capped_steps,
     carried_out,
     error_counts,
-    grouped,
 )
 from craftsim.validation.statistics.survival import PlanSurvival, plan_survival
 
@@ -57,33 +59,49 @@ class Figures:
 
 def campaign_figures(records: Iterable[Record], seed: int) -> Figures:
     """Return the figures of a campaign's records; ``seed`` is that of the bootstrap."""
-    known = list(records)
-    done = list(carried_out(known))
-    attempts = list(attempts_of(done))
-    legal = [attempt for attempt in attempts if attempt["legal"]]
-    scores = policy_scores(done)
+    # Gone through again and again, and never held: there may be a million.
+    known = list(records) if isinstance(records, Iterator) else records
+    every, groups, verbs = _Tally(), defaultdict[str, _Tally](_Tally), defaultdict[str, Results](Counter)
+    for record in carried_out(known):
+        every.add(record)
+        groups[record["group"]].add(record)
+        for attempt in record["attempts"]:
+            if attempt["legal"]:
+                verbs[attempt["verb"]][Result(attempt["result"])] += 1
+    scores = policy_scores(known)
     return Figures(
-        trials=len(known),
+        trials=sum(1 for _ in known),
         errors=error_counts(known),
-        capped_steps=capped_steps(done),
-        all=_group(done),
-        by_group={name: _group(group) for name, group in grouped(done, lambda r: str(r["group"])).items()},
-        by_verb={
-            verb: MatrixRow.of(group) for verb, group in grouped(legal, lambda a: str(a["verb"])).items()
-        },
-        matrix=legality_matrix(attempts),
-        precision=precision(legal),
-        drift=drift(done),
-        durations=duration_table(legal),
-        survival=plan_survival(done),
+        capped_steps=capped_steps(carried_out(known)),
+        all=every.figures(),
+        by_group={name: group.figures() for name, group in sorted(groups.items())},
+        by_verb={verb: MatrixRow.counted(results) for verb, results in sorted(verbs.items())},
+        matrix=legality_matrix(attempts_of(carried_out(known))),
+        precision=precision(_legal(known)),
+        drift=drift(carried_out(known)),
+        durations=duration_table(_legal(known)),
+        survival=plan_survival(known),
         policies=scores,
         rank_agreement=rank_agreement(scores, seed),
     )
 
 
-def _group(records: list[Record]) -> GroupFigures:
-    legal = [attempt for attempt in attempts_of(records) if attempt["legal"]]
-    return GroupFigures(
-        Proportion.of(sum(bool(record["agrees"]) for record in records), len(records)),
-        MatrixRow.of(legal).success,
-    )
+def _legal(records: Iterable[Record]) -> Iterator[AttemptRecord]:
+    return (attempt for attempt in attempts_of(carried_out(records)) if attempt["legal"])
+
+
+@dataclass
+class _Tally:
+    """Counts of the trials of one plan, policy or context, or of all."""
+
+    runs: int = 0
+    agree: int = 0
+    legal: Results = field(default_factory=Counter)
+
+    def add(self, record: Record) -> None:
+        self.runs += 1
+        self.agree += record["agrees"]
+        self.legal.update(Result(attempt["result"]) for attempt in record["attempts"] if attempt["legal"])
+
+    def figures(self) -> GroupFigures:
+        return GroupFigures(Proportion.of(self.agree, self.runs), MatrixRow.counted(self.legal).success)

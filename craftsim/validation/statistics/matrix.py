@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 from craftsim.checking.attempt import Result
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import RESULTS, AttemptRecord
+
+Results: TypeAlias = Counter[Result]
+"""How many attempts had each result."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,11 @@ class MatrixRow:
     @classmethod
     def of(cls, attempts: Iterable[AttemptRecord]) -> MatrixRow:
         """Count the results of some attempts."""
-        found: Counter[Any] = Counter(Result(attempt["result"]) for attempt in attempts)
+        return cls.counted(Counter(Result(attempt["result"]) for attempt in attempts))
+
+    @classmethod
+    def counted(cls, found: Results) -> MatrixRow:
+        """Return the row of attempts whose results were counted."""
         good, failed, side_effect, unsafe, numerics = (found[result] for result in RESULTS)
         trials = found.total()
         return cls(trials, good, failed, side_effect, unsafe, numerics, Proportion.of(good, trials))
@@ -44,8 +51,9 @@ class LegalityMatrix:
 
 def legality_matrix(attempts: Iterable[AttemptRecord]) -> LegalityMatrix:
     """Return the matrix of legality and result of some attempts."""
-    known = list(attempts)
-    return LegalityMatrix(
-        MatrixRow.of(attempt for attempt in known if attempt["legal"]),
-        MatrixRow.of(attempt for attempt in known if not attempt["legal"] and attempt["performed"]),
-    )
+    legal: Results = Counter()
+    forbidden: Results = Counter()
+    for attempt in attempts:
+        if attempt["legal"] or attempt["performed"]:
+            (legal if attempt["legal"] else forbidden)[Result(attempt["result"])] += 1
+    return LegalityMatrix(MatrixRow.counted(legal), MatrixRow.counted(forbidden))

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from craftsim.errors import InputError
-from craftsim.validation.campaign import FinishedCampaign, Item, read_finished
-from craftsim.validation.campaign.store import CAMPAIGN, differences, read_header
+from craftsim.validation.campaign import FinishedCampaign, Form, Item, read_finished
+from craftsim.validation.campaign.header import CAMPAIGN, differences, read_header
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import Record, carried_out
 
@@ -56,7 +56,7 @@ class Comparison:
 
 
 def read_earlier(
-    folder: Path, command: str, out: Path | None, seed: int, items: Sequence[Item]
+    folder: Path, command: str, out: Path | None, seed: int, items: Sequence[Item], form: Form
 ) -> FinishedCampaign:
     """Return the campaign that a command left in a folder; call this before the other one begins in ``out``.
 
@@ -64,13 +64,14 @@ def read_earlier(
     """
     if out is not None and folder.resolve() == out.resolve():
         raise InputError(f"--against {folder} is the folder of this run; choose another --out")
-    found = read_finished(folder, command)
+    found = read_finished(folder, command, form)
     if (other := found.header.get("seed")) != seed:
         raise InputError(
             f"the campaign in {folder} has the seed {other}, not {seed}, so that nothing is paired; "
             f"give --seed {other}"
         )
-    if not {item.key for item in items} & {record["key"] for record in found.records}:
+    keys = {item.key for item in items}
+    if not any(record["key"] in keys for record in found.records):
         raise InputError(
             f"the campaign in {folder} has no trial in common with this one, so there are no pairs to compare; "
             "run both with the same contexts, worlds, plans or policies"
@@ -81,8 +82,8 @@ def read_earlier(
 def compare_runs(
     earlier: FinishedCampaign,
     out: Path,
-    records: list[Record],
-    chosen: Callable[[list[Record]], list[Record]] = list,
+    records: Iterable[Record],
+    chosen: Callable[[Iterable[Record]], Iterable[Record]] = iter,
 ) -> Comparison:
     """Return how the records of the campaign that has ended in ``out`` compare; ``chosen`` says which count."""
     headers = (earlier.header, read_header(out / CAMPAIGN))

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from array import array
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from craftsim.validation.statistics.durations import deviations
+from craftsim.validation.statistics.durations import Durations
 from craftsim.validation.statistics.records import AttemptRecord, Record, as_predicted
+
+ERRORS: Final = (
+    "car_error_m",
+    "heading_error_rad",
+    "height_error_m",
+    "placed_error_m",
+    "bystander_displacement_m",
+)
+"""Fields of an attempt that say how far physics was from the prediction."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +62,7 @@ class Precision:
 
 def drift(records: Iterable[Record]) -> dict[str, Distribution | None]:
     """Return how far off in mm things were set down, folded or unfolded in each third of the runs: does it grow?"""
-    thirds: dict[str, list[float]] = {"first": [], "middle": [], "last": []}
+    thirds = {name: array("d") for name in ("first", "middle", "last")}
     for attempts in (record["attempts"] for record in records):
         for number, attempt in enumerate(attempts):
             if attempt["performed"] and attempt["placed_error_m"] is not None:
@@ -61,18 +72,32 @@ def drift(records: Iterable[Record]) -> dict[str, Distribution | None]:
 
 def precision(attempts: Iterable[AttemptRecord]) -> Precision:
     """Return the errors of some attempts."""
-    known = list(attempts)
-    good = [attempt for attempt in known if as_predicted(attempt)]
+    forces, durations = array("d"), Durations()
 
-    def magnitude(field: str) -> Distribution | None:
-        return Distribution.of(1e3 * abs(a[field]) for a in good if a[field] is not None)
+    def noting_forces() -> Iterator[AttemptRecord]:
+        for attempt in attempts:
+            if attempt["peak_force_n"] is not None:
+                forces.append(attempt["peak_force_n"])
+            durations.add(attempt)
+            yield attempt
 
+    found = errors(noting_forces())
     return Precision(
-        car_error_mm=magnitude("car_error_m"),
-        heading_error_mrad=magnitude("heading_error_rad"),
-        height_error_mm=magnitude("height_error_m"),
-        placed_error_mm=magnitude("placed_error_m"),
-        bystander_displacement_mm=magnitude("bystander_displacement_m"),
-        duration_error_s=Distribution.of(deviations(good)),
-        peak_force_n=Distribution.of(a["peak_force_n"] for a in known if a["peak_force_n"] is not None),
+        car_error_mm=Distribution.of(found["car_error_m"]),
+        heading_error_mrad=Distribution.of(found["heading_error_rad"]),
+        height_error_mm=Distribution.of(found["height_error_m"]),
+        placed_error_mm=Distribution.of(found["placed_error_m"]),
+        bystander_displacement_mm=Distribution.of(found["bystander_displacement_m"]),
+        duration_error_s=Distribution.of(durations.deviations()),
+        peak_force_n=Distribution.of(forces),
     )
+
+
+def errors(attempts: Iterable[AttemptRecord]) -> dict[str, array[float]]:
+    """Return the errors of the attempts that did as predicted, in thousandths, by field; they keep no attempt."""
+    found = {name: array("d") for name in ERRORS}
+    for attempt in filter(as_predicted, attempts):
+        for name, values in found.items():
+            if attempt[name] is not None:
+                values.append(1e3 * abs(attempt[name]))
+    return found

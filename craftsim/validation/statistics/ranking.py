@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.validation.statistics.proportions import CONFIDENCE
-from craftsim.validation.statistics.records import Record, carried_out, grouped
+from craftsim.validation.statistics.records import Record, carried_out
 
 _Samples: TypeAlias = NDArray[np.float64]
 
@@ -57,14 +58,14 @@ def policy_scores(records: Iterable[Record]) -> list[PolicyScore]:
     ``physics_success`` whether the episode reached its goal in either world. Others are left out.
     """
     known = (r for r in carried_out(records) if {"grid_success", "physics_success"} <= set(r["extra"]))
+    reached: dict[str, Counter[str]] = {}
+    for record in known:
+        extra = record["extra"]
+        counts = {"n": 1, "grid": extra["grid_success"], "physics": extra["physics_success"]}
+        reached.setdefault(record["group"], Counter()).update(counts)
     return [
-        PolicyScore(
-            policy,
-            float(np.mean([bool(r["extra"]["grid_success"]) for r in episodes])),
-            float(np.mean([bool(r["extra"]["physics_success"]) for r in episodes])),
-            len(episodes),
-        )
-        for policy, episodes in grouped(known, lambda record: str(record["group"])).items()
+        PolicyScore(policy, found["grid"] / found["n"], found["physics"] / found["n"], found["n"])
+        for policy, found in sorted(reached.items())
     ]
 
 

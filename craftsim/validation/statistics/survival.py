@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -71,18 +72,20 @@ def survival(lives: Iterable[Life]) -> Survival:
     """Return the Kaplan-Meier curve of some runs; a run that ended with its n-th action steps at n."""
     from scipy.stats import CensoredData, ecdf
 
-    known = list(lives)
-    ended = [life.actions for life in known if life.ended]
+    ended, censored = array("q"), array("q")
+    for life in lives:
+        (ended if life.ended else censored).append(life.actions)
+    n = len(ended) + len(censored)
     if not ended:
-        times = sorted({life.actions for life in known})
+        times = sorted(set(censored))
         nowhere: list[float | None] = [None] * len(times)
-        return Survival(len(known), 0, times, [1.0] * len(times), nowhere, nowhere)
-    curve = ecdf(CensoredData(ended, right=[life.actions for life in known if not life.ended])).sf
+        return Survival(n, 0, times, [1.0] * len(times), nowhere, nowhere)
+    curve = ecdf(CensoredData(ended, right=censored)).sf
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The confidence interval is undefined")
         band = curve.confidence_interval(CONFIDENCE, method="log-log")
     return Survival(
-        runs=len(known),
+        runs=n,
         ended=len(ended),
         actions=[int(n) for n in curve.quantiles],
         share=[float(p) for p in curve.probabilities],
@@ -93,7 +96,7 @@ def survival(lives: Iterable[Life]) -> Survival:
 
 def plan_survival(records: Iterable[Record]) -> PlanSurvival:
     """Return the survival of the runs that were carried out."""
-    runs = list(carried_out(records))
     return PlanSurvival(
-        survival(life_without_resync(run) for run in runs), survival(life_with_resync(run) for run in runs)
+        survival(map(life_without_resync, carried_out(records))),
+        survival(map(life_with_resync, carried_out(records))),
     )

@@ -4,6 +4,7 @@ import errno
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from craftsim.validation.campaign import Done, Item
@@ -29,6 +30,8 @@ def work(job):
             return Done(False, [{"error_m": float("nan")}])
         case "disk":
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "bundles/one")
+        case "large":
+            return Done(True, [{"sum": number / 3, "text": "x" * 400}] * 60)
         case "slow":
             time.sleep(0.02)
         case ("die once", Path() as mark) if not mark.exists():
@@ -38,3 +41,16 @@ def work(job):
             mark.touch()
             time.sleep(3600)
     return Done(True, [{"sum": number / 3}], extra={"number": number})
+
+
+def left_in(folder, item):
+    """Return an item of work that leaves a file in a folder."""
+    return replace(item, job=(folder, item.job))
+
+
+def leave(job):
+    """Do the work, and leave a file."""
+    folder, inner = job
+    done = work(inner)
+    (folder / f"left-{inner[0]}").touch()
+    return done

@@ -1,68 +1,193 @@
-"""Kill a real ``craftsim validate`` at random moments, resume it, and compare it with an undisturbed one."""
+"""Kill real commands while they write and at random moments, resume them, and compare with undisturbed ones."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
+import shlex
+import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-WORDS = [sys.executable, "-m", "craftsim.cli", "validate", "strip", "block", "--policy", "planner", "random"]
-OPTIONS = ["--randomize", "strong", "--trials", "3", "--workers", "2", "--video", "none"]
+from writings import Writings
+
+SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+KILLS = 2
+"""How often each round kills its command before that may end."""
 
 
-def _start(out: Path, *options: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [*WORDS, *OPTIONS, *options, "--out", str(out)], stdout=subprocess.DEVNULL, start_new_session=True
-    )
+@dataclass(frozen=True)
+class Command:
+    """A command, and what it leaves of its results."""
+
+    words: tuple[str, ...]
+    results: Callable[[Path], bytes]
+    begun: str
+    """File with which a run can be resumed."""
+
+    def start(self, out: Path, scratch: Path) -> subprocess.Popen[bytes]:
+        """Begin the command in a session of its own, or go on with it."""
+        resume = ["--resume"] if (out / self.begun).exists() else []
+        return subprocess.Popen(
+            [sys.executable, "-m", "craftsim", *self.words, *resume, "--out", str(out)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            env={**os.environ, "TMPDIR": str(scratch)},
+        )
 
 
-def _finish(out: Path, *options: str) -> float:
-    begun = time.monotonic()
-    status = _start(out, *options).wait()
-    assert status in (0, 1), f"exit status {status}"
-    return time.monotonic() - begun
+def _trials(out: Path) -> bytes:
+    return (out / "trials.jsonl").read_bytes()
 
 
-def _results(out: Path) -> tuple[dict[str, object], bytes]:
+def _curve(out: Path) -> bytes:
+    return (out / "curve.csv").read_bytes()
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(shlex.split(text))
+
+
+COMMANDS = {
+    "validate": Command(
+        _words(
+            "validate strip block --policy planner random --randomize strong --trials 3 --workers 2 --video none"
+        ),
+        _trials,
+        "campaign.json",
+    ),
+    "play": Command(
+        _words("validate random --cars 1 --max-steps 4 --trials 6 --workers 2 --video none"),
+        _trials,
+        "campaign.json",
+    ),
+    "audit": Command(
+        _words("audit --contexts 'MOVE/scene=on* a second ramp' --trials 2 --workers 2"),
+        _trials,
+        "campaign.json",
+    ),
+    "train": Command(_words("train --task strip --steps 60000 --worlds 50 --episodes 50"), _curve, "run.pt"),
+}
+
+
+def _results(command: Command, out: Path) -> tuple[object, bytes, list[str]]:
+    """Return what must be equal: the report but for the clock, the records, and which files there are."""
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     del report["wall"]
-    return report, (out / "trials.jsonl").read_bytes()
+    files = sorted(str(path.relative_to(out)) for path in out.rglob("*"))
+    return report, command.results(out), files
 
 
-def main(kills: int, seed: int) -> None:
-    """Kill and resume so many times."""
+def _session(number: int) -> list[str]:
+    """Return the processes of a session that are alive, with their commands."""
+    found = []
+    for place in Path("/proc").iterdir():
+        try:
+            fields = (place / "stat").read_text().rsplit(")", 1)[1].split()
+            if place.name.isdigit() and int(fields[3]) == number and fields[0] != "Z":
+                found.append(f"{place.name}: {(place / 'cmdline').read_bytes()[:120]!r}")
+        except (OSError, IndexError):
+            continue
+    return found
+
+
+def _no_orphans(number: int, limit_s: float = 20.0) -> None:
+    end = time.monotonic() + limit_s
+    while found := _session(number):
+        assert time.monotonic() < end, f"left behind: {found}"
+        time.sleep(0.05)
+
+
+def _finish(command: Command, out: Path, scratch: Path) -> tuple[float, Counter[str]]:
+    """Let a command end; return how long it took, and how often it wrote what."""
+    begun, seen = time.monotonic(), Counter[str]()
+    out.mkdir(exist_ok=True)
+    with Writings(out) as writings:
+        process = command.start(out, scratch)
+        for kind in writings.until(float("inf")):
+            seen[kind] += bool(kind)
+            if not kind and process.poll() is not None:
+                break
+    message = process.communicate()[1].decode()
+    assert process.returncode in (0, 1), f"exit status {process.returncode}: {message}"
+    _no_orphans(process.pid)
+    return time.monotonic() - begun, +seen
+
+
+def _kill(
+    command: Command, out: Path, scratch: Path, rng: random.Random, took_s: float, seen: Counter[str]
+) -> str:
+    """Kill a command, mostly while it writes something; return when, or that it ended before."""
+    number = rng.choice(SIGNALS)
+    aimed = rng.choice(sorted(seen)) if rng.random() < 0.75 else None
+    left = rng.randint(1, seen[aimed]) if aimed else 0
+    when = f"writing {aimed}, {left} of {seen[aimed]}" if aimed else "at random"
+    moment = time.monotonic() + (2 * took_s if aimed else rng.uniform(0, took_s))
+    out.mkdir(exist_ok=True)
+    with Writings(out) as writings:
+        process = command.start(out, scratch)
+        for kind in writings.until(moment):
+            left -= bool(aimed) and kind == aimed
+            if (aimed and not left) or process.poll() is not None:
+                break
+        if process.poll() is None:
+            os.kill(process.pid, number)
+        else:
+            when += " (ended before)"
+    message = process.communicate()[1].decode()
+    assert "Traceback" not in message, message
+    _no_orphans(process.pid)
+    return f"{signal.Signals(number).name} {when}"
+
+
+def _round(
+    name: str,
+    folder: Path,
+    rng: random.Random,
+    undisturbed: tuple[float, Counter[str], tuple[object, bytes, list[str]]],
+) -> None:
+    command, (took_s, seen, expected) = COMMANDS[name], undisturbed
+    with tempfile.TemporaryDirectory(dir=folder) as place, tempfile.TemporaryDirectory(dir=folder) as scratch:
+        out = Path(place) / "out"
+        moments = [_kill(command, out, Path(scratch), rng, took_s, seen) for _ in range(KILLS)]
+        if not (out / "report.json").exists() or command.begun == "campaign.json":
+            _finish(command, out, Path(scratch))
+        found, left = _results(command, out), sorted(path.name for path in Path(scratch).iterdir())
+    same = found == expected and not left
+    print(f"{name}: {'; '.join(moments)}: {'equal' if same else 'DIFFERENT'}", flush=True)
+    assert not left, f"left in the temporary folder: {left}"
+    for one, other in zip(found, expected, strict=True):
+        assert one == other, f"{name}: {one!r:.2000}\nis not\n{other!r:.2000}"
+
+
+def main(names: list[str], rounds: int, seed: int) -> None:
+    """Kill and resume each command so many times."""
     rng = random.Random(seed)
-    with tempfile.TemporaryDirectory() as folder:
-        undisturbed = Path(folder) / "undisturbed"
-        took_s = _finish(undisturbed)
-        expected = _results(undisturbed)
-        for kill in range(kills):
-            out, moments = Path(folder) / f"killed-{kill}", []
-            for _ in range(2):
-                process = _start(out, "--resume")
-                moments.append(rng.uniform(0.0, took_s))
-                time.sleep(moments[-1])
-                process.kill()
-                process.wait()
-            lines = out / "trials.jsonl"
-            kept = lines.read_bytes().count(b"\n") if lines.exists() else 0
-            _finish(out, "--resume")
-            same = _results(out) == expected
-            when = " and ".join(f"{moment:.1f} s" for moment in moments)
-            print(
-                f"killed after {when} of {took_s:.0f} s, {kept} trials kept: {'equal' if same else 'DIFFERENT'}"
-            )
-            assert same
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for name in names:
+            out, scratch = folder / name, folder / f"{name}-tmp"
+            scratch.mkdir()
+            took_s, seen = _finish(COMMANDS[name], out, scratch)
+            print(f"{name}: undisturbed in {took_s:.1f} s, writing {dict(sorted(seen.items()))}", flush=True)
+            undisturbed = took_s, seen, _results(COMMANDS[name], out)
+            for _ in range(rounds):
+                _round(name, folder, rng, undisturbed)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("names", nargs="*", default=list(COMMANDS), help=f"of {', '.join(COMMANDS)}")
+    parser.add_argument("--rounds", type=int, default=5, help="of each command")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    main(given.kills, given.seed)
+    main(given.names, given.rounds, given.seed)

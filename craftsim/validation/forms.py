@@ -1,0 +1,56 @@
+"""What the records of validations and of audits hold: the schemas by which they are read back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Final
+
+from pydantic import Field
+
+from craftsim.checking.attempt import Attempt, Result
+from craftsim.discrete.verdict import Finding
+from craftsim.validation.campaign import Form
+from craftsim.validation.campaign.schema import STRICT
+
+_Count = Annotated[int, Field(ge=0, lt=2**53)]
+
+
+@dataclass(frozen=True, repr=False)
+class _Judged(Attempt):
+    """An attempt as a record holds it."""
+
+    __pydantic_config__ = STRICT
+    tick: _Count
+    car: _Count
+    level: _Count
+    result: Result
+    finding: Finding
+    capped_steps: _Count = 0
+
+
+@dataclass(frozen=True)
+class _RunExtra:
+    """What a run leaves besides its attempts."""
+
+    __pydantic_config__ = STRICT
+    ticks: _Count
+    forbidden: _Count
+    makespan_s: float
+    grid_success: bool = False
+    physics_success: bool = False
+    coverage: dict[str, dict[str, _Count]] = field(default_factory=dict)
+    does_not_stand: str = ""
+
+
+@dataclass(frozen=True)
+class _TrialExtra:
+    """What a trial of an audit leaves besides."""
+
+    __pydantic_config__ = STRICT
+    does_not_stand: tuple[str, ...] = ()
+
+
+RUNS: Final = Form(_Judged, _RunExtra)
+"""Of a validation."""
+TRIALS: Final = Form(_Judged, _TrialExtra)
+"""Of an audit."""

@@ -1,0 +1,193 @@
+"""Campaign folders that are foreign, damaged or hostile are refused before anything is tried, and stay as they are."""
+
+import json
+import os
+import pickle
+import sys
+import time
+from pathlib import Path
+
+import cheap_work
+import numpy as np
+import pytest
+
+from craftsim.errors import InputError
+from craftsim.storage.limits import MAX_ERROR_CHARACTERS, TRIALS
+from craftsim.validation.campaign import Done, Header, Item, read_finished, run_campaign
+from craftsim.validation.campaign import records as records_module
+from craftsim.validation.campaign.items import Failure, make_record
+from craftsim.validation.campaign.store import Store
+from craftsim.validation.forms import RUNS
+
+sys.path.append(str(Path(__file__).parents[2] / "fuzzing"))
+import campaign_folders
+
+HEADER = Header("validate", 7, {"trials": 3})
+ITEMS = cheap_work.items(3)
+
+
+def _nobody(job):
+    raise AssertionError("nothing may be tried")
+
+
+def _content(folder):
+    return {
+        path.name: path.read_bytes() if path.is_file() else path.stat().st_mode for path in folder.iterdir()
+    }
+
+
+@pytest.fixture
+def unfinished(tmp_path):
+    """Return the folder of a campaign of which the first of three items is done."""
+    store = Store(tmp_path, campaign_folders.HEADER, campaign_folders.ITEMS, resume=False, form=RUNS)
+    store.close()
+    header, trials = campaign_folders.valid()
+    (tmp_path / "campaign.json").write_bytes(header)
+    (tmp_path / "trials.jsonl").write_bytes(b"".join(trials.splitlines(keepends=True)[:2]))
+    return tmp_path
+
+
+def _refused(folder, match, resume=True):
+    before, begun = _content(folder), time.process_time()
+    with pytest.raises(InputError, match=match):
+        run_campaign(
+            campaign_folders.ITEMS, _nobody, folder, campaign_folders.HEADER, resume=resume, form=RUNS
+        )
+    assert time.process_time() - begun < 2
+    assert _content(folder) == before
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize(
+    "name", ["trials.jsonl", "report.json", "durations.csv", "worlds", "films", "smallest"]
+)
+def test_what_no_campaign_of_ours_wrote_is_never_overwritten(tmp_path, name, resume):
+    if "." in name:
+        (tmp_path / name).write_text("mine\n")
+    else:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine").touch()
+    _refused(tmp_path, rf"holds {name}, but no campaign\.json .*choose another --out", resume)
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_records_whose_description_is_gone_are_not_lost(unfinished, resume):
+    (unfinished / "campaign.json").unlink()
+    _refused(unfinished, r"holds trials\.jsonl, but no campaign\.json .*put campaign\.json back", resume)
+
+
+@pytest.mark.parametrize("name", ["trials.jsonl", "campaign.json", "report.json", "durations.csv"])
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: os.symlink("/dev/zero", path)])
+def test_pipes_devices_and_folders_in_the_place_of_files_are_refused(unfinished, name, make):
+    (unfinished / name).unlink(missing_ok=True)
+    make(unfinished / name)
+    _refused(unfinished, rf"{name}: not a regular file; .*another --out")
+
+
+def test_a_file_in_the_place_of_a_folder_is_refused(unfinished):
+    (unfinished / "bundles").touch()
+    _refused(unfinished, "bundles: not a folder")
+
+
+def _changed(**changes):
+    return lambda record: json.dumps({**record, **changes}).encode()
+
+
+def _attempted(**changes):
+    return lambda record: json.dumps(
+        {**record, "attempts": [{**record["attempts"][0], **changes}]}, allow_nan=True
+    ).encode()
+
+
+DAMAGED = {
+    "a key is missing": (lambda r: json.dumps({k: v for k, v in r.items() if k != "extra"}), "extra: Field required"),
+    "a list for a key": (_changed(key=[]), r"key: Input should be a valid string, not \[\]"),
+    "attempts of another kind": (_changed(attempts=3), "attempts: "),
+    "an attempt without a field": (_changed(attempts=[{"tick": 0}]), r"attempts\.0\.car: Field required"),
+    "a text for a number": (_attempted(duration_s="1"), r"attempts\.0\.duration_s: .* number, not '1'"),
+    "no number": (_attempted(duration_s=float("nan")), "not JSON"),
+    "an unknown result": (_attempted(result="fine"), r"attempts\.0\.result: .*not 'fine'"),
+    "a huge number": (_attempted(car_error_m=10**400), "finite"),
+    "a bundle elsewhere": (_changed(bundle="../mine"), "bundle: .*folder in bundles/"),
+    "a wrong extra": (_changed(extra={"ticks": 1, "forbidden": 0}), "extra.makespan_s: Field required"),
+    "a failure that agrees": (_changed(error="x", attempts=[]), "does not agree"),
+    "nested brackets": (lambda r: b"[" * 300_000, "recursion limit"),
+    "a long number": (lambda r: b'{"index": ' + b"1" * 5000, "not JSON"),
+    "no text": (lambda r: b'{"key": "caf\xe9"}', "not JSON"),
+    "a lone surrogate": (lambda r: b'{"key": "\\ud800"}', "not JSON"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_record_is_named_with_its_line_before_anything_is_tried(unfinished, name):
+    damage, message = DAMAGED[name]
+    path = unfinished / "trials.jsonl"
+    first, second = path.read_bytes().splitlines()
+    line = damage(json.loads(first))
+    path.write_bytes(second + b"\n" + (line if isinstance(line, bytes) else line.encode()) + b"\n")
+    _refused(unfinished, rf"trials\.jsonl:2: not a trial's record: .*{message}.*delete this line")
+
+
+def test_a_line_without_an_end_is_refused_without_reading_on(unfinished):
+    os.truncate(unfinished / "trials.jsonl", 30 * 2**30)
+    begun = time.process_time()
+    with pytest.raises(InputError, match=r"trials\.jsonl:3: the line is longer"):
+        Store(unfinished, campaign_folders.HEADER, campaign_folders.ITEMS, resume=True, form=RUNS)
+    assert time.process_time() - begun < 2
+
+
+@pytest.mark.parametrize(
+    "change", [{"items": 10**15}, {"items": True}, {"command": 3}, {"seed": "7"}, {"keys": None}]
+)
+def test_a_damaged_description_is_refused(unfinished, change):
+    path = unfinished / "campaign.json"
+    path.write_text(json.dumps({**json.loads(path.read_bytes()), **change}))
+    _refused(unfinished, rf"campaign\.json: not a campaign's description: {next(iter(change))}: ")
+    with pytest.raises(InputError, match="not a campaign's description"):
+        read_finished(unfinished, "validate", RUNS)
+
+
+def test_mutated_folders_are_read_or_refused(tmp_path):
+    rng = np.random.default_rng(13)
+    begun = time.process_time()
+    for _ in range(1500):
+        campaign_folders.attack(rng, tmp_path)
+    assert time.process_time() - begun < 60
+
+
+def test_what_utf_8_cannot_say_is_recorded_as_an_escape_and_read_back(tmp_path):
+    odd = [Item("caf\udce9/0", "group \udce9", 7, None, "caf\udce9")]
+    header = Header("validate", 7, {"worlds": {"caf\udce9": "shipped"}})
+    (record,) = run_campaign(odd, _surrogate, tmp_path, header)
+    assert record["key"] == "caf\\udce9/0"
+    assert record["error"] == "ValueError: \\ud800"
+    assert read_finished(tmp_path, "validate").records == [record]
+    assert run_campaign(odd, cheap_work.work, tmp_path, header, resume=True)[0]["error"] is not None
+
+
+def _surrogate(job):
+    raise ValueError("\ud800")
+
+
+def test_a_record_that_is_too_long_gives_way_to_a_failure(tmp_path):
+    store = Store(tmp_path, HEADER, ITEMS, resume=False)
+    long = store.append(make_record(ITEMS[0], 0, Done(True, [{"text": "x" * TRIALS.line_bytes}])))
+    assert long["error"] == "its record has 16 MiB; allowed: at most 16 MiB"
+    said = store.append(make_record(ITEMS[1], 1, Failure("y" * 10**6, traceback="z" * 10**6)))
+    assert len(said["error"]) < MAX_ERROR_CHARACTERS + 10
+    assert len(said["extra"]["traceback"]) < MAX_ERROR_CHARACTERS + 10
+    store.close()
+
+
+@pytest.mark.parametrize("kept", [0, records_module.IN_MEMORY])
+def test_records_stay_as_they_were_when_another_campaign_begins(tmp_path, monkeypatch, kept):
+    monkeypatch.setattr(records_module, "IN_MEMORY", kept)
+    records = run_campaign(ITEMS, cheap_work.work, tmp_path, HEADER, workers=2)
+    before = list(records)
+    Store(tmp_path, HEADER, ITEMS, resume=False).close()
+    assert records == before == records[:] == pickle.loads(pickle.dumps(records))
+    assert [records[-1], records[1]] == [before[2], before[1]]
+    assert records.with_bundles({1: "bundles/1"})[1]["bundle"] == "bundles/1"
+    assert records[1]["bundle"] is None
+    with pytest.raises(IndexError):
+        records[3]

@@ -20,7 +20,6 @@ from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 
-
 MAX_WORDS: Final = 64
 """Numbers in a seed."""
 

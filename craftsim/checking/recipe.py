@@ -25,6 +25,7 @@ from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.schedule import Order
 from craftsim.errors import InputError, suggestion
+from craftsim.models.extent import check_extent
 from craftsim.models.randomization import RandomizedSite
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 
@@ -144,8 +145,9 @@ def start(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
 
 
 def check_recipe(recipe: Recipe) -> Grid:
-    """Return the start of a recipe; raise InputError for steps that are not for its world, and for too many."""
+    """Return the start of a recipe; raise InputError for a world that physics does not take, and for wrong steps."""
     grid = recipe.grid
+    check_extent(grid, recipe.goals)
     acts = [act for step in recipe.steps for act in step.acts]
     if len(acts) > RECIPE_ACTIONS:
         raise InputError(f"a recipe of {len(acts)} actions; allowed: at most {RECIPE_ACTIONS}")

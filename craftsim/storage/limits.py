@@ -52,10 +52,11 @@ YAML_DEPTH: Final = 8
 """Levels of lists and mappings in a YAML file."""
 
 PHYSICS_CELLS: Final = 8192
-"""Of the area of a world in physics: ten times that of the largest random world."""
-PHYSICS_CARS: Final = 32
-PHYSICS_PARTS: Final = 256
-"""Cars, loads, blocks, slopes, flags and walls of a world in physics together: what compiles in 2 s and 400 MB."""
+"""Of the area of a world in physics: nine times that of the largest random world."""
+PHYSICS_CARS: Final = 16
+PHYSICS_PARTS: Final = 128
+"""Cars, loads, blocks, slopes, flags and walls of a world in physics together: what compiles, and settles
+while all of it moves, in 2 s and 500 MB."""
 PHYSICS_STEPS: Final = 1_000_000
 """Of a replay: an hour of simulated time at the usual time step."""
 SHRINK_S: Final = 3600.0

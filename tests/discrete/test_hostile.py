@@ -15,8 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
-from craftsim.errors import BlueprintError
+from craftsim.errors import BlueprintError, InputError
+from craftsim.skills.gains import load_gains
 from craftsim.storage.limits import YAML
 
 BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
@@ -109,3 +111,45 @@ def test_ten_thousand_mutated_blueprints_give_a_world_or_our_error():
     assert len(worlds) + len(messages) >= 10_000
     assert min(len(worlds), len(messages)) > 500
     assert all(message.startswith("mutated.yaml") for message in messages)
+
+
+def test_what_is_read_can_be_written_and_read_again():
+    """The largest worlds that are accepted, with everything drawn, or listed; one thing more is refused when read."""
+    counts = (
+        "area_length: 100\narea_width: 100\narea_height: 1\nblock_num: {}\nslope_num: {}\nsmartcar_num: 0\n"
+    )
+    for text in (counts.format(1479, 0), counts.format(0, 1377)):
+        world = parse_blueprint(text, "drawn.yaml").grid(np.random.default_rng(0))
+        again = parse_blueprint(blueprint_text(world), "again.yaml").grid(np.random.default_rng(0))
+        assert again.same_visible(world)
+    for text in (counts.format(1480, 0), counts.format(0, 1378)):
+        with pytest.raises(
+            BlueprintError, match=r"much\.yaml: a world of .* makes .* values when all is written"
+        ):
+            parse_blueprint(text, "much.yaml")
+    with pytest.raises(BlueprintError, match="makes 40010 values"):
+        parse_blueprint(counts.format(0, 0), "drawn.yaml").with_counts(n_blocks=1480)
+
+
+def test_a_mark_of_a_car_that_there_is_not_is_refused():
+    text = COUNTS.format(3, 0) + "snapshot: {top: [{x: 0, y: 0, z: 0, mark: 0}]}\n"
+    with pytest.raises(BlueprintError, match=r"mark': 0 is out of range, allowed: -2 to -1"):
+        parse_blueprint(text, "mark.yaml")
+
+
+def test_a_block_with_a_yaw_is_saved_and_counted_once():
+    text = COUNTS.format(3, 1) + "block: [{x: 0, y: 0, z: 1}]\n"
+    world = parse_blueprint(text, "yaw.yaml").grid(np.random.default_rng(0))
+    world.yaw[0, 0, 1] = 3
+    again = parse_blueprint(blueprint_text(world), "again.yaml").grid(np.random.default_rng(0))
+    assert again.yaw[0, 0, 1] == 3
+
+
+@pytest.mark.parametrize(
+    "name", ["alias bomb", "merge bomb", "deep flow nesting", "python object", "many entries"]
+)
+def test_gains_are_read_within_the_same_bounds(name, tmp_path):
+    path = tmp_path / "gains.yaml"
+    path.write_text(HOSTILE[name])
+    with pytest.raises(InputError, match=r"gains\.yaml"):
+        load_gains(path)

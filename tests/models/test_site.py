@@ -6,7 +6,7 @@ from drawn import draw
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.errors import InputError
+from craftsim.errors import InputError, StartError
 from craftsim.models.config import SimulationConfig
 from craftsim.models.site import Site
 
@@ -164,3 +164,35 @@ def test_the_default_settings_are_the_mjcfs_own(open_part):
     option, config = open_part("smartcar").opt, SimulationConfig()
     assert option.timestep == config.timestep_s
     assert option.impratio == config.friction_impedance_ratio
+
+
+@pytest.mark.parametrize(
+    ("size", "n_cars", "message"),
+    [
+        ((30, 30, 10), 1, "a world of 9000 cells: too large for physics; allowed: at most 8192"),
+        ((6, 6, 1), 17, "a world of 17 cars: too large for physics; allowed: at most 16"),
+    ],
+)
+def test_a_world_that_is_too_large_for_physics_is_refused_at_once(size, n_cars, message):
+    grid = Grid.empty(size, n_cars)
+    grid.cars[:, 0], grid.cars[:, 1], grid.cars[:, 2] = np.arange(n_cars) % 6, np.arange(n_cars) // 6, 1
+    with pytest.raises(InputError, match=message):
+        Site(grid)
+
+
+def test_a_load_counts_as_a_part():
+    grid = Grid.empty((12, 12, 1), 2)
+    grid.cars[:, :3] = [[0, 0, 1], [1, 0, 1]]
+    grid.kind[:11, 1:12, 1] = Kind.WALL
+    grid.kind[11, 1:6, 1] = Kind.WALL
+    Site(grid, reset=False)
+    grid.cars[0, 4] = Kind.BLOCK
+    with pytest.raises(InputError, match="a world of 129 parts"):
+        Site(grid)
+
+
+def test_two_cars_in_one_cell_are_refused_before_they_are_compiled():
+    grid = Grid.empty((3, 1, 1), 2)
+    grid.cars[:, :3] = [1, 0, 1]
+    with pytest.raises(StartError, match=r"2 cars are in one cell, \(1, 0, 1\)"):
+        Site(grid)

@@ -39,8 +39,8 @@ CONTACTS: Final = "contacts.csv"
 SCENE: Final = "scene"
 FILM: Final = "film.mp4"
 
-_LATE: Final = 1.5
-_LATE_S: Final = 10.0
+_LATE: Final = 1.25
+_LATE_S: Final = 4.0
 """By what factor, and by how much more, a replay may take longer than what it shows: versions differ."""
 
 

@@ -76,7 +76,10 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
     another one.
     """
     bundle = recorded.bundle
-    checked = start(bundle.recipe)
+    try:
+        checked = start(bundle.recipe)
+    except InputError as error:
+        raise InputError(f"{recorded.folder / TEXT}: {error}") from error
     site = checked.site
     physics = physics_of(site)
     _check_shapes(recorded.folder / PHYSICS, recorded.physics, physics)
@@ -102,6 +105,8 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
         (AFTER, recorded.after, after),
     ):
         differing += [f"{name}: {key}" for key in now if was[key].tobytes() != now[key].tobytes()]
+    if (bundle.start_s, bundle.end_s) != (before["time"], after["time"]):
+        differing.append("start_s and end_s")
     if bundle.attempts != attempts:
         differing.append("the attempts")
     position_m, angle_rad = _apart(site.model, recorded.after["qpos"], after["qpos"])

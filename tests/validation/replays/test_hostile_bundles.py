@@ -1,0 +1,194 @@
+"""Hostile bundles: one message that names the file, exit status 2, little time and memory, and an end."""
+
+import io
+import json
+import os
+import time
+import zipfile
+
+import numpy as np
+import pytest
+from fuzzing.replays import TARGETS, bundle_files
+
+from craftsim import cli
+from craftsim.errors import InputError
+from craftsim.validation.replays.bundle import AFTER, BEFORE, PHYSICS, TEXT, read_bundle
+from craftsim.validation.replays.replay import replay
+
+WORLD = (
+    "area_length: {0}\narea_width: {0}\narea_height: {1}\nblock_num: {2}\nslope_num: 0\nsmartcar_num: {3}\n"
+)
+SIMULATION = ("recipe", "setup", "simulation")
+FIRST = ("recipe", "steps", 0)
+ONE_CELL = "smartcar: [{id: 0, x: 1, y: 1, z: 1, yaw: 0}, {id: 1, x: 1, y: 1, z: 1, yaw: 2}]\nsnapshot: {}\n"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A bundle to be spoilt."""
+    for name, data in bundle_files().items():
+        (tmp_path / name).write_bytes(data)
+    return tmp_path
+
+
+def _edit(folder, keys, value):
+    document = json.loads((folder / TEXT).read_text())
+    place = document
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] = value(place[keys[-1]]) if callable(value) else value
+    (folder / TEXT).write_text(json.dumps(document))
+
+
+EDITS = {
+    "tiny steps": (SIMULATION, lambda s: s | {"timestep_s": 1e-7, "control_period_s": 1e-7}, "timestep_s must be"),
+    "a long period": ((*SIMULATION, "control_period_s"), 4e6, "control_period_s must be from 0.0001 to 1"),
+    "no end of settling": ((*SIMULATION, "settle_s"), 1e9, "settle_s must be from 0 to 60"),
+    "solver for ever": ((*SIMULATION, "solver_iterations"), 2**31, "solver_iterations must be from 1 to 10000"),
+    "many steps": (("recipe", "steps"), lambda s: s * 6000, "18000 actions; allowed: at most 10000"),
+    "steps beyond its time": (("recipe", "steps"), lambda s: s * 600, "1800 actions do not fit into the"),
+    "one large step": (
+        ("recipe", "steps", 1, "ticks"),
+        [[{"car": 0, "action": "STOP"}]] * 2001,
+        "a step of 2001 actions; allowed: at most 2000",
+    ),
+    "a car twice": (("recipe", "steps", 1, "ticks", 0, 1, "car"), 0, "acts twice in one tick"),
+    "no actions": (("recipe", "steps", 1, "ticks"), [], "no actions"),
+    "a long claim": (("end_s",), 1e9, "claim 1e+09 s of simulated time"),
+    "a negative claim": (("end_s",), -1.0, "must be 0 or more"),
+    "no attempts": (("attempts",), [], "attempts: 0, but the last step has 2 actions"),
+    "attempts of others": (("attempts",), lambda a: a[::-1], "in their order"),
+    "a list for a text": (("attempts", 0, "predicted"), [], "attempts.0.predicted: Input should be a valid string"),
+    "a text for a number": (("start_s",), "0.3", "start_s: Input should be a valid number, not '0.3'"),
+    "negative entropy": (("recipe", "seed", "entropy"), [-1], "entropy must be 0 or more"),
+    "a large spawn key": (("recipe", "seed", "spawn_key"), [2**40], "spawn key"),
+    "a long seed": (("recipe", "seed", "entropy"), [1] * 100, "a seed of more than 64 numbers"),
+    "an unknown key": (("recipe", "more"), 1, "recipe.more: Unexpected keyword argument"),
+    "versions in a list": (("versions",), [1], "versions: Input should be an object, not a list"),
+    "200 cars, 8000 blocks": (("recipe", "world"), WORLD.format(100, 4, 8000, 200), "allowed: at most 40000"),
+    "200 cars": (("recipe", "world"), WORLD.format(20, 2, 1, 200), "200 cars: too large for physics"),
+    "many blocks": (("recipe", "world"), WORLD.format(30, 4, 400, 2), "402 parts, which are"),
+    "a large area": (("recipe", "world"), WORLD.format(128, 8, 1, 2), "131072 cells: too large for physics"),
+    "two cars in a cell": (("recipe", "world"), WORLD.format(3, 2, 1, 2) + ONE_CELL, "2 cars are in one cell"),
+    "a goal far away": (("recipe", "goals"), [[10**30, 0, 1]], "outside of the area"),
+    "another world intended": ((*FIRST, "intended"), WORLD.format(9, 2, 1, 2), "intended world of a step"),
+    "an endless gain": (("recipe", "setup", "gains", "hinge", "allowance"), 1e300, "hinge.allowance must be from"),
+    "a mass without sense": (
+        ("recipe", "setup", "machines", "cars", 0, "chassis_mass_kg"),
+        1e300,
+        "chassis_mass_kg must be from",
+    ),
+    "figures of many cars": (("recipe", "setup", "machines", "cars"), lambda c: c * 3, "figures of 3 cars"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_a_hostile_value_is_one_message_before_any_work(name, folder, capsys):
+    keys, value, message = EDITS[name]
+    _edit(folder, keys, value)
+    words = ["replay", str(folder), "--out", str(folder / "out")]
+    begun = time.process_time()
+    assert cli.main(words) == 2
+    said = capsys.readouterr().err
+    assert cli.main([*words, "--shrink"]) == 2
+    assert time.process_time() - begun < 2
+    assert TEXT in said
+    assert message in said
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"[" * 200_000, "recursion limit"),
+        (b'{"schema_version": %b}' % (b"1" * 5000), "number out of range"),
+        (b'{"end_s": NaN}', "finite number"),
+        (b'{"end_s": 1e400}', "finite number"),
+        (b"[" + b"1," * 3_000_000 + b"1]", "more than the 200000 values"),
+        (b"{" + b",".join(b'"%d":1' % i for i in range(150_000)) + b"}", "wrong or unknown"),
+        (b'{"attempts": [' + b"{}," * 150_000 + b"1]}", TEXT),
+        (b" " * 9_000_000, "no larger than the 8 MiB"),
+        (b"\xff\xfe", "Invalid JSON"),
+        (b"null", "should be an object"),
+    ],
+    ids=range(10),
+)
+def test_a_hostile_text_is_one_message(text, message, folder):
+    (folder / TEXT).write_bytes(text)
+    begun = time.process_time()
+    with pytest.raises(InputError, match=TEXT) as caught:
+        read_bundle(folder)
+    assert time.process_time() - begun < 2
+    assert message in str(caught.value) or "Field required" in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize("file", [TEXT, PHYSICS, AFTER])
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_what_is_no_regular_file_is_refused_and_not_waited_for(make, file, folder):
+    (folder / file).unlink()
+    make(folder / file)
+    with pytest.raises(InputError, match=rf"{file}: not a regular file"):
+        read_bundle(folder)
+
+
+def _claim():
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**13,)})
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as packed:
+        packed.writestr("qpos.npy", header.getvalue())
+    return archive.getvalue()
+
+
+def _saved(save, *arguments, **arrays):
+    file = io.BytesIO()
+    save(file, *arguments, **arrays)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (_claim(), "claims shape"),
+        (_saved(np.save, np.zeros(3)), "not an archive"),
+        (_saved(np.savez_compressed, qpos=np.zeros(70 * 2**20, np.int8)), "allowed: at most 64 MiB"),
+        (b"", "not an archive"),
+    ],
+    ids=["claim", "npy", "bomb", "empty"],
+)
+def test_an_archive_that_is_none_or_too_much_is_refused(data, message, folder):
+    (folder / BEFORE).write_bytes(data)
+    with pytest.raises(InputError, match=rf"{BEFORE}.*{message}"):
+        read_bundle(folder)
+
+
+def test_arrays_of_another_world_are_refused_before_anything_moves(folder):
+    with np.load(folder / AFTER) as archive:
+        arrays = dict(archive)
+    np.savez(folder / AFTER, **arrays, more=np.zeros(3))
+    with pytest.raises(InputError, match=f"{AFTER}: has an unknown array 'more'"):
+        replay(read_bundle(folder))
+
+
+def test_a_replay_ends_soon_after_the_bundle_says_it_does(folder):
+    turns = [{"ticks": [[{"car": 0, "action": "ROTATE_LEFT"}]], "order": None, "intended": None, "number": 0}]
+    _edit(folder, ["recipe", "steps"], lambda steps: turns * 100 + steps)
+    begun = time.process_time()
+    with pytest.raises(InputError, match=r"bundle\.json: the recipe.* has not come to its end after"):
+        replay(read_bundle(folder))
+    assert time.process_time() - begun < 2
+
+
+def test_times_that_are_not_those_of_the_replay_differ(folder):
+    _edit(folder, ["end_s"], lambda end_s: end_s + 0.02)
+    assert replay(read_bundle(folder)).differing == ("start_s and end_s",)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_mutated_files_are_read_or_refused(name, tmp_path):
+    slowest = 0.0
+    for seed in range(1500):
+        begun = time.process_time()
+        TARGETS[name](np.random.default_rng([13, seed]), tmp_path)
+        slowest = max(slowest, time.process_time() - begun)
+    assert slowest < 2

@@ -104,7 +104,7 @@ def run_audit(
             on_record=on_record,
             form=TRIALS,
         )
-    records = bundle_disagreements(out, items, records, workers, engine)
+    records = records.with_bundles(bundle_disagreements(out, items, records, workers, engine))
     smallest = () if shrink is None else shrink_failures(out, records, workers, shrink, engine)
     results = Results.of(records)
     corrections = results.corrected(plan, setup.rules)

@@ -19,7 +19,6 @@ from craftsim.validation.campaign import (
     Engine,
     Failure,
     Item,
-    Records,
     TrialRecord,
     do_all,
     select,
@@ -96,11 +95,11 @@ def name_of(row: AuditRow) -> str:
 
 
 def bundle_disagreements(
-    out: Path, items: Sequence[Item], records: Records, workers: int, engine: Engine = "local"
-) -> Records:
+    out: Path, items: Sequence[Item], records: Sequence[TrialRecord], workers: int, engine: Engine = "local"
+) -> dict[int, str]:
     """Write the replay bundle of the first disagreement of each unsound or conservative row, unless it is there.
 
-    Returns the records, those of the disagreements with the folders of their bundles.
+    Returns the folders of the bundles, relative to ``out``, by the number of their record.
 
     Raises:
         InputError: a bundle cannot be written; those that are finished are kept.
@@ -126,7 +125,7 @@ def bundle_disagreements(
                 f"no replay bundle of the trial '{item.key}': {answer.text}; all trials are kept in {out}: "
                 "--resume tries the bundle again"
             )
-    return records.with_bundles(folders)
+    return folders
 
 
 def _bundle(job: tuple[Path, str, Trial, TrialRecord]) -> Done:

@@ -84,13 +84,13 @@ class TrialRecord(Identity):
 def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
     """Return the record of an item; a failure has no attempts and does not agree."""
     failure = answer if isinstance(answer, Failure) else None
-    traced = {"traceback": shortened(failure.traceback)} if failure is not None and failure.traceback else {}
+    traced = {"traceback": failure.traceback} if failure is not None and failure.traceback else {}
     done = answer if isinstance(answer, Done) else Done(agrees=False, extra=traced)
     return {
         **identity(item, index),
         "attempts": list(done.attempts),
         "agrees": done.agrees,
-        "error": None if failure is None else shortened(failure.text),
+        "error": None if failure is None else failure.text,
         "bundle": done.bundle,
         "extra": done.extra,
     }
@@ -114,7 +114,7 @@ def line_of(record: TrialRecord) -> bytes:
 
 
 def shortened(text: str) -> str:
-    """Return the beginning and the end of a text that would make a record too long, such as an error's message."""
+    """Return an error's message as a record may hold it: of a long one the beginning and the end, all in UTF-8."""
     half = MAX_ERROR_CHARACTERS // 2
     whole = text if len(text) <= MAX_ERROR_CHARACTERS else f"{text[:half]} [...] {text[-half:]}"
     return str(plain(whole))
@@ -141,4 +141,4 @@ def answer_of(work: Work, job: Any, interruptible: bool = False) -> Answer:
         if isinstance(cause, OSError) and cause.errno in DISK_ERRORS:
             return Failure(f"{cause.filename or 'the results'}: {cause.strerror}", stops=True)
         last_line = traceback.format_exception_only(error)[-1].strip()
-        return Failure(last_line, traceback="".join(traceback.format_exception(error)))
+        return Failure(shortened(last_line), traceback=shortened("".join(traceback.format_exception(error))))

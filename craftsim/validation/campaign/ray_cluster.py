@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import math
 import os
 import socket
 import sys
+import time
 from collections.abc import Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -16,6 +19,8 @@ from craftsim.validation.campaign.items import Answer, Item, Work, perform
 
 REACH_S: Final = 5.0
 """How long a cluster may take to answer at its address."""
+LOOK_S: Final = 2.0
+"""How often one looks whether its head is still there."""
 
 
 def ray_workers(work: Work, n: int) -> list[Worker]:
@@ -37,7 +42,12 @@ def ray_workers(work: Work, n: int) -> list[Worker]:
                 f"no Ray cluster ({str(error).splitlines()[0]}); start one with 'ray start --head', or give the "
                 "address of one in RAY_ADDRESS"
             ) from error
-    return [RayWorker(ray, work) for _ in range(max(1, min(n, int(ray.cluster_resources().get("CPU", 1)))))]
+    head = _address()
+    if not head.startswith("ray://"):
+        head = ray.get_runtime_context().gcs_address
+    return [
+        RayWorker(ray, work, head) for _ in range(max(1, min(n, int(ray.cluster_resources().get("CPU", 1)))))
+    ]
 
 
 def _address() -> str:
@@ -70,7 +80,8 @@ def _check_reachable(address: str) -> None:
     except OSError as error:
         raise InputError(
             f"no Ray cluster answers at {address} ({error}); start one with 'ray start --head', or give the address of "
-            "one in RAY_ADDRESS; 'ray stop' forgets one of this machine that is gone"
+            "one in RAY_ADDRESS; 'ray stop' forgets one of this machine that is gone. --resume goes on with what was "
+            "finished"
         ) from error
 
 
@@ -92,12 +103,11 @@ class _Actor:
 class RayWorker:
     """An actor with a processor of its own; made anew, on whatever node, when it dies."""
 
-    def __init__(self, ray: Any, work: Work) -> None:
-        """Ask the cluster for an actor for a picklable function."""
-        self._ray, self._work = ray, work
+    def __init__(self, ray: Any, work: Work, head: str) -> None:
+        """Prepare an actor for a picklable function; ``head`` is the address of the cluster's head."""
+        self._ray, self._work, self._head = ray, work, head
         self._class = ray.remote(num_cpus=1, max_restarts=0, scheduling_strategy="SPREAD")(_Actor)
-        self._actor = self._class.remote(sys.path)
-        self._closed = False
+        self._actor: Any = None
 
     def run(self, items: Sequence[Item], timeout_s: float) -> list[Answer]:
         """Do several items, see :class:`~craftsim.validation.campaign.distribute.Worker`.
@@ -106,26 +116,46 @@ class RayWorker:
         """
         errors = self._ray.exceptions
         try:
-            self._ray.get(self._actor.ready.remote())
-            answers: list[Answer] = self._ray.get(
-                self._actor.perform.remote(self._work, [item.job for item in items]), timeout=timeout_s
+            if self._actor is None:
+                _check_reachable(self._head)
+                self._actor = self._class.remote(sys.path)
+            self._wait(self._actor.ready.remote(), math.inf)
+            answers: list[Answer] = self._wait(
+                self._actor.perform.remote(self._work, [item.job for item in items]), timeout_s
             )
             return answers
         except errors.GetTimeoutError:
-            self._replace()
+            self._end()
             raise TimeoutError from None
         except (errors.RayActorError, errors.ObjectLostError) as error:
-            self._replace()
+            self._end()
             raise WorkerDiedError from error
         except errors.RayError as error:
-            raise InputError(f"the Ray cluster cannot do the work: {error}") from error
+            raise InputError(
+                f"the Ray cluster cannot do the work: {str(error).splitlines()[0]}; what was finished is kept: "
+                "--resume goes on, with a cluster or without --engine ray"
+            ) from error
 
     def close(self) -> None:
         """End the actor at once."""
-        self._closed = True
-        self._ray.kill(self._actor)
+        self._end()
 
-    def _replace(self) -> None:
-        self._ray.kill(self._actor)
-        if not self._closed:
-            self._actor = self._class.remote(sys.path)
+    def _wait(self, reference: Any, timeout_s: float) -> Any:
+        """Return a result; raise InputError when the head is gone: Ray would wait, and then end this process."""
+        end = time.monotonic() + timeout_s
+        while True:
+            try:
+                return self._ray.get(reference, timeout=max(0.0, min(LOOK_S, end - time.monotonic())))
+            except self._ray.exceptions.GetTimeoutError:
+                if time.monotonic() >= end:
+                    raise
+                _check_reachable(self._head)
+
+    def _end(self) -> None:
+        """End the actor; the next work gets another one."""
+        actor, self._actor = self._actor, None
+        # Of a cluster that is gone nothing is left to be ended.
+        with contextlib.suppress(self._ray.exceptions.RayError, InputError):
+            if actor is not None:
+                _check_reachable(self._head)
+                self._ray.kill(actor)

@@ -7,8 +7,9 @@ import pytest
 from craftsim import cli
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.settings import setup_of
+from craftsim.errors import InputError
 from craftsim.validation.audit.corrections import corrections
-from craftsim.validation.audit.results import Results
+from craftsim.validation.audit.results import Results, bundle_disagreements
 from craftsim.validation.audit.rows import audit_plan
 from craftsim.validation.audit.trial import BATCH, items_of, try_it
 from craftsim.validation.campaign import Header, run_campaign
@@ -76,6 +77,24 @@ def test_what_is_begun_at_once_is_evidence_only(records):
     assert not any("at-once" in row.context for row in results.rows)
     third = next(finding for finding in results.suspects if finding.number == 3)
     assert "begun all at once" in third.evidence
+
+
+def test_a_bundle_that_is_there_is_not_made_again_and_one_that_comes_out_otherwise_stops_the_audit(
+    records, tmp_path
+):
+    name = "MOVE/scene=onto a second ramp"
+    items = [item for item in _items(audit_plan("published")) if item.group == name]
+    found = [{**record, "index": i} for i, record in enumerate(r for r in records[0] if r["group"] == name)]
+    path = tmp_path / "campaign"
+    kept = path / "bundles" / "00000" / "bundle.json"
+    kept.parent.mkdir(parents=True)
+    kept.write_text("mine")
+    assert bundle_disagreements(path, items, found, 1) == {0: "bundles/00000"}
+    assert kept.read_text() == "mine"
+    found[0]["attempts"][0]["duration_s"] = 1e3
+    kept.unlink()
+    with pytest.raises(InputError, match=r"no replay bundle of .*came out otherwise.*--resume"):
+        bundle_disagreements(path, items, found, 1)
 
 
 def test_physical_forbids_each_of_them():

@@ -15,7 +15,7 @@ from craftsim.errors import InputError
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, TRIALS
 from craftsim.validation.campaign import Done, Header, Item, read_finished, run_campaign
 from craftsim.validation.campaign import records as records_module
-from craftsim.validation.campaign.items import Failure, make_record
+from craftsim.validation.campaign.items import answer_of, make_record
 from craftsim.validation.campaign.store import Store
 from craftsim.validation.forms import RUNS
 
@@ -165,6 +165,10 @@ def test_what_utf_8_cannot_say_is_recorded_as_an_escape_and_read_back(tmp_path):
     assert run_campaign(odd, cheap_work.work, tmp_path, header, resume=True)[0]["error"] is not None
 
 
+def _verbose(job):
+    raise ValueError("y" * 10**6)
+
+
 def _surrogate(job):
     raise ValueError("\ud800")
 
@@ -173,7 +177,7 @@ def test_a_record_that_is_too_long_gives_way_to_a_failure(tmp_path):
     store = Store(tmp_path, HEADER, ITEMS, resume=False)
     long = store.append(make_record(ITEMS[0], 0, Done(True, [{"text": "x" * TRIALS.line_bytes}])))
     assert long["error"] == "its record has 16 MiB; allowed: at most 16 MiB"
-    said = store.append(make_record(ITEMS[1], 1, Failure("y" * 10**6, traceback="z" * 10**6)))
+    said = store.append(make_record(ITEMS[1], 1, answer_of(_verbose, None)))
     assert len(said["error"]) < MAX_ERROR_CHARACTERS + 10
     assert len(said["extra"]["traceback"]) < MAX_ERROR_CHARACTERS + 10
     store.close()

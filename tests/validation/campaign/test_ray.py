@@ -1,7 +1,11 @@
 """On a real Ray cluster of two nodes a campaign gives the same as on this machine."""
 
+import os
 import socket
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import cheap_work
 import pytest
@@ -38,6 +42,26 @@ def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, cluste
     (tmp_path / "died").unlink()
     local = run_campaign(items, cheap_work.work, tmp_path / "local", HEADER, workers=2, timeout_s=1)
     assert records == local
+
+
+def test_a_lost_head_is_told_within_seconds_and_resume_goes_on_without_it(tmp_path):
+    script = Path(__file__).parent / "lose_head.py"
+    environment = {**os.environ, "RAY_USAGE_STATS_ENABLED": "0"}
+    words = [sys.executable, str(script), str(tmp_path)]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False, env=environment)
+    assert ended.returncode == 0, ended.stderr
+    assert "no Ray cluster answers at" in ended.stdout
+    assert "--resume goes on" in ended.stdout
+    # Otherwise Ray looks in vain for over a minute, and then ends the process.
+    assert "Failed to connect to GCS" not in ended.stderr
+    import lose_head
+
+    n = len((tmp_path / "trials.jsonl").read_bytes().splitlines())
+    assert 10 <= n < len(lose_head.ITEMS)
+    records = run_campaign(
+        lose_head.ITEMS, cheap_work.work, tmp_path, lose_head.HEADER, workers=2, resume=True
+    )
+    assert all(record["agrees"] for record in records)
 
 
 def test_without_a_cluster_the_message_says_how_to_start_one(tmp_path, monkeypatch):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import io
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -12,6 +14,9 @@ import numpy as np
 
 from craftsim.errors import InputError
 from craftsim.report import output_directory
+from craftsim.storage.limits import TABLE
+from craftsim.storage.reading import read_text
+from craftsim.storage.writing import write_whole
 from craftsim.validation.statistics.records import AttemptRecord, as_predicted
 
 FILE_NAME: Final = "durations.csv"
@@ -51,11 +56,18 @@ class Duration:
         return DurationKey(self.verb, self.load, self.level, self.slope)
 
 
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < math.inf:
+        raise ValueError(f"{value} is no duration")
+    return value
+
+
 _COLUMNS: Final = tuple(field.name for field in fields(Duration))
 _READ: Final[dict[str, Callable[[str], Any]]] = {
     "str": str,
     "int": int,
-    "float": float,
+    "float": _seconds,
     "bool": {"True": True, "False": False}.__getitem__,
 }
 """How the columns are read, by the type of their values."""
@@ -88,12 +100,11 @@ def _by_kind(attempts: Iterable[AttemptRecord]) -> dict[DurationKey, list[float]
 
 def write_durations(out: Path, table: Sequence[Duration]) -> Path:
     """Write a table as ``durations.csv`` into the directory ``out``, made when missing, and return its path."""
-    path = output_directory(out) / FILE_NAME
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_COLUMNS)
-        writer.writerows([round(v, 4) if isinstance(v, float) else v for v in astuple(row)] for row in table)
-    return path
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    writer.writerows([round(v, 4) if isinstance(v, float) else v for v in astuple(row)] for row in table)
+    return write_whole(output_directory(out) / FILE_NAME, text.getvalue())
 
 
 def read_durations(path: Path) -> dict[DurationKey, Duration]:
@@ -102,22 +113,23 @@ def read_durations(path: Path) -> dict[DurationKey, Duration]:
     Raises:
         InputError: the file cannot be read, has other columns, or a value is not of its column's kind.
     """
+    reader = csv.DictReader(io.StringIO(read_text(path, TABLE), newline=""), restval="")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.DictReader(file, restval="")
-            if tuple(reader.fieldnames or ()) != _COLUMNS:
-                raise InputError(f"{path}: line 1: the columns must be {', '.join(_COLUMNS)}")
-            rows = [_duration(path, reader.line_num, row) for row in reader]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the table of durations {path}: {error}") from error
+        if tuple(reader.fieldnames or ()) != _COLUMNS:
+            raise InputError(f"{path}: line 1: the columns must be {', '.join(_COLUMNS)}")
+        rows = [_duration(path, reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num}: not a table: {error}") from error
     return {row.key: row for row in rows}
 
 
-def _duration(path: Path, line: int, row: dict[str, str]) -> Duration:
+def _duration(path: Path, line: int, row: dict[Any, str]) -> Duration:
     try:
+        if None in row:
+            raise ValueError("more values than columns")
         return Duration(*(_READ[str(field.type)](row[field.name]) for field in fields(Duration)))
     except (KeyError, ValueError) as error:
         raise InputError(
-            f"{path}: line {line}: not a row of durations ({error}); level and n are whole numbers, "
+            f"{path}: line {line}: not a row of durations ({str(error)[:80]}); level and n are whole numbers, "
             "slope is True or False, the others are seconds"
         ) from error

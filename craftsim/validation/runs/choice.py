@@ -141,7 +141,7 @@ def policy_pilot(
 ) -> Pilot:
     """Return what does as a policy says.
 
-    One of others plays the first tick of each world here and now. Raises InputError where there is no such policy, and
+    One of others is asked here and now what it does at the start of each world. Raises InputError where there is no such policy, and
     where it does not answer in time with an action for each agent.
     """
     if not isinstance(policy, str):

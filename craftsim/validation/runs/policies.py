@@ -20,6 +20,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.files.documents import exists
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
+from craftsim.envs.actions import by_agent, checked
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
@@ -70,7 +71,7 @@ class RandomPolicy:
 
 
 def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> None:
-    """Let a policy play the first tick of a task, by the rules alone.
+    """Ask a policy what it does at the start of a task.
 
     Raises InputError where there is no such policy, where it raises or takes too long, and where its answer is not one
     of the 15 actions for each agent.
@@ -89,7 +90,7 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
     if not isinstance(answer, Mapping):
         raise InputError(f"policy '{name}' returned {type(answer).__name__}; {_CONTRACT}")
     try:
-        env.step(dict(answer))
+        checked(by_agent(answer, env.agents), (len(env.agents),))
     except _ANYTHING as error:
         raise InputError(
             f"policy '{name}' returned what is no answer: {_said(error)}; {_CONTRACT}"

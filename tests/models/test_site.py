@@ -164,3 +164,12 @@ def test_the_default_settings_are_the_mjcfs_own(open_part):
     option, config = open_part("smartcar").opt, SimulationConfig()
     assert option.timestep == config.timestep_s
     assert option.impratio == config.friction_impedance_ratio
+
+
+def test_warnings_of_mujoco_are_counted_but_leave_no_log_in_the_working_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    site = Site(Grid.empty((1, 1, 1), n_cars=1))
+    site.data.qpos[0] = np.nan
+    site.advance()
+    assert site.diverged
+    assert list(tmp_path.iterdir()) == []

@@ -141,8 +141,8 @@ def policy_pilot(
 ) -> Pilot:
     """Return what does as a policy says.
 
-    One of others is asked here and now what it does at the start of each world. Raises InputError where there is no such policy, and
-    where it does not answer in time with an action for each agent.
+    One of others is asked here and now what it does at the start of each world. Raises InputError where there is no
+    such policy, and where it does not answer in time with an action for each agent.
     """
     if not isinstance(policy, str):
         name = getattr(policy, "__name__", type(policy).__name__)

@@ -5,13 +5,18 @@ BIN := $(VENV)/bin
 ARGS ?=
 # A version of its own, so that an index that has a CPU build of it can provide it.
 TORCH ?= torch==2.13.0
+# Versions that are known to work together; CONSTRAINTS= takes the newest that pyproject.toml allows.
+CONSTRAINTS ?= constraints.txt
+# The tests of "make newest", unless ARGS names others.
+QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/discrete tests/models tests/rendering
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults soak campaigns picture machines neighbours libraries clean
+.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults soak campaigns picture machines neighbours constraints newest packages libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(VENV)/installed libraries  ## Build the simple two-story building in physics: report and film in out/demo (ARGS are passed on)
 	$(BIN)/craftsim demo --out out/demo $(ARGS)
@@ -71,20 +76,34 @@ machines: $(VENV)/installed  ## Write the MJCF and the meshes of the nominal mac
 neighbours: $(VENV)/installed  ## Work out again which neighbours matter, after a change of geometry or rules
 	$(BIN)/python -m craftsim.validation.neighbourhoods.table
 
+constraints: $(VENV)/installed-dev  ## Write the versions that are installed here into constraints.txt
+	scripts/freeze $(BIN)/python > .constraints && mv .constraints constraints.txt
+
+newest:  ## Lint and run quick tests with the newest packages that pyproject.toml allows (a virtual environment of its own)
+	rm -rf .venv-newest
+	$(MAKE) VENV=.venv-newest CONSTRAINTS= TORCH=torch lint
+	.venv-newest/bin/python -m pip --disable-pip-version-check list
+	.venv-newest/bin/pytest -n 2 --dist worksteal $(or $(ARGS),$(QUICK))
+
+packages:  ## Look the versions of constraints.txt up among known vulnerabilities (pip-audit, needs the network)
+	scripts/make-venv .venv-audit
+	.venv-audit/bin/python -m pip install --quiet --disable-pip-version-check --upgrade pip-audit
+	.venv-audit/bin/pip-audit --strict --no-deps --disable-pip --requirement constraints.txt
+
 libraries: $(VENV)/installed  ## Check for the system libraries of off-screen rendering (installs them when root)
 	@scripts/system-libraries $(BIN)/python
 
 clean:  ## Remove the virtual environment, outputs and caches
-	rm -rf $(VENV) out build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-newest .venv-audit out build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp files make a second call quick; both are made again when the packaging changes.
-$(VENV)/installed: pyproject.toml scripts/make-venv
+$(VENV)/installed: pyproject.toml $(CONSTRAINTS) scripts/make-venv
 	scripts/make-venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(PIP) --editable .
 	@touch $@
 
 $(VENV)/installed-dev: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check '$(TORCH)'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,train]'
+	$(PIP) '$(TORCH)'
+	$(PIP) --editable '.[dev,train]'
 	@touch $@

@@ -6,12 +6,20 @@ options and its integer result the exit status. It is imported only when it is c
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import importlib
 import inspect
 import sys
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Final, get_type_hints
+from typing import Annotated, Any, Final, get_args, get_type_hints
+
+from craftsim.commands.text import complain, drop_output, reader_is_gone, show_what_can_be_shown
+from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
+from craftsim.storage.limits import Range
+
+BROKEN_PIPE: Final = 141
+"""What a shell says of a process that SIGPIPE ended."""
 
 COMMANDS: Final[dict[str, str]] = {
     "demo": "Build the paper's tasks in physics, and check every action.",
@@ -31,10 +39,32 @@ COMMANDS: Final[dict[str, str]] = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status: what it says, 2 for wrong input, 130 when interrupted.
 
+    It is 141, as if ended by SIGPIPE, where what reads the output has gone.
+
     Args:
         arguments: words after ``craftsim``; those of this process if None.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    show_what_can_be_shown()
+    try:
+        try:
+            return _answer(list(sys.argv[1:] if arguments is None else arguments))
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()
+    except BrokenPipeError:
+        if not reader_is_gone():
+            raise
+        drop_output()
+        return BROKEN_PIPE
+    except OSError as error:
+        if error.errno not in DISK_ERRORS:
+            raise
+        drop_output()
+        complain(f"cannot write {error.filename or 'the results'}: {error.strerror or error}")
+        return 2
+
+
+def _answer(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help"):
         print(_overview())
         return 0 if words else 2
@@ -43,9 +73,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"craftsim {craftsim.__version__}")
         return 0
-
-    from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
-
     name = words[0]
     try:
         if name not in COMMANDS:
@@ -54,15 +81,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         return _run(name, words[1:])
     except CraftsimError as error:
-        print(f"craftsim: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        if error.errno not in DISK_ERRORS:
-            raise
-        print(f"craftsim: cannot write {error.filename or 'the results'}: {error.strerror}", file=sys.stderr)
+        complain(error)
         return 2
     except KeyboardInterrupt as interrupt:
-        print(f"craftsim: {str(interrupt) or 'interrupted'}", file=sys.stderr)
+        complain(str(interrupt) or "interrupted")
         return 130
 
 
@@ -71,7 +93,7 @@ def _run(name: str, words: list[str]) -> int:
 
     function = getattr(importlib.import_module(f"craftsim.commands.{name}"), name)
     status: int = tyro.cli(
-        _with_checked_seed(_without_empty_defaults(function)),
+        _with_checked_numbers(_without_empty_defaults(function)),
         args=words,
         prog=f"craftsim {name}",
         config=(tyro.conf.DisallowNone,),
@@ -92,18 +114,33 @@ def _without_empty_defaults(function: Callable[..., int]) -> Callable[..., int]:
     return function
 
 
-def _with_checked_seed(function: Callable[..., int]) -> Callable[..., int]:
-    """Refuse a seed that no random generator takes, before the command begins."""
-    from craftsim.errors import InputError
+def _with_checked_numbers(function: Callable[..., int]) -> Callable[..., int]:
+    """Refuse a number outside of the range in its annotation before the command begins."""
 
     @functools.wraps(function)
     def checked(*arguments: Any, **options: Any) -> int:
-        for seed in [options.get("seed", 0), *(getattr(group, "seed", 0) for group in options.values())]:
-            if seed < 0:
-                raise InputError(f"--seed is {seed}; allowed: 0 or more")
+        given = inspect.signature(function).bind(*arguments, **options).arguments
+        for group in (given, *filter(dataclasses.is_dataclass, given.values())):
+            for name, allowed in ranges_of(function if group is given else type(group)).items():
+                number = given.get(name) if group is given else getattr(group, name)
+                if number is not None:
+                    allowed.check(f"--{name.replace('_', '-')}", number)
         return function(*arguments, **options)
 
     return checked
+
+
+def ranges_of(options: Callable[..., Any]) -> dict[str, Range]:
+    """Return, by name, what the numbers of a function, or of a class of options, may be."""
+    types = get_type_hints(options, include_extras=True)
+    return {name: found for name, one in types.items() if (found := _range(one)) is not None}
+
+
+def _range(annotation: Any) -> Range | None:
+    """Return the range within an annotation, such as ``Annotated[int, SEED] | None``."""
+    if isinstance(annotation, Range):
+        return annotation
+    return next(filter(None, map(_range, get_args(annotation))), None)
 
 
 def _overview() -> str:

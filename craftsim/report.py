@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.storage.writing import write_whole
+from craftsim.storage.writing import writable, write_whole
 
 SCHEMA_VERSION: Final = 2
 """Raised whenever a key of the report changes its meaning or goes away."""
@@ -102,16 +102,16 @@ def plain(value: Any) -> Any:
     match value:
         case Enum():
             return value.name
-        case str():
-            return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
         case None | bool() | int():
             return value
+        case str():
+            return writable(value)
         case float():
             return value if math.isfinite(value) else None
         case np.generic() | np.ndarray():
             return plain(value.tolist())
         case Path():
-            return str(value)
+            return plain(str(value))
         case Mapping():
             return {str(plain(key)): plain(item) for key, item in value.items()}
         case list() | tuple():

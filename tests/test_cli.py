@@ -1,8 +1,14 @@
 """The command line: help without heavy imports, one message and exit 2 for wrong input."""
 
+import dataclasses
+import importlib
 import json
+import os
+import re
 import subprocess
 import sys
+from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 
@@ -10,6 +16,7 @@ import craftsim
 from craftsim import cli
 from craftsim.commands import doctor as doctor_module
 from craftsim.commands.doctor import Check
+from craftsim.commands.text import clean
 from craftsim.errors import InputError
 
 
@@ -120,8 +127,134 @@ def test_parameters_become_options_and_the_result_the_status(command):
 def test_a_negative_seed_is_refused_before_anything_is_done(name, capsys, tmp_path):
     words = {"show": ["strip"], "bench": ["rules"]}.get(name, [])
     assert cli.main([name, *words, "--seed", "-1", "--out", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr() == ("", "craftsim: --seed is -1; allowed: 0 or more\n")
+    assert capsys.readouterr() == (
+        "",
+        "craftsim: --seed is -1; allowed: 0 to 9223372036854775807\n",
+    )
     assert not (tmp_path / "out").exists()
+
+
+def _numbers(function) -> set[str]:
+    """Return the names of a command's numbers, those in its groups of options included."""
+    found = set()
+    for name, hint in get_type_hints(function).items():
+        groups = [hint, *get_args(hint)]
+        for group in filter(dataclasses.is_dataclass, groups):
+            found |= _numbers(group)
+        if name != "return" and {int, float} & set(groups):
+            found.add(name)
+    return found
+
+
+def _ranges(function) -> dict[str, object]:
+    ranges = cli.ranges_of(function)
+    for hint in get_type_hints(function).values():
+        for group in filter(dataclasses.is_dataclass, (hint, *get_args(hint))):
+            ranges |= cli.ranges_of(group)
+    return ranges
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_number_of_a_command_has_limits(name):
+    function = getattr(importlib.import_module(f"craftsim.commands.{name}"), name)
+    assert set(_ranges(function)) == _numbers(function)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["audit", "--trials", "9" * 40], f"--trials is {'9' * 40}; allowed: 1 to 1000000"),
+        (["validate", "--trials", "1000000"], "--trials times worlds and policies is 6000000"),
+        (["validate", "--trials", "0"], "--trials is 0; allowed: 1 to 1000000"),
+        (["validate", "--workers", "1000000000"], "--workers is 1000000000; allowed: 1 to 256"),
+        (["validate", "--timeout", "nan"], "--timeout is nan; allowed: 0.01 to 604800"),
+        (["validate", "--cars", "-1"], "--cars is -1; allowed: 0 to 256"),
+        (["bench", "workers", "--runs", "0"], "--runs is 0; allowed: 1 to 10000"),
+        (["bench", "rules", "--seconds", "nan"], "--seconds is nan; allowed: 0.001 to 3600"),
+        (["bench", "rules", "--seconds", "-1"], "--seconds is -1.0; allowed"),
+        (["bench", "rules", "--seconds", "inf"], "--seconds is inf; allowed"),
+        (["bench", "rules", "--memory-worlds", "10000000"], "--memory-worlds is 10000000; allowed"),
+        (["bench", "env", "--episode", "1"], "--episode is 1; allowed: 2 to 10000"),
+        (["show", "strip", "--seed", str(2**63)], "--seed is 9223372036854775808; allowed"),
+        (["train", "--seed", str(2**64)], "--seed is 18446744073709551616; allowed"),
+        (["train", "--until", "nan"], "--until is nan; allowed: 0 to 1"),
+    ],
+)
+def test_a_number_that_is_too_small_or_too_large_is_refused_before_anything_is_done(
+    words, message, capsys, tmp_path
+):
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err.count("\n")) == ("", 1)
+    assert message in printed.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_number_of_too_many_digits_is_a_usage_error(capsys):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["show", "strip", "--seed", "9" * 5000])
+    assert caught.value.code == 2
+    assert "--seed" in capsys.readouterr().err
+
+
+def test_text_that_steers_a_terminal_is_shown_as_escapes(command, capsys):
+    def probe() -> int:
+        raise InputError("a\x1b[31mb\x9bc\rd\u202ee\udce9f\tg\nh")
+
+    command(probe)
+    assert cli.main(["probe"]) == 2
+    told = "craftsim: a\\x1b[31mb\\x9bc\\rd\\u202ee\\udce9f\tg\nh\n"
+    assert capsys.readouterr().err == told
+    assert clean("plain: \u00e9 \u2192 \U0001f600") == "plain: \u00e9 \u2192 \U0001f600"
+
+
+def test_only_two_functions_print():
+    for path in Path(cli.__file__).parent.glob("commands/*.py"):
+        if path.name != "text.py":
+            text = path.read_text(encoding="utf-8")
+            assert not re.search(r"(?<!\.)\bprint\(", text), path.name
+            assert path.name == "terminal.py" or not re.search(r"\bConsole\(", text), path.name
+
+
+@pytest.mark.parametrize(
+    ("output", "status", "error"),
+    [
+        ("pipe", 141, ""),
+        ("/dev/full", 2, "craftsim: cannot write the results: No space left on device\n"),
+    ],
+)
+def test_an_output_that_nobody_takes_ends_without_a_traceback(output, status, error):
+    if output == "pipe":
+        reader, writer = os.pipe()
+        os.close(reader)
+    else:
+        writer = os.open(output, os.O_WRONLY)
+    words = [sys.executable, "-m", "craftsim", "show", "strip"]
+    child = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert (child.returncode, child.stderr) == (status, error)
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
+)
+def test_a_terminal_without_the_letters_gets_others(variables, tmp_path):
+    name = os.fsdecode(b"caf\xe9.yaml")
+    (tmp_path / name).write_text(
+        "area_length: 1\narea_width: 1\narea_height: 1\nblock_num: 0\nslope_num: 0\nsmartcar_num: 1\n"
+    )
+    child = subprocess.run(
+        [sys.executable, "-m", "craftsim", "show", name, "--out", "."],
+        env=os.environ | variables,
+        cwd=tmp_path,
+        capture_output=True,
+        check=False,
+    )
+    assert (child.returncode, child.stderr) == (0, b"")
+    assert re.search(rb"0  \.0[<>^v]", child.stdout)
+    assert child.stdout.endswith(b"picture: caf\\udce9.png\n")
+    assert (tmp_path / os.fsdecode(b"caf\xe9.png")).is_file()
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,14 @@
 
 import re
 import tomllib
+from importlib.metadata import requires
+from itertools import chain
 from pathlib import Path
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from test_rooms import ALLOWED
 
 from craftsim.rendering.backend import DEBIAN_PACKAGES
@@ -56,6 +60,50 @@ def test_the_hooks_are_the_checks_of_make_lint():
     assert {"ruff", "mypy", "pre-commit"} <= {
         re.split(r"[>=!<]", name)[0] for name in PROJECT["optional-dependencies"]["dev"]
     }
+
+
+def _name(requirement: str) -> str:
+    return canonicalize_name(Requirement(requirement).name)
+
+
+def test_the_constraints_pin_every_dependency_within_its_range_on_every_python():
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pinned = [Requirement(line) for line in lines if not line.startswith("#")]
+    versions = {canonicalize_name(one.name): str(one.specifier).removeprefix("==") for one in pinned}
+    assert len(versions) == len(pinned)
+    for one in pinned:
+        assert re.fullmatch(r"==[0-9][0-9a-z.]*", str(one.specifier)), f"{one}: one version, without a build"
+        assert one.marker is None
+        assert one.url is None
+    asked = [*PROJECT["dependencies"], *chain(*PROJECT["optional-dependencies"].values())]
+    for requirement in (Requirement(line) for line in asked):
+        if (name := canonicalize_name(requirement.name)) != "craftsim":
+            assert requirement.specifier.contains(versions[name]), requirement
+    torch = re.search(
+        r"^TORCH \?= torch==(.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert torch
+    assert torch[1] == versions["torch"]
+
+
+def test_what_make_test_installs_needs_nothing_that_is_not_pinned():
+    text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    pinned = {_name(line) for line in text.splitlines() if not line.startswith("#")}
+    for name in pinned:
+        for line in requires(name) or []:
+            requirement = Requirement(line)
+            wanted = requirement.marker is None or requirement.marker.evaluate({"extra": ""})
+            # A build of torch for GPUs, which CPU builds need nothing of, brings libraries of its version.
+            if wanted and name != "torch":
+                assert canonicalize_name(requirement.name) in pinned, f"{name} needs {line}"
+
+
+def test_make_installs_within_the_constraints():
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    recipe = text[text.index("$(VENV)/installed: ") :]
+    assert "$(CONSTRAINTS)" in recipe.splitlines()[0]
+    assert recipe.count("$(PIP)") == 3
+    assert "-m pip" not in recipe
 
 
 def test_contributing_draws_the_rooms_as_they_are():

@@ -32,7 +32,7 @@ ALLOWED = {
     "rendering": {"storage", "checking", "skills", "models", "discrete"},
     "testing": {"envs", "discrete"},
     "report": {"storage"},
-    "cli": {"commands", "discrete"},
+    "cli": {"commands", "discrete", "storage"},
     "__main__": {"cli"},
 }
 """What each room may import of ours, besides itself, the errors and the package's version; commands may import all."""

@@ -249,17 +249,18 @@ def test_without_worlds_the_six_tasks_of_the_paper_are_validated(monkeypatch):
 
 def test_policies_that_raise_or_hang_or_talk_nonsense_are_errors_and_harm_no_other(folder):
     (folder / "own.py").write_text(
-        "import time\n"
+        "import multiprocessing, time\n"
+        "first = multiprocessing.parent_process() is None  # asked before the runs begin\n"
         "def stops(seen): return {name: 6 for name in seen}\n"
-        "def raises(seen): raise RuntimeError('no idea')\n"
-        "def hangs(seen): time.sleep(3600)\n"
-        "def nonsense(seen): return {name: 99 for name in seen}\n"
+        "def raises(seen): return stops(seen) if first else 1 / 0\n"
+        "def hangs(seen): return stops(seen) if first else time.sleep(3600)\n"
+        "def nonsense(seen): return {name: 6 if first else 99 for name in seen}\n"
     )
     names = ["own:stops", "own:raises", "own:hangs", "own:nonsense", "random"]
     words = ["empty.yaml", "--policy", *names, "--trials", "1", "--timeout", "10"]
     assert _validate(*words) == 1
     stops, raises, hangs, nonsense, random = _records(folder / "out")
-    assert raises["error"] == "RuntimeError: no idea"
+    assert raises["error"] == "ZeroDivisionError: division by zero"
     assert "own.py" in raises["extra"]["traceback"]
     assert hangs["error"] == "no answer within 10 s"
     assert "99" in nonsense["error"]
@@ -328,14 +329,16 @@ def test_against_refuses_what_cannot_be_paired_before_anything_is_tried(folder, 
         (["crowded.yaml", "strip", "--actions", "unfold.txt"], "actions needs the one world"),
         (["crowded.yaml", "crowded.yaml", "--policy", "random"], "two worlds are called 'crowded'"),
         (["crowded.yaml", "--policy", "own:nothing"], "own:nothing"),
+        (["crowded.yaml", "--policy", "os:system"], "policy 'os:system' raised TypeError"),
+        (["random", "--cars", "2", "--policy", "builtins:len"], "policy 'builtins:len' returned int"),
         (["crowded.yaml", "--policy", "random", "--trials", "0"], "--trials"),
         (["crowded.yaml", "--policy", "random", "--workers", "0"], "--workers"),
         (["random", "--cars", "0"], "allowed: 1 to 12 cars"),
         (["random", "--cars", "13"], "allowed: 1 to 12 cars"),
-        (["random", "--max-steps", "0"], "max_steps is 0"),
+        (["random", "--max-steps", "0"], "--max-steps is 0"),
         (["random", "--policy", "planner"], "no shipped plan for random"),
         (["castle"], "castle"),
-        (["crowded.yaml", "--policy", "random", "--timeout", "0"], "timeout_s"),
+        (["crowded.yaml", "--policy", "random", "--timeout", "0"], "--timeout"),
     ],
 )
 def test_wrong_input_is_told_and_leaves_nothing(folder, capsys, words, message):

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from craftsim.checking.forces import PossibleForce, impact_limit_n
 from craftsim.models.overlaps import MachineNames
 from craftsim.models.site import Site
+from craftsim.storage.writing import whole
 
 _SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
@@ -141,8 +142,8 @@ class ContactLog:
         return {name: float(tilt) for name, tilt in zip(self.names[2:], tilts, strict=True)}
 
     def write(self, path: Path) -> None:
-        """Write the contacts as CSV with a line of headings."""
-        with path.open("w", newline="", encoding="utf-8") as file:
+        """Write the contacts as CSV with a line of headings; raise InputError where the disk does not take it."""
+        with whole(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow([field.name for field in fields(Contact)])
             writer.writerows(astuple(contact) for contact in self.contacts)

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
-from rich.console import Console
 
 from craftsim.commands.options import CampaignOptions, Dir
+from craftsim.commands.terminal import Terminal
+from craftsim.commands.text import say
 from craftsim.errors import InputError
+from craftsim.storage.limits import RUNS
 from craftsim.validation.contexts.context import Verb
 
 if TYPE_CHECKING:
@@ -57,14 +59,14 @@ def audit(
     from craftsim.validation.html.writing import write_html
     from craftsim.validation.statistics.records import capped_steps
 
-    campaign.check()
-    console = Console()
+    console = Terminal()
     filming = video and rendering_works(console)
     plan = _chosen(audit_plan(campaign.rules, actions), contexts, only)
     trials = campaign.trials
     if quick:
         plan = quick_rows(plan, campaign.rules)
         trials = 1
+    RUNS.check("--trials times rows", trials * len(plan))
     result = run_audit(
         plan,
         campaign.setup(),
@@ -95,8 +97,8 @@ def audit(
     print_smallest(console, out, result.smallest)
     print_capped(capped_steps(result.records))
     if result.comparison is not None:
-        print(result.comparison)
-    print(f"Report: {out / 'report.json'}\nPage:   {page}")
+        say(result.comparison)
+    say(f"Report: {out / 'report.json'}\nPage:   {page}")
     return conclude(result)
 
 

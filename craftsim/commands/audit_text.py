@@ -7,6 +7,7 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
+from craftsim.commands.text import say
 from craftsim.validation.audit.audit import Audit
 from craftsim.validation.audit.results import Results
 from craftsim.validation.statistics.audit_rows import Judgement, provisional_note
@@ -23,9 +24,9 @@ def print_results(console: Console, results: Results) -> None:
         for row in rows[:_SHOWN]:
             share = f"{row.as_predicted} of {row.trials} as predicted"
             share += f" ({row.wilson_low:.2f} to {row.wilson_high:.2f})"
-            print(f"  {row.action}/{row.context}: {share}" + (f"; {row.reason}" if row.reason else ""))
+            say(f"  {row.action}/{row.context}: {share}" + (f"; {row.reason}" if row.reason else ""))
         if len(rows) > _SHOWN:
-            print(f"  and {len(rows) - _SHOWN} more in the reports")
+            say(f"  and {len(rows) - _SHOWN} more in the reports")
     table = Table("", "suspect", "verdict", title="suspects", title_justify="left", box=None, pad_edge=False)
     for found in results.suspects:
         table.add_row(str(found.number), found.question, found.verdict)
@@ -39,18 +40,18 @@ def conclude(audit: Audit) -> int:
     allowed = n[Judgement.UNSOUND] + n[Judgement.SOUND]
     if flags := audit.rows_by_flag:
         text = ", ".join(f"{flag} {count}" for flag, count in flags.items())
-        print(f"unsound rows by the rule flag that corrects them: {text}")
-    print(
+        say(f"unsound rows by the rule flag that corrects them: {text}")
+    say(
         f"{audit.config['rules']}: {n[Judgement.UNSOUND]} of {allowed} rows that the rules allow are unsound; "
         f"{n[Judgement.CONSERVATIVE]} that they forbid would have worked, "
         f"{n[Judgement.RIGHTLY_FORBIDDEN]} are rightly forbidden."
         + (f" {errors} trials came to no end." if errors else "")
     )
     if note := provisional_note(audit.results.rows):
-        print(note)
+        say(note)
     if car := audit.figures.precision.car_error_mm:
         heading, placed = audit.figures.precision.heading_error_mrad, audit.figures.precision.placed_error_mm
-        print(
+        say(
             f"Of what the rules allow and did as predicted, 99th percentiles: cars {car.p99:.2f} mm"
             + (f" and {heading.p99:.2f} mrad" if heading else "")
             + (f", set down {placed.p99:.2f} mm" if placed else "")

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 
+from craftsim.commands.text import say
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import CraftsimError
+from craftsim.storage.limits import BATCH, BENCH_RUNS, BENCH_S, BENCH_TICKS, SEED
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,12 +33,12 @@ DEPTH: Final = 20
 def bench(
     what: tyro.conf.Positional[Literal["rules", "env", "workers", "durations"]],
     rules: RuleSet = "published",
-    worlds: int = 1000,
-    seconds: float = 2.0,
-    memory_worlds: int = 10_000,
-    episode: int = 20,
-    runs: int = 40,
-    seed: int = 0,
+    worlds: Annotated[int, BATCH] = 1000,
+    seconds: Annotated[float, BENCH_S] = 2.0,
+    memory_worlds: Annotated[int, BATCH] = 10_000,
+    episode: Annotated[int, BENCH_TICKS] = 20,
+    runs: Annotated[int, BENCH_RUNS] = 40,
+    seed: Annotated[int, SEED] = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Measure how fast the grid rules, the environments and worker processes are, or how long actions take.
@@ -65,13 +67,12 @@ def bench(
         seed: decides starts, actions and orders.
         out: folder for report.json.
     """
-    from rich.console import Console
-
+    from craftsim.commands.terminal import Terminal
     from craftsim.report import output_directory, write_report
 
     if out is not None:
         output_directory(out)
-    console = Console(highlight=False)
+    console = Terminal(highlight=False)
     figures: dict[str, Any] = {}
     wall: dict[str, Any] = {}
     config: dict[str, Any] = {"what": what}
@@ -128,10 +129,10 @@ def _bench_rules(
             rates[name][f"{work}, {n} world{'s' if n > 1 else ''}"] = rate
             table.add_row(name, work, str(n), *rate.cells())
     console.print(table)
-    print(
+    say(
         f"{memory_worlds:,} worlds of {TASKS[1]}: {state * memory_worlds / 2**20:.1f} MiB of state, {state} bytes each"
     )
-    print(
+    say(
         f"peak memory {peak_mib:.0f} MiB, {grown_mib:.0f} MiB more than one world "
         "(helper masks and observations included)"
     )

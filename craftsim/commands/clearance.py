@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import tyro
 
 from craftsim.commands.options import File
+from craftsim.commands.text import say
 from craftsim.discrete.rules import RuleSet
 from craftsim.validation.contexts.context import Verb
 
@@ -36,9 +37,9 @@ def clearance(
         parameters: YAML file of machine parameters, for machines of other dimensions.
         out: folder for report.json, which lists every neighbour within reach.
     """
-    from rich.console import Console
     from rich.table import Table
 
+    from craftsim.commands.terminal import Terminal
     from craftsim.models.parameter_files import load_machines
     from craftsim.models.parameters import NOMINAL
     from craftsim.report import output_directory, write_report
@@ -61,7 +62,7 @@ def clearance(
             *(len(found) for found in _findings(row)),
         )
         table.add_row(name, *map(str, counts))
-    console = Console(highlight=False)
+    console = Terminal(highlight=False)
     console.print(table)
     allowed, unexplained = _findings(judged)
     _list("Collisions that the rules allow", allowed)
@@ -75,7 +76,7 @@ def clearance(
         config={"rules": rules, "actions": actions, "machines": machines.digest},
         wall={},
     )
-    print(f"Report: {out / 'report.json'}")
+    say(f"Report: {out / 'report.json'}")
     return 1 if allowed else 0
 
 
@@ -86,8 +87,8 @@ def _findings(judged: list[JudgedNeighbour]) -> tuple[list[JudgedNeighbour], lis
 
 
 def _list(title: str, found: list[JudgedNeighbour]) -> None:
-    print(f"{title}: {len(found)}")
+    say(f"{title}: {len(found)}")
     for one in found[:_SHOWN]:
-        print(f"  {one}")
+        say(f"  {one}")
     if len(found) > _SHOWN:
-        print(f"  and {len(found) - _SHOWN} more in the report")
+        say(f"  and {len(found) - _SHOWN} more in the report")

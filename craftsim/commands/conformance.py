@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from craftsim.commands.text import say
 from craftsim.discrete.actions import Action
 from craftsim.discrete.rules import RuleSet
+from craftsim.storage.limits import SHOWN
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,7 +25,7 @@ def conformance(
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE ...", help_behavior_hint="")
     ],
     rules: RuleSet = "published",
-    show: int = 3,
+    show: Annotated[int, SHOWN] = 3,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Replay recorded ticks or plans and compare all that they tell: masks, effects, rewards, plans.
@@ -71,12 +73,12 @@ def conformance(
 
 def _print(tally: Tally) -> None:
     """Print what was compared, by action and by check, and draw the first mismatches."""
-    from rich.console import Console
     from rich.table import Table
 
+    from craftsim.commands.terminal import Terminal
     from craftsim.discrete.drawing import LEGEND
 
-    console = Console(highlight=False)
+    console = Terminal(highlight=False)
     by_action = Table("action", "taken", "legal", "mismatches")
     for action in Action:
         numbers = [table[action.name] for table in (tally.actions, tally.applied, tally.action_mismatches)]
@@ -95,7 +97,7 @@ def _print(tally: Tally) -> None:
     if tally.corrected:
         console.print(f"{tally.corrected} records that a correction changes were left out")
     mismatches = tally.mismatches.total()
-    print(f"{tally.records} records, {tally.checks.total()} checks, {mismatches} mismatches")
+    say(f"{tally.records} records, {tally.checks.total()} checks, {mismatches} mismatches")
 
 
 def _draw(console: Console, mismatch: Mismatch) -> None:

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import tyro
-from rich.console import Console
 
 from craftsim.commands.options import Dir, File, PhysicsOptions
+from craftsim.commands.terminal import Terminal
+from craftsim.commands.text import say
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
 
@@ -52,7 +53,7 @@ def demo(
     from craftsim.validation.building import Building, read_building
 
     started = time.perf_counter()
-    console = Console()
+    console = Terminal()
     if task == "all" and (blueprint or plan or goal):
         raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
     setup = physics.setup()
@@ -91,10 +92,10 @@ def demo(
     print_capped(sum(one.figures["capped_steps"] for one in done))
     wall = {"total_s": time.perf_counter() - started}
     report = write_report(out, figures, command="demo", seed=physics.seed, config=config, wall=wall)
-    print(f"Report: {report}")
+    say(f"Report: {report}")
     for text in films:
-        print(f"Film:   {text}")
+        say(f"Film:   {text}")
     for one in done:
         demo_text.print_disagreements(one, name_task=task == "all")
-    print(demo_text.conclusion(done))
+    say(demo_text.conclusion(done))
     return 0 if all(one.good for one in done) else 1

@@ -7,6 +7,8 @@ from typing import Any, Final
 
 from rich.table import Table
 
+from craftsim.commands.terminal import cell
+from craftsim.commands.text import say
 from craftsim.validation.building import Building
 
 _OTHER_GOALS: Final[dict[str, tuple[str, str]]] = {
@@ -51,7 +53,7 @@ def summary(buildings: Sequence[Building]) -> Table:
         worst = ("car_error_mm", "car_heading_error_mrad", "placed_error_mm", "bystander_displacement_mm")
         goal = {None: "none", True: "[green]reached[/]", False: "[red]missed[/]"}[one.reached]
         table.add_row(
-            one.name,
+            cell(one.name),
             str(figures["ticks"]),
             f"[{'green' if one.n_agree == one.n_actions else 'red'}]{one.n_agree} of {one.n_actions}[/]",
             goal,
@@ -64,7 +66,7 @@ def summary(buildings: Sequence[Building]) -> Table:
 def print_worst(figures: dict[str, Any]) -> None:
     """Say how inexact the worst action of a run was; nothing of what was not set down."""
     placed = figures["max_placed_error_mm"]
-    print(
+    say(
         f"At worst: cars {figures['max_car_error_mm']:.2f} mm and "
         f"{figures['max_car_heading_error_mrad']:.2f} mrad off, "
         + ("" if placed is None else f"things set down {placed:.2f} mm off, ")
@@ -80,7 +82,7 @@ def print_disagreements(building: Building, name_task: bool) -> None:
         if not attempt.agrees:
             where = f"{prefix}tick {attempt.tick}, car {attempt.car} {attempt.action}"
             lines = dict.fromkeys((attempt.reason, *attempt.differences))
-            print(f"{where}: {'; '.join(lines)}")
+            say(f"{where}: {'; '.join(lines)}")
 
 
 def conclusion(buildings: Sequence[Building]) -> str:

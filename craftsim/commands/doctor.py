@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import tyro
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
+from craftsim.commands.terminal import Terminal, cell
+from craftsim.commands.text import say
 from craftsim.rendering.backend import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.report import versions, write_report
 
@@ -68,18 +68,18 @@ def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> 
         table.add_row("", name, found)
     table.add_section()
     for check in checks:
-        table.add_row("[green]ok[/]" if check.works else "[red]no[/]", check.what, escape(check.found))
-    Console().print(table)
+        table.add_row("[green]ok[/]" if check.works else "[red]no[/]", check.what, cell(check.found))
+    Terminal().print(table)
     for check in checks:
         if check.remedy:
-            print(f"{check.what}: run this to fix it:\n    {check.remedy}")
+            say(f"{check.what}: run this to fix it:\n    {check.remedy}")
     if out is not None:
         figures = {"checks": checks, "processors": _processors()}
-        print(f"Report: {write_report(out, figures, command='doctor')}")
+        say(f"Report: {write_report(out, figures, command='doctor')}")
     if not physics.works:
-        print("Physics does not run.")
+        say("Physics does not run.")
         return 2
-    print("All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet.")
+    say("All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet.")
     return 0
 
 

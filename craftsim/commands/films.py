@@ -60,9 +60,7 @@ def film_failures(console: Console, out: Path, records: Iterable[TrialRecord]) -
     missing = [folder for folder in folders if not (folder / FILM).exists()]
     with counting(console, "films", len(missing), bool) as tell:
         for folder in missing:
-            partial = folder / f".{FILM}"
-            film_bundle(read_bundle(folder), partial)
-            partial.replace(folder / FILM)
+            film_bundle(read_bundle(folder), folder / FILM)
             tell(True)
 
 
@@ -74,8 +72,6 @@ def film_runs(console: Console, out: Path, items: Sequence[Item], records: Itera
     missing = [(item, path) for item, path in paths if not path.exists()]
     with counting(console, "films", len(missing), bool) as tell:
         for item, path in missing:
-            partial = path.with_name(f".{path.name}")
-            with EpisodeFilm(partial, item.key, size=(640, 360), speed=_SPEED) as film:
+            with EpisodeFilm(path, item.key, size=(640, 360), speed=_SPEED) as film:
                 run_episode(item.job, Watch(film.begin))
-            partial.replace(path)
             tell(True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from craftsim.discrete.rules import RuleSet
-from craftsim.errors import InputError
+from craftsim.storage.limits import SEED, TRIAL_COUNT, WORKERS
 
 if TYPE_CHECKING:
     from craftsim.checking.settings import Setup
@@ -38,7 +38,7 @@ class PhysicsOptions:
     """YAML file of gains of the skills; those that it leaves out are the nominal ones."""
     parameters: File = None
     """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
-    seed: int = 0
+    seed: Annotated[int, SEED] = 0
     """Decides all that is drawn."""
 
     def setup(self) -> Setup:
@@ -52,9 +52,9 @@ class PhysicsOptions:
 class CampaignOptions(PhysicsOptions):
     """How many trials are run, where, and what becomes of them."""
 
-    trials: int = 10
+    trials: Annotated[int, TRIAL_COUNT] = 10
     """How many of each."""
-    workers: int = 1
+    workers: Annotated[int, WORKERS] = 1
     """Processes to share the work; results do not depend on it."""
     engine: Engine = "local"
     """Processes of this machine, or an existing Ray cluster to which the output folder is shared."""
@@ -62,12 +62,6 @@ class CampaignOptions(PhysicsOptions):
     """Folder of an earlier run under other settings, to compare trial by trial."""
     resume: bool = False
     """Go on with what an interrupted run has left in the output folder."""
-
-    def check(self) -> None:
-        """Raise InputError for counts that are too small."""
-        for name in ("trials", "workers"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name} must be at least 1, not {getattr(self, name)}")
 
     def words(self) -> list[str]:
         """Return the options that decide the results, as they can be typed again."""

@@ -9,7 +9,10 @@ from operator import itemgetter
 from typing import Any, Final
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from craftsim.commands.text import clean
 
 LINE_EVERY_S: Final = 20.0
 """Without a terminal, a line says how far things are so often."""
@@ -37,6 +40,7 @@ def counting(
         transient=True,
         disable=not console.is_terminal,
     )
+    what = escape(clean(what))
     begun = said = time.perf_counter()
     done = failed = 0
     with bar as progress:

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 
 from craftsim.commands.films import film_bundle, rendering_works
+from craftsim.commands.terminal import Terminal
+from craftsim.commands.text import say
 from craftsim.errors import InputError
 from craftsim.report import output_directory, versions, write_report
 
@@ -48,7 +49,7 @@ def replay(
         return _shrink(bundle, out)
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--view needs a display, and there is none here; try --video")
-    filming = video and rendering_works(Console())
+    filming = video and rendering_works(Terminal())
 
     from craftsim.validation.replays import replay as again
     from craftsim.validation.replays.bundle import read_bundle
@@ -62,9 +63,9 @@ def replay(
         out, {"bundle": bundle.name, **_figures(recorded, result)}, command="replay", config={"view": view}
     )
     _print(recorded, result)
-    print(f"Report: {report}")
+    say(f"Report: {report}")
     if filming:
-        print(f"Film:   {film}")
+        say(f"Film:   {film}")
     return 0 if result.reproduced else 1
 
 
@@ -76,7 +77,7 @@ def _shrink(folder: Path, out: Path) -> int:
     from craftsim.validation.shrinking.campaign import shrink_bundle
     from craftsim.validation.shrinking.shrink import MOST_TRIALS
 
-    console = Console()
+    console = Terminal()
     bundle = read_bundle(folder).bundle
     output_directory(out)
     with counting(console, "trials", MOST_TRIALS, lambda fails: fails) as on_trial:
@@ -100,28 +101,28 @@ def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
 
 def _print(recorded: Recorded, result: Replay) -> None:
     bundle = recorded.bundle
-    print(bundle.key)
+    say(bundle.key)
     for attempt in bundle.attempts:
-        print(
+        say(
             f"car {attempt.car} {attempt.action}: {attempt.result}. Predicted {attempt.predicted}, read {attempt.read}."
         )
         if attempt.reason:
-            print(f"  {attempt.reason}")
+            say(f"  {attempt.reason}")
     for package, (was, now) in result.changed.items():
-        print(f"Recorded with {package} {was}, replayed with {now}: bits may differ.")
+        say(f"Recorded with {package} {was}, replayed with {now}: bits may differ.")
     if not result.differing:
-        print("Reproduced: the same bit for bit.")
+        say("Reproduced: the same bit for bit.")
         return
     apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"
     if result.reproduced:
-        print(f"Reproduced within the tolerance: {apart}.")
+        say(f"Reproduced within the tolerance: {apart}.")
         return
-    print(f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}.")
+    say(f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}.")
     platform = bundle.versions.get("platform")
     if platform != versions()["platform"]:
-        print(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
+        say(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
     for attempt in result.attempts:
-        print(f"  now: car {attempt.car} {attempt.action}: {attempt.result}. {attempt.reason}")
+        say(f"  now: car {attempt.car} {attempt.action}: {attempt.result}. {attempt.reason}")
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from craftsim.commands.progress import counting
+from craftsim.commands.text import say
 from craftsim.validation.shrinking.campaign import ACTIONS, BLUEPRINT, ShrinkProgress, Shrunk
 
 
@@ -23,10 +24,10 @@ def print_smallest(console: Console, out: Path, found: Sequence[Shrunk]) -> None
     if found:
         console.print(f"[bold]smallest worlds: {len(found)} kinds of failure")
     for shrunk in found:
-        print(f"  {shrunk.sentence}")
+        say(f"  {shrunk.sentence}")
         if shrunk.folder is not None:
             left = "" if shrunk.minimal else "; perhaps not the smallest: the trials were used up"
-            print(f"    of {shrunk.key}, {shrunk.trials} trials{left}")
+            say(f"    of {shrunk.key}, {shrunk.trials} trials{left}")
             folder = out / shrunk.folder
             rules = f" --rules {shrunk.rules}" if shrunk.rules != "physical" else ""
-            print(f"    craftsim validate {folder / BLUEPRINT} --actions {folder / ACTIONS}{rules}")
+            say(f"    craftsim validate {folder / BLUEPRINT} --actions {folder / ACTIONS}{rules}")

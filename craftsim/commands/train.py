@@ -11,8 +11,11 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from craftsim.commands.terminal import Terminal
+from craftsim.commands.text import say
 from craftsim.errors import InputError
 from craftsim.report import output_directory, write_report
+from craftsim.storage.limits import BATCH, BLOCKS, BONUS, CARS, SEED, SHARE, TRAIN_EPISODES, TRAIN_STEPS
 from craftsim.training.config import AlgoName, TrainConfig
 from craftsim.training.extra import need_torch
 
@@ -28,15 +31,15 @@ LINE_EVERY_S: Final = 15.0
 def train(
     task: str = "strip",
     algo: AlgoName = "ippo",
-    seed: int = 0,
-    steps: int = 3_000_000,
-    until: float = 0.99,
-    worlds: int = 500,
-    novelty: float = 0.0,
-    cars: int | None = None,
-    blocks: int | None = None,
+    seed: Annotated[int, SEED] = 0,
+    steps: Annotated[int, TRAIN_STEPS] = 3_000_000,
+    until: Annotated[float, SHARE] = 0.99,
+    worlds: Annotated[int, BATCH] = 500,
+    novelty: Annotated[float, BONUS] = 0.0,
+    cars: Annotated[int | None, CARS] = None,
+    blocks: Annotated[int | None, BLOCKS] = None,
     starts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
-    episodes: int = 1000,
+    episodes: Annotated[int, TRAIN_EPISODES] = 1000,
     resume: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
@@ -62,10 +65,6 @@ def train(
         out: folder for policy.pt, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not given.
     """
     need_torch()
-    if steps < 1 or episodes < 1:
-        raise InputError("--steps and --episodes must be at least 1")
-    if not 0 <= until <= 1:
-        raise InputError(f"--until is {until}; allowed: 0 to 1")
     from craftsim.discrete.tasks import as_task
 
     config = TrainConfig(task, algo, seed, worlds, novelty=novelty, n_cars=cars, n_blocks=blocks)
@@ -81,14 +80,14 @@ def train(
 
     # One thread adds numbers up in one order, so that a run can be repeated bit for bit.
     torch.set_num_threads(1)
-    console = Console()
+    console = Terminal()
     trainer = _trainer(config, learnt, starts, folder, resume)
     begun = time.perf_counter()
     try:
         _run(trainer, console, steps, until, folder)
     except KeyboardInterrupt:
         trainer.save(folder)
-        print(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}")
+        say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}")
         return INTERRUPTED
     trainer.save(folder)
     asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
@@ -169,9 +168,9 @@ def _report(trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: floa
     }
     wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
     report = write_report(folder, figures, command="train", seed=config.seed, config=asked, wall=wall)
-    print(
+    say(
         f"{trainer.task.name}, {config.algo}: success {success.rate:.3f} ({success.wilson_low:.3f} to "
         f"{success.wilson_high:.3f}) in {played.episodes} fresh episodes of {played.mean_ticks:.1f} ticks, after "
         f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s."
     )
-    print(f"Policy: {folder / 'policy.pt'}\nReport: {report}")
+    say(f"Policy: {folder / 'policy.pt'}\nReport: {report}")

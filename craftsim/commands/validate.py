@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import tyro
-from rich.console import Console
 
 from craftsim.commands.options import CampaignOptions, Dir, File
+from craftsim.commands.terminal import Terminal
+from craftsim.commands.text import say
 from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.storage.limits import BLOCKS, CARS, EPISODE_TICKS, RUNS, TIMEOUT_S
 
 OPTIONS: Final = CampaignOptions()
 
@@ -24,10 +26,10 @@ def validate(
     policy: tuple[str, ...] = (),
     order: Literal["sequential", "ticks", "concurrent"] = "ticks",
     campaign: tyro.conf.OmitArgPrefixes[CampaignOptions] = OPTIONS,
-    cars: int | None = None,
-    blocks: int | None = None,
-    max_steps: int = 14,
-    timeout: float = 600.0,
+    cars: Annotated[int | None, CARS] = None,
+    blocks: Annotated[int | None, BLOCKS] = None,
+    max_steps: Annotated[int, EPISODE_TICKS] = 14,
+    timeout: Annotated[float, TIMEOUT_S] = 600.0,
     video: Literal["none", "failures", "all"] = "failures",
     shrink: bool = False,
     out: Dir = Path("out/validate"),
@@ -68,9 +70,12 @@ def validate(
     from craftsim.validation.html.validate import validate_page
     from craftsim.validation.html.writing import write_html
 
-    campaign.check()
+    RUNS.check(
+        "--trials times worlds and policies",
+        campaign.trials * len(worlds or TASK_NAMES) * max(1, len(policy)),
+    )
     output_directory(out)
-    console = Console()
+    console = Terminal()
     filming = video != "none" and rendering_works(console)
     # Workers find the modules of tasks and policies where this process finds them.
     sys.path.insert(0, os.getcwd())
@@ -117,7 +122,7 @@ def validate(
     print_smallest(console, out, result.smallest)
     print_capped(result.figures.capped_steps)
     if result.comparison is not None:
-        print(result.comparison)
-    print(f"Report: {out / 'report.json'}\nPage:   {page}")
-    print(conclusion(result))
+        say(result.comparison)
+    say(f"Report: {out / 'report.json'}\nPage:   {page}")
+    say(conclusion(result))
     return 0 if result.agrees else 1

@@ -14,6 +14,8 @@ from typing import Final
 from rich.table import Table
 
 from craftsim.checking.attempt import Result
+from craftsim.commands.terminal import cell
+from craftsim.commands.text import say
 from craftsim.validation.campaign import TrialRecord
 from craftsim.validation.play.coverage import ALL, Coverage
 from craftsim.validation.play.neighbourhood import NEIGHBOURS
@@ -36,7 +38,7 @@ def runs_table(records: Iterable[TrialRecord]) -> Table:
     for record in records:
         rows.setdefault((record["context"], record["group"]), _Row()).add(record)
     for (name, by), row in rows.items():
-        table.add_row(name, by, *row.cells())
+        table.add_row(cell(name), cell(by), *row.cells())
     return table
 
 
@@ -91,11 +93,11 @@ def print_disagreements(out: Path, records: Iterable[TrialRecord]) -> None:
         if bad := next((a for a in record["attempts"] if a["result"] != Result.AS_PREDICTED), None):
             text = f"tick {bad['tick']} car {bad['car']} {bad['action']}: "
             text += f"{bad['result']}: {bad['reason']}" if bad["legal"] else f"not tried: {bad['reason']}"
-        print(f"{record['key']}: {text}")
+        say(f"{record['key']}: {text}")
         if record["bundle"]:
-            print(f"  craftsim replay {out / record['bundle']}")
+            say(f"  craftsim replay {out / record['bundle']}")
     if more := sum(1 for _ in wrong):
-        print(f"and {more} more in the report")
+        say(f"and {more} more in the report")
 
 
 def conclusion(result: Validation) -> str:
@@ -103,6 +105,6 @@ def conclusion(result: Validation) -> str:
     asked = sum(any(not a["legal"] for a in record["attempts"]) for record in result.records)
     if all(thirds := result.figures.drift.values()):
         found = ", ".join(f"{d.median:.2f} (at most {d.max:.2f}, {d.n} things)" for d in thirds if d)
-        print(f"Set down in the first, middle and last third of the runs: median {found} mm off.")
+        say(f"Set down in the first, middle and last third of the runs: median {found} mm off.")
     text = f"{result.n_agree} of {len(result.records)} runs did in physics what the rules predict"
     return f"{text}; {asked} asked for actions that the rules forbid." if asked else f"{text}."

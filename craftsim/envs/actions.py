@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,16 @@ from craftsim.discrete.actions import Action
 from craftsim.errors import InputError
 
 N_ACTIONS = len(Action)
+
+
+def by_agent(actions: Mapping[str, Any], agents: Sequence[str]) -> list[Any]:
+    """Return the actions of agents in their order; raise InputError where one has none."""
+    missing = [agent for agent in agents if agent not in actions]
+    if missing:
+        raise InputError(
+            f"no action for {', '.join(missing)}; actions must be a dictionary with one for each agent"
+        )
+    return [actions[agent] for agent in agents]
 
 
 def checked(actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:

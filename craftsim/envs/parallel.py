@@ -11,12 +11,11 @@ from pettingzoo import ParallelEnv
 
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import Task
-from craftsim.envs.actions import N_ACTIONS
+from craftsim.envs.actions import N_ACTIONS, by_agent
 from craftsim.envs.backend import Backend
 from craftsim.envs.core import Core
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.envs.spaces import car_space, state_space
-from craftsim.errors import InputError
 
 Observation = dict[str, NDArray[Any]]
 
@@ -91,12 +90,7 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
         """
         self.core.require_episode()
         agents = self.agents
-        missing = [agent for agent in agents if agent not in actions]
-        if missing:
-            raise InputError(
-                f"no action for {', '.join(missing)}; actions must be a dictionary with one for each agent"
-            )
-        result = self.core.step([actions[agent] for agent in agents])
+        result = self.core.step(by_agent(actions, agents))
         if result.terminated or result.truncated:
             self.agents = []
         return (

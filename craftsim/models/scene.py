@@ -10,6 +10,7 @@ from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.placement import placements
+from craftsim.storage.writing import write_whole
 
 
 def write_scene(
@@ -19,12 +20,14 @@ def write_scene(
     goals: Sequence[Cell] = (),
     machines: Machines = NOMINAL,
 ) -> None:
-    """Write ``site.xml``, the start of a world before it settles, and its meshes into a folder."""
+    """Write ``site.xml``, the start of a world before it settles, and its meshes into a folder.
+
+    Raises InputError where the disk does not take a file.
+    """
     spec, _ = compose(grid, placements(grid, machines), config or SimulationConfig(), goals, machines)
     spec.compile()
-    for name, data in spec.assets.items():
+    files = {**spec.assets, "site.xml": spec.to_xml()}
+    for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "site.xml").write_text(spec.to_xml(), encoding="utf-8")
+        write_whole(path, content)

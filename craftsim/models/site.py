@@ -32,6 +32,21 @@ _BROKEN = [
         mujoco.mjtWarning.mjWARN_BADQACC,
     )
 ]
+
+
+def _without_log_file() -> None:
+    """Let MuJoCo's warnings go to the terminal alone, not into a MUJOCO_LOG.TXT in the folder where one works.
+
+    What they count is in ``data.warning`` all the same. A log file that somebody has chosen stays.
+    """
+    config = mujoco.MjLogConfig.get()
+    if config.logfile == "MUJOCO_LOG.TXT":
+        config.logto_file = False
+        config.set()
+
+
+_without_log_file()
+
 _STAY_AWAKE = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
 

@@ -6,6 +6,7 @@ OpenCV draws but ships no H.264 encoder; PyAV ships libx264 but does not draw. H
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +16,9 @@ import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from craftsim.errors import InputError
+from craftsim.storage.writing import unwritten, whole
 
 Frame = NDArray[np.uint8]
 """A picture, shape (height, width, 3), red green blue."""
@@ -31,11 +35,15 @@ _TEXT_HEIGHT: Final = 1 / 36
 """Height of a capital letter over the height of the frame: 20 pixels in a 720-pixel film."""
 
 
+class _Abandoned(Exception):
+    """A film is given up because of an error elsewhere."""
+
+
 class VideoWriter:
     """Context manager that encodes frames into an MP4 file (H.264, yuv420p, index before the pictures).
 
     The film is written under a temporary name and gets its own only when the block ends without an error, so
-    a file with the final name is always complete.
+    a file with the final name is always complete. Raises InputError where the disk does not take it.
     """
 
     def __init__(self, path: Path, fps: int) -> None:
@@ -43,12 +51,15 @@ class VideoWriter:
         self.path = path
         self.fps = fps
         self.frames = 0
-        self._partial = path.with_name(f".{path.name}.partial")
+        self._file = ExitStack()
         self._container: Any = None
         self._stream: Any = None
 
     def __enter__(self) -> Self:
-        self._container = av.open(str(self._partial), "w", format="mp4", options={"movflags": "+faststart"})
+        with ExitStack() as file:
+            partial = file.enter_context(whole(self.path))
+            self._container = av.open(str(partial), "w", format="mp4", options={"movflags": "+faststart"})
+            self._file = file.pop_all()
         return self
 
     def write(self, frame: Frame, repeat: int = 1) -> None:
@@ -60,6 +71,7 @@ class VideoWriter:
 
         Raises:
             ValueError: the frame has another type or size, or an odd one.
+            InputError: the disk does not take it.
         """
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
             raise ValueError(f"a frame is uint8 of shape (height, width, 3), not {frame.dtype} {frame.shape}")
@@ -76,25 +88,25 @@ class VideoWriter:
                 f"this film is {self._stream.width} x {self._stream.height}, the frame {width} x {height}"
             )
         picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
-        for _ in range(repeat):
-            picture.pts = self.frames
-            self._container.mux(self._stream.encode(picture))
-            self.frames += 1
+        try:
+            for _ in range(repeat):
+                picture.pts = self.frames
+                self._container.mux(self._stream.encode(picture))
+                self.frames += 1
+        except OSError as error:
+            raise InputError(unwritten(self.path, error)) from error
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        complete = kind is None and self._stream is not None
-        try:
-            if complete:
+        with suppress(_Abandoned), self._file:
+            if error is None and self._stream is not None:
                 self._container.mux(self._stream.encode(None))
             self._container.close()
-            if complete:
-                self._partial.replace(self.path)
-        finally:
-            self._partial.unlink(missing_ok=True)
-        if kind is None and not complete:
-            raise ValueError("a film needs at least one frame")
+            if error is not None:
+                raise _Abandoned
+            if self._stream is None:
+                raise ValueError("a film needs at least one frame")
 
 
 def caption(frame: Frame, lines: Sequence[str]) -> Frame:

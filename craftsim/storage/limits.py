@@ -1,4 +1,4 @@
-"""How much a file of each format may hold; docs/limits.md shows the table.
+"""How much a file of each format may hold, and how large a number may be; docs/limits.md shows the tables.
 
 Nothing is read, unpacked or built before the limit that it falls under has been checked, so that no file, whoever
 wrote it, costs more than seconds and a few hundred megabytes.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final
+
+from craftsim.errors import InputError
 
 KIB: Final = 1024
 MIB: Final = 1024 * KIB
@@ -74,6 +76,53 @@ MAX_TRIALS: Final = 10_000_000
 """Of a campaign."""
 
 ALL: Final = (YAML, TEXT, BUNDLE, ARRAYS, STARTS, RECORDING, HEADER, TRIALS, POLICY, RUN, REPORT, TABLE)
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a number may be, both ends included; what is no number at all lies outside."""
+
+    low: float
+    high: float
+
+    def check(self, name: str, value: float) -> None:
+        """Raise InputError, beginning with ``name``, for a value outside."""
+        if not self.low <= value <= self.high:
+            shown = text if len(text := str(value)) <= 40 else f"{text[:37]}..."
+            raise InputError(f"{name} is {shown}; allowed: {self}")
+
+    def __str__(self) -> str:
+        """Return the range in words.
+
+        Example:
+            >>> str(Range(0, 1_000_000)), str(Range(0.01, 3600))
+            ('0 to 1000000', '0.01 to 3600')
+        """
+        return f"{self.low} to {self.high}"
+
+
+SEED: Final = Range(0, 2**63 - 1)
+"""What each of the libraries that draw takes."""
+TRIAL_COUNT: Final = Range(1, 1_000_000)
+RUNS: Final = Range(1, 1_000_000)
+"""Of a campaign, all together."""
+WORKERS: Final = Range(1, 256)
+TIMEOUT_S: Final = Range(0.01, 7 * 24 * 3600)
+CARS: Final = Range(0, 256)
+BLOCKS: Final = Range(0, 131_072)
+EPISODE_TICKS: Final = Range(1, 100_000)
+BATCH: Final = Range(1, 100_000)
+"""Worlds that are stepped side by side on the grid."""
+BENCH_S: Final = Range(0.001, 3600)
+BENCH_TICKS: Final = Range(2, 10_000)
+BENCH_RUNS: Final = Range(1, 10_000)
+SHOWN: Final = Range(0, 10_000)
+"""Mismatches that are drawn."""
+TRAIN_STEPS: Final = Range(1, 10**12)
+TRAIN_EPISODES: Final = Range(1, 1_000_000)
+SHARE: Final = Range(0, 1)
+BONUS: Final = Range(0, 1000)
+"""Of novelty."""
 
 
 def size_text(n_bytes: int) -> str:

@@ -45,6 +45,16 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
     return Path(path)
 
 
+def writable(text: str) -> str:
+    """Return a text with escapes for what UTF-8 cannot say, such as bytes in a file's name that are no text.
+
+    Example:
+        >>> writable("caf\udce9")
+        'caf\\udce9'
+    """
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def unwritten(path: Path, error: OSError) -> str:
     """Return the message for a file that the disk does not take."""
     return f"{path}: cannot be written: {error.strerror or error}; make room, or choose another --out"

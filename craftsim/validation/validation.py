@@ -205,7 +205,7 @@ def validate(
         default = PLAY if all(s.name == RANDOM for s in subjects) else PLANNER
         chosen = policy or default
         named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
-        pilots = [policy_pilot(one, subjects, order) for one in dict.fromkeys(named)]
+        pilots = [policy_pilot(one, subjects, order, rules, timeout_s) for one in dict.fromkeys(named)]
     folder = None if out is None else Path(out)
     setup = setup_of(randomize, rules, gains, machines, noise, assume)
     config: dict[str, Any] = {

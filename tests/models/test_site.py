@@ -196,3 +196,12 @@ def test_two_cars_in_one_cell_are_refused_before_they_are_compiled():
     grid.cars[:, :3] = [1, 0, 1]
     with pytest.raises(StartError, match=r"2 cars are in one cell, \(1, 0, 1\)"):
         Site(grid)
+
+
+def test_warnings_of_mujoco_are_counted_but_leave_no_log_in_the_working_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    site = Site(Grid.empty((1, 1, 1), n_cars=1))
+    site.data.qpos[0] = np.nan
+    site.advance()
+    assert site.diverged
+    assert list(tmp_path.iterdir()) == []

@@ -15,6 +15,8 @@ from craftsim.discrete.tasks.task_files import read_task
 from craftsim.errors import CraftsimError, InputError, suggestion
 
 _REGISTERED: Final[dict[str, Task]] = {}
+_ANYTHING: Final = (Exception, SystemExit)
+"""What others' code may raise, when it is imported or called."""
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -106,7 +108,7 @@ def _made(text: str) -> Task:
         sys.path.append(here)
     try:
         found: Any = importlib.import_module(name)
-    except Exception as error:
+    except _ANYTHING as error:
         raise InputError(
             f"task '{text}': module '{name}' cannot be imported: {type(error).__name__}: {error}"
         ) from error
@@ -132,5 +134,5 @@ def _called(text: str, factory: Callable[[], object]) -> object:
         return factory()
     except CraftsimError:
         raise
-    except Exception as error:
+    except _ANYTHING as error:
         raise InputError(f"task '{text}': the factory raised {type(error).__name__}: {error}") from error

@@ -14,6 +14,7 @@ from craftsim.discrete.files.documents import Node, Scalar, Sequence, Source, pa
 from craftsim.discrete.files.shipped import Shelf, find
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS, RewardName, Task, build_task, free_play
+from craftsim.storage.writing import writable
 
 TASK_KEYS: Final = ["start", "goal", "reward", "max_steps", "cars", "blocks"]
 PLATFORM: Final = "platform"
@@ -85,8 +86,9 @@ def _task(
     max_steps: int,
     platform: bool = False,
 ) -> Task:
+    name = writable(path.stem)
     flags = all(start.goal is not None and start.listed(Kind.FLAG) for start in starts)
     goal = starts[0].goal if flags and design is None and starts else None
     if design is None and goal is None and not platform:
-        return free_play(path.stem, starts, max_steps)
-    return build_task(path.stem, starts, design, goal, reward, max_steps)
+        return free_play(name, starts, max_steps)
+    return build_task(name, starts, design, goal, reward, max_steps)

@@ -18,12 +18,14 @@ from craftsim.discrete.files.documents import exists
 from craftsim.discrete.files.plan import Plan, read_actions, read_plan, shipped_plan
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
 from craftsim.models.site import Site
+from craftsim.storage.writing import writable
 from craftsim.validation.campaign import Item
 from craftsim.validation.play.worlds import MAX_CARS, RandomWorlds
-from craftsim.validation.runs.policies import RANDOM, Policy, make_policy, policy_digest
+from craftsim.validation.runs.policies import RANDOM, Policy, check_policy, policy_digest
 from craftsim.validation.runs.run import Run, Terms
 from craftsim.validation.runs.steps import PlanOrder, steps_of
 
@@ -124,12 +126,24 @@ def actions_pilot(path: Path, subject: Subject) -> Pilot:
 
 def _pilot(plan: Plan, subject: Subject, order: PlanOrder) -> Pilot:
     return Pilot(
-        plan.path.stem, _digest(repr(plan.ticks).encode()), {subject.name: steps_of(plan.ticks, order)}
+        writable(plan.path.stem),
+        _digest(repr(plan.ticks).encode()),
+        {subject.name: steps_of(plan.ticks, order)},
     )
 
 
-def policy_pilot(policy: str | Policy, subjects: Sequence[Subject], order: PlanOrder) -> Pilot:
-    """Return what does as a policy says; raise InputError where there is no such policy."""
+def policy_pilot(
+    policy: str | Policy,
+    subjects: Sequence[Subject],
+    order: PlanOrder,
+    rules: RuleSet = "physical",
+    timeout_s: float = 600.0,
+) -> Pilot:
+    """Return what does as a policy says.
+
+    One of others is asked here and now what it does at the start of each world. Raises InputError where there is no
+    such policy, and where it does not answer in time with an action for each agent.
+    """
     if not isinstance(policy, str):
         name = getattr(policy, "__name__", type(policy).__name__)
         return Pilot(name, _digest(name.encode()), policy=policy)
@@ -138,9 +152,10 @@ def policy_pilot(policy: str | Policy, subjects: Sequence[Subject], order: PlanO
     if policy != PLANNER:
         place = str(Path(policy).resolve()) if exists(policy) else policy
         for subject in subjects:
-            if not isinstance(subject.world, RandomWorlds):
-                make_policy(place, 0, as_task(subject.world))
-        return Pilot(policy, policy_digest(place), policy=place)
+            world = subject.world
+            task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)
+            check_policy(place, task, rules, timeout_s)
+        return Pilot(writable(policy), policy_digest(place), policy=place)
     for subject in subjects:
         if subject.world not in TASK_NAMES:
             raise InputError(

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import importlib.util
-from collections.abc import Callable
+import signal
+import sys
+import textwrap
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,8 +18,14 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.documents import exists
+from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
+from craftsim.envs.actions import by_agent, checked
+from craftsim.envs.options import Options
+from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
+from craftsim.storage.limits import RUN
+from craftsim.storage.reading import read_bytes
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` and ``action_mask`` (docs/envs.md)."""
@@ -25,6 +35,11 @@ Policy = Callable[[Observations], dict[str, int]]
 
 RANDOM: Final = "random"
 
+_CONTRACT: Final = (
+    "a policy takes observations by agent and returns a dictionary with a whole number from 0 to 14 for each"
+)
+_ANYTHING: Final = (Exception, SystemExit)
+"""What others' code may raise, when it is imported or called."""
 
 _WEIGHTS: Final = {
     Action.STOP: 0.05,
@@ -53,6 +68,33 @@ class RandomPolicy:
             weights = np.array([_WEIGHTS.get(Action(action), 1.0) for action in offered])
             drawn[agent] = int(self._rng.choice(offered, p=weights / weights.sum()))
         return drawn
+
+
+def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> None:
+    """Ask a policy what it does at the start of a task.
+
+    Raises InputError where there is no such policy, where it raises or takes too long, and where its answer is not one
+    of the 15 actions for each agent.
+    """
+    env = ParallelConstruction(task, Options("grid", rule_set=rules))
+    observations, _ = env.reset(seed=0)
+    try:
+        with _time_limit(timeout_s):
+            answer = make_policy(name, 0, task)(observations)
+    except _Hanging:
+        raise InputError(f"policy '{name}' gave no first answer within {timeout_s:g} s") from None
+    except InputError:
+        raise
+    except _ANYTHING as error:
+        raise InputError(f"policy '{name}' raised {_said(error)}; {_CONTRACT}") from error
+    if not isinstance(answer, Mapping):
+        raise InputError(f"policy '{name}' returned {type(answer).__name__}; {_CONTRACT}")
+    try:
+        checked(by_agent(answer, env.agents), (len(env.agents),))
+    except _ANYTHING as error:
+        raise InputError(
+            f"policy '{name}' returned what is no answer: {_said(error)}; {_CONTRACT}"
+        ) from error
 
 
 def make_policy(name: str, seed: int, task: Task | None = None) -> Policy:
@@ -89,9 +131,9 @@ def policy_digest(name: str) -> str:
     elif path.is_file():
         files = [path]
     else:
-        spec = importlib.util.find_spec(name.split(":", 1)[0])
-        files = [Path(spec.origin)] if spec is not None and spec.origin is not None else []
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+        source = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
+        files = [] if source is None else [Path(source)]
+    return hashlib.sha256(b"".join(read_bytes(file, RUN) for file in files)).hexdigest()
 
 
 def _function(name: str) -> Policy:
@@ -99,15 +141,48 @@ def _function(name: str) -> Policy:
     known = f"'{RANDOM}', 'planner', 'module:function', or the path of a trained policy"
     if not colon:
         raise InputError(f"no policy '{name}': there is no such file; allowed: {known}")
+    if not all(part.isidentifier() for part in (*module.split("."), function)):
+        raise InputError(f"policy '{name}': must be module:function, such as mypackage.policies:greedy")
     try:
         found = getattr(importlib.import_module(module), function)
+    except AttributeError as error:
+        if error.name != function:
+            raise InputError(f"policy '{name}': the module cannot be imported: {error}") from error
+        raise InputError(f"policy '{name}': the module {module} has no '{function}'") from None
     except ModuleNotFoundError as error:
         raise InputError(
             f"policy '{name}': {error}; modules are looked for in this folder too; allowed: {known}"
         ) from error
-    except AttributeError:
-        raise InputError(f"policy '{name}': the module {module} has no '{function}'") from None
+    except _ANYTHING as error:
+        raise InputError(f"policy '{name}': module '{module}' cannot be imported: {_said(error)}") from error
     if not callable(found):
         raise InputError(f"policy '{name}' is a {type(found).__name__}, not a function")
     policy: Policy = found
     return policy
+
+
+def _said(error: BaseException) -> str:
+    return textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
+
+
+class _Hanging(BaseException):
+    """The time is up; others' code does not catch it."""
+
+
+@contextmanager
+def _time_limit(seconds: float) -> Iterator[None]:
+    """Raise within the block when the time is up; in the main thread alone, the others cannot be interrupted."""
+
+    def stop(*_: object) -> None:
+        raise _Hanging
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
@@ -56,11 +57,18 @@ class Duration:
         return DurationKey(self.verb, self.load, self.level, self.slope)
 
 
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < math.inf:
+        raise ValueError(f"{value} is no duration")
+    return value
+
+
 _COLUMNS: Final = tuple(field.name for field in fields(Duration))
 _READ: Final[dict[str, Callable[[str], Any]]] = {
     "str": str,
     "int": int,
-    "float": float,
+    "float": _seconds,
     "bool": {"True": True, "False": False}.__getitem__,
 }
 """How the columns are read, by the type of their values."""
@@ -120,22 +128,23 @@ def read_durations(path: Path) -> dict[DurationKey, Duration]:
     Raises:
         InputError: the file cannot be read, has other columns, or a value is not of its column's kind.
     """
-    text = read_text(path, TABLE)
+    reader = csv.DictReader(io.StringIO(read_text(path, TABLE), newline=""), restval="")
     try:
-        reader = csv.DictReader(io.StringIO(text, newline=""), restval="")
         if tuple(reader.fieldnames or ()) != _COLUMNS:
             raise InputError(f"{path}: line 1: the columns must be {', '.join(_COLUMNS)}")
         rows = [_duration(path, reader.line_num, row) for row in reader]
     except csv.Error as error:
-        raise InputError(f"{path}: line {reader.line_num}: not a table: {error}") from None
+        raise InputError(f"{path}: line {reader.line_num}: not a table: {error}") from error
     return {row.key: row for row in rows}
 
 
-def _duration(path: Path, line: int, row: dict[str, str]) -> Duration:
+def _duration(path: Path, line: int, row: dict[Any, str]) -> Duration:
     try:
+        if None in row:
+            raise ValueError("more values than columns")
         return Duration(*(_READ[str(field.type)](row[field.name]) for field in fields(Duration)))
     except (KeyError, ValueError) as error:
         raise InputError(
-            f"{path}: line {line}: not a row of durations ({error}); level and n are whole numbers, "
+            f"{path}: line {line}: not a row of durations ({str(error)[:80]}); level and n are whole numbers, "
             "slope is True or False, the others are seconds"
         ) from error

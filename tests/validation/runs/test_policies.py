@@ -1,12 +1,14 @@
 """Policies are found by name, and what is wrong with a name is said."""
 
+import signal
 import sys
 
 import numpy as np
 import pytest
 
+from craftsim.discrete.tasks import make_task, task_of
 from craftsim.errors import InputError
-from craftsim.validation.runs.policies import make_policy, policy_digest
+from craftsim.validation.runs.policies import check_policy, make_policy, policy_digest
 
 OBSERVATIONS = {
     f"car_{i}": {
@@ -54,8 +56,81 @@ def test_a_changed_module_has_another_digest(module, tmp_path):
         ("no_such_module:f", "No module named 'no_such_module'"),
         ("own_policy:go", "the module own_policy has no 'go'"),
         ("own_policy:N", "is a int, not a function"),
+        ("own_policy:", "must be module:function"),
+        ("own_policy:stop.x", "must be module:function"),
+        (":", "must be module:function"),
+        ("::", "must be module:function"),
+        ("..:x", "must be module:function"),
+        (".rel:x", "must be module:function"),
+        ("own_policy.inner:x", "No module named"),
     ],
 )
 def test_what_is_wrong_with_a_name_is_said(module, name, message):
     with pytest.raises(InputError, match=message):
         make_policy(name, 0)
+
+
+ODD = """
+import sys, time
+if "leave" in __name__: sys.exit(4)
+def raises(seen): raise RuntimeError("no idea " + 1000 * "x")
+def leaves(seen): sys.exit(3)
+def hangs(seen):
+    while True:
+        try: time.sleep(3600)
+        except Exception: pass
+def nothing(seen): pass
+def one_short(seen): return {name: 6 for name in list(seen)[1:]}
+def too_large(seen): return {name: 99 for name in seen}
+def words(seen): return {name: "STOP" for name in seen}
+def lists(seen): return {name: [6] for name in seen}
+def keys(seen): return {3: 4}
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("os:system", "raised TypeError"),
+        ("builtins:len", "returned int; a policy takes"),
+        ("builtins:dict", "returned what is no answer"),
+        ("odd_policy:raises", r"raised RuntimeError: no idea .{0,300}; a policy takes"),
+        ("odd_policy:leaves", "raised SystemExit: 3"),
+        ("odd_policy:hangs", "gave no first answer within 0.5 s"),
+        ("odd_policy:nothing", "returned NoneType"),
+        ("odd_policy:one_short", "no action for car_0"),
+        ("odd_policy:too_large", "99"),
+        ("odd_policy:words", "whole numbers from 0 to 14"),
+        ("odd_policy:lists", "shape"),
+        ("odd_policy:keys", "no action for car_0, car_1"),
+        ("leave_policy:x", "cannot be imported: SystemExit: 4"),
+        ("broken_policy:x", "cannot be imported: SyntaxError"),
+    ],
+)
+def test_what_is_no_policy_is_refused_after_one_question(name, message, tmp_path, monkeypatch):
+    for module, source in {"odd_policy": ODD, "leave_policy": ODD, "broken_policy": "a b"}.items():
+        (tmp_path / f"{module}.py").write_text(source)
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=f"policy '{name}'.*{message}"):
+        check_policy(name, make_task("strip"), "physical", 0.5)
+
+
+def test_a_policy_that_answers_is_asked_once_and_nothing_is_left_of_the_clock(module):
+    before = signal.getsignal(signal.SIGALRM)
+    check_policy(f"{module}:stop", make_task("strip"), "physical", 60)
+    assert signal.getsignal(signal.SIGALRM) == before
+    assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
+
+
+@pytest.mark.parametrize("name", [":", "::", "..:x", ".rel:x", "os:", ":system", "a b:c", "leave_task:x"])
+def test_what_is_no_factory_of_tasks_is_refused(name, tmp_path, monkeypatch):
+    (tmp_path / "leave_task.py").write_text("import sys\nsys.exit(4)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=f"task '{name}'"):
+        task_of(name)
+
+
+def test_a_factory_that_leaves_is_refused():
+    with pytest.raises(InputError, match="the factory raised SystemExit"):
+        task_of("sys:exit")

@@ -1,0 +1,68 @@
+"""Text for people, whoever wrote it: nothing steers their terminal, and no letter that it lacks stops a command."""
+
+from __future__ import annotations
+
+import codecs
+import io
+import os
+import re
+import select
+import sys
+from typing import Final
+
+_STEERING: Final = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Control characters besides tab and newline, those that turn the direction of writing, and what is no text."""
+_ASCII: Final = {"←": "<", "→": ">", "↑": "^", "↓": "v", "…": "."}
+"""What stands for a sign that a terminal lacks, where it is not a question mark."""
+_ERRORS: Final = "craftsim.plain"
+
+
+def clean(text: object) -> str:
+    """Return a text with escapes such as ``\\x1b`` for all that would steer a terminal.
+
+    Example:
+        >>> clean("red: \\x1b[31m")
+        'red: \\\\x1b[31m'
+    """
+    return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
+
+
+def say(text: object) -> None:
+    """Print a text, cleaned, on standard output."""
+    print(clean(text))
+
+
+def complain(text: object) -> None:
+    """Print a text, cleaned, on standard error, as coming from this program."""
+    print(f"craftsim: {clean(text)}", file=sys.stderr)
+
+
+def show_what_can_be_shown() -> None:
+    """Let standard output and error put other signs in place of those that their encoding lacks."""
+    codecs.register_error(_ERRORS, _other_signs)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=_ERRORS)
+
+
+def _other_signs(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(_ASCII.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
+
+
+def reader_is_gone() -> bool:
+    """Return whether standard output or error is a pipe that nobody reads from any more."""
+    poll = select.poll()
+    for number in (1, 2):
+        poll.register(number, 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
+
+
+def drop_output() -> None:
+    """Drop what standard output still holds, and all that comes, so that the end of the process does not fail on it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.close(nowhere)

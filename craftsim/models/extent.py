@@ -10,7 +10,7 @@ import numpy as np
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.errors import InputError, StartError
-from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_CELLS, PHYSICS_PARTS
+from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_CELLS, PHYSICS_GOALS, PHYSICS_PARTS
 
 _PARTS: Final = (Kind.BLOCK, Kind.FLAG, Kind.WALL, Kind.FSLOPE, Kind.BODY)
 """What stands for one part each."""
@@ -28,6 +28,7 @@ def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
         (length * width * height, PHYSICS_CELLS, "cells"),
         (grid.n_cars, PHYSICS_CARS, "cars"),
         (parts, PHYSICS_PARTS, "parts, which are cars, loads, blocks, slopes, flags and walls together"),
+        (len(goals), PHYSICS_GOALS, "marked goals"),
     ):
         if number > most:
             raise InputError(

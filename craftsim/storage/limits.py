@@ -59,6 +59,8 @@ PHYSICS_CARS: Final = 16
 PHYSICS_PARTS: Final = 128
 """Cars, loads, blocks, slopes, flags and walls of a world in physics together: what compiles, and settles
 while all of it moves, in 2 s and 500 MB."""
+PHYSICS_GOALS: Final = 1024
+"""Cells that are marked in a world in physics."""
 PHYSICS_STEPS: Final = 1_000_000
 """Of a replay: an hour of simulated time at the usual time step."""
 SHRINK_S: Final = 3600.0

@@ -71,6 +71,7 @@ EDITS = {
     "a large area": (("recipe", "world"), WORLD.format(128, 8, 1, 2), "131072 cells: too large for physics"),
     "two cars in a cell": (("recipe", "world"), WORLD.format(3, 2, 1, 2) + ONE_CELL, "2 cars are in one cell"),
     "a goal far away": (("recipe", "goals"), [[10**30, 0, 1]], "outside of the area"),
+    "many goals": (("recipe", "goals"), [[0, 0, 1]] * 1025, "1025 marked goals"),
     "another world intended": ((*FIRST, "intended"), WORLD.format(9, 2, 1, 2), "intended world of a step"),
     "an endless gain": (("recipe", "setup", "gains", "hinge", "allowance"), 1e300, "hinge.allowance must be from"),
     "a mass without sense": (

@@ -87,6 +87,10 @@ def _results(command: Command, out: Path) -> tuple[object, bytes, list[str]]:
     return report, command.results(out), files
 
 
+def _names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
 def _session(number: int) -> list[str]:
     """Return the processes of a session that are alive, with their commands."""
     found = []
@@ -153,18 +157,18 @@ def _round(
     name: str,
     folder: Path,
     rng: random.Random,
-    undisturbed: tuple[float, Counter[str], tuple[object, bytes, list[str]]],
+    undisturbed: tuple[float, Counter[str], tuple[object, bytes, list[str]], set[str]],
 ) -> None:
-    command, (took_s, seen, expected) = COMMANDS[name], undisturbed
+    command, (took_s, seen, expected, caches) = COMMANDS[name], undisturbed
     with tempfile.TemporaryDirectory(dir=folder) as place, tempfile.TemporaryDirectory(dir=folder) as scratch:
         out = Path(place) / "out"
         moments = [_kill(command, out, Path(scratch), rng, took_s, seen) for _ in range(KILLS)]
         if not (out / "report.json").exists() or command.begun == "campaign.json":
             _finish(command, out, Path(scratch))
-        found, left = _results(command, out), sorted(path.name for path in Path(scratch).iterdir())
+        found, left = _results(command, out), _names(Path(scratch)) - caches
     same = found == expected and not left
     print(f"{name}: {'; '.join(moments)}: {'equal' if same else 'DIFFERENT'}", flush=True)
-    assert not left, f"left in the temporary folder: {left}"
+    assert not left, f"left in the temporary folder: {sorted(left)}"
     for one, other in zip(found, expected, strict=True):
         assert one == other, f"{name}: {one!r:.2000}\nis not\n{other!r:.2000}"
 
@@ -179,7 +183,8 @@ def main(names: list[str], rounds: int, seed: int) -> None:
             scratch.mkdir()
             took_s, seen = _finish(COMMANDS[name], out, scratch)
             print(f"{name}: undisturbed in {took_s:.1f} s, writing {dict(sorted(seen.items()))}", flush=True)
-            undisturbed = took_s, seen, _results(COMMANDS[name], out)
+            # Libraries keep caches in the temporary folder, torch for instance.
+            undisturbed = took_s, seen, _results(COMMANDS[name], out), _names(scratch)
             for _ in range(rounds):
                 _round(name, folder, rng, undisturbed)
 

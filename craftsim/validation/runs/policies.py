@@ -76,11 +76,13 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
     Raises InputError where there is no such policy, where it raises or takes too long, and where its answer is not one
     of the 15 actions for each agent.
     """
-    env = ParallelConstruction(task, Options("grid", rule_set=rules))
-    observations, _ = env.reset(seed=0)
     try:
         with _time_limit(timeout_s):
-            answer = make_policy(name, 0, task)(observations)
+            policy = make_policy(name, 0, task)
+        env = ParallelConstruction(task, Options("grid", rule_set=rules))
+        observations, _ = env.reset(seed=0)
+        with _time_limit(timeout_s):
+            answer = policy(observations)
     except _Hanging:
         raise InputError(f"policy '{name}' gave no first answer within {timeout_s:g} s") from None
     except InputError:

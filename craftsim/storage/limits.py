@@ -55,8 +55,8 @@ YAML_DEPTH: Final = 8
 
 PHYSICS_CELLS: Final = 8192
 """Of the area of a world in physics: nine times that of the largest random world."""
-PHYSICS_CARS: Final = 16
-PHYSICS_PARTS: Final = 128
+PHYSICS_CARS: Final = 32
+PHYSICS_PARTS: Final = 192
 """Cars, loads, blocks, slopes, flags and walls of a world in physics together: what compiles, and settles
 while all of it moves, in 2 s and 500 MB."""
 PHYSICS_GOALS: Final = 1024

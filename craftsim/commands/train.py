@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from craftsim.errors import InputError
 from craftsim.report import output_directory, write_report
+from craftsim.storage.limits import SHARE, TRAIN_EPISODES, TRAIN_STEPS
 from craftsim.training.config import AlgoName, TrainConfig
 from craftsim.training.extra import need_torch
 
@@ -62,10 +63,9 @@ def train(
         out: folder for policy.pt, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not given.
     """
     need_torch()
-    if steps < 1 or episodes < 1:
-        raise InputError("--steps and --episodes must be at least 1")
-    if not 0 <= until <= 1:
-        raise InputError(f"--until is {until}; allowed: 0 to 1")
+    TRAIN_STEPS.check("--steps", steps)
+    SHARE.check("--until", until)
+    TRAIN_EPISODES.check("--episodes", episodes)
     from craftsim.discrete.tasks import as_task
 
     config = TrainConfig(task, algo, seed, worlds, novelty=novelty, n_cars=cars, n_blocks=blocks)
@@ -104,10 +104,7 @@ def _trainer(config: TrainConfig, task: Task, starts: Path | None, folder: Path,
 
     other = with_starts(task, starts) if starts else None
     if resume:
-        trainer = Trainer.resume(folder, other)
-        if trainer.config != config:
-            raise InputError(f"{folder / RUN_FILE} was begun with {trainer.config}, not with {config}")
-        return trainer
+        return Trainer.resume(folder, other, config=config)
     if (folder / RUN_FILE).exists():
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
     return Trainer(config, other, task)

@@ -27,6 +27,8 @@ class Limits:
     """Unpacked, for all of it together; the same as on disk where nothing is packed."""
     line_bytes: int = 0
     """For a single line, unpacked, in a format that is read line by line."""
+    members: int = 64
+    """Files in an archive."""
 
 
 def _plain(what: str, size: int, line_bytes: int = 0) -> Limits:
@@ -41,11 +43,19 @@ STARTS: Final = Limits("file of starts", 32 * MIB, 64 * MIB)
 RECORDING: Final = Limits("recording", 64 * MIB, 256 * MIB, line_bytes=MIB)
 HEADER: Final = _plain("campaign.json", 4 * MIB)
 TRIALS: Final = _plain("trials.jsonl", 64 * 1024 * MIB, line_bytes=16 * MIB)
-POLICY: Final = _plain("policy file", 64 * MIB)
-RUN: Final = _plain("run file", 256 * MIB)
+POLICY: Final = _plain("policy file", 128 * MIB)
+RUN: Final = Limits("run file", 4096 * MIB, 4096 * MIB, members=1024)
 REPORT: Final = _plain("report.json", 64 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
 
+PICKLE_BYTES: Final = 4 * MIB
+"""Of the table of contents of a policy or run file."""
+PICKLE_STEPS: Final = 500_000
+"""Of that table: values in it, about."""
+CURVE_POINTS: Final = 20_000
+"""Of a learning curve."""
+LARGEST_WEIGHT: Final = 1e4
+"""Of a network."""
 START_WORLDS: Final = 20_000
 """Of a file of starts."""
 RECORDS: Final = 200_000

@@ -1,8 +1,8 @@
 """Recordings, files of starts, policies and runs that are damaged: read, or refused with our own error."""
 
 import numpy as np
-from fuzzing import policies, recordings
 import pytest
+from fuzzing import policies, recordings
 
 CASES = {
     **{name: (target, 1000) for name, target in recordings.TARGETS.items()},

@@ -5,9 +5,9 @@ import pytest
 from fuzzing import policies, recordings
 
 CASES = {
-    **{name: (target, 1000) for name, target in recordings.TARGETS.items()},
-    "policy": (policies.policy, 500),
-    "run": (policies.run, 50),
+    **{name: (target, 600) for name, target in recordings.TARGETS.items()},
+    "policy": (policies.policy, 300),
+    "run": (policies.run, 30),
 }
 
 

@@ -65,6 +65,10 @@ def test_a_policy_that_is_none_is_one_message(name, saved, tmp_path):
     assert str(error.value).startswith(str(path))
 
 
+def _many_blocks(seen):
+    return seen.index_fill(-1, torch.tensor([7]), 99)
+
+
 BUFFER = ("learner", "buffer", "_storage", "_storage")
 RUNS = {
     "other weights": (("learner", "modules", {}), "missing or unknown"),
@@ -73,7 +77,7 @@ RUNS = {
     "its steps": (("learner", "optimizer", "state", 0, "step", torch.tensor(-1.0)), "'step' of the optimiser"),
     "its settings": (("learner", "optimizer", "param_groups", 0, "lr", 1e9), "a setting of the optimiser"),
     "what is remembered": ((*BUFFER, "agents.action", lambda t: t + 99), "what no tick has"),
-    "what was seen": ((*BUFFER, "agents.observation", lambda t: t.index_fill(-1, torch.tensor([7]), 99)), "what no tick has"),
+    "what was seen": ((*BUFFER, "agents.observation", _many_blocks), "what no tick has"),
     "how much": (("learner", "buffer", "_storage", "_len", 10**9), "remembers 1000000000 ticks"),
     "where": (("learner", "buffer", "_writer", "_cursor", -1), "remembers"),
     "the part of random actions": (("learner", "epsilon", "eps", torch.tensor(7.0)), "the part of random actions"),

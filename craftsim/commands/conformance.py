@@ -43,7 +43,7 @@ def conformance(
     from craftsim.discrete.records.conformance import Checker
     from craftsim.discrete.records.traces import read_records
     from craftsim.discrete.rules import Rules
-    from craftsim.errors import InputError
+    from craftsim.errors import CraftsimError, InputError
     from craftsim.report import output_directory, write_report
 
     if not files:
@@ -56,8 +56,8 @@ def conformance(
         for line, record in read_records(file):
             try:
                 checker.check(line, record)
-            except (KeyError, ValueError, TypeError, IndexError) as error:
-                raise InputError(f"{file}:{line}: not a record as we know it: {error!r}") from error
+            except CraftsimError as error:
+                raise InputError(f"{file}:{line}: not a record: {error}") from error
     tally = checker.tally
     _print(tally)
     if out is not None:

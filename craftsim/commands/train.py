@@ -103,10 +103,7 @@ def _trainer(config: TrainConfig, task: Task, starts: Path | None, folder: Path,
 
     other = with_starts(task, starts) if starts else None
     if resume:
-        trainer = Trainer.resume(folder, other)
-        if trainer.config != config:
-            raise InputError(f"{folder / RUN_FILE} was begun with {trainer.config}, not with {config}")
-        return trainer
+        return Trainer.resume(folder, other, config=config)
     if (folder / RUN_FILE).exists():
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
     return Trainer(config, other, task)

@@ -27,6 +27,8 @@ class Limits:
     """Unpacked, for all of it together; the same as on disk where nothing is packed."""
     line_bytes: int = 0
     """For a single line, unpacked, in a format that is read line by line."""
+    members: int = 64
+    """Files in an archive."""
 
 
 def _plain(what: str, size: int, line_bytes: int = 0) -> Limits:
@@ -37,12 +39,12 @@ YAML: Final = _plain("YAML file", 256 * KIB)
 TEXT: Final = _plain("plan", 256 * KIB)
 BUNDLE: Final = _plain("bundle.json", 8 * MIB)
 ARRAYS: Final = Limits("archive of arrays", 16 * MIB, 64 * MIB)
-STARTS: Final = Limits("file of starts", 32 * MIB, 128 * MIB)
-RECORDING: Final = Limits("recording", 256 * MIB, 4096 * MIB, line_bytes=4 * MIB)
+STARTS: Final = Limits("file of starts", 32 * MIB, 64 * MIB)
+RECORDING: Final = Limits("recording", 64 * MIB, 256 * MIB, line_bytes=MIB)
 HEADER: Final = _plain("campaign.json", 4 * MIB)
 TRIALS: Final = _plain("trials.jsonl", 64 * 1024 * MIB, line_bytes=16 * MIB)
-POLICY: Final = _plain("policy file", 64 * MIB)
-RUN: Final = _plain("run file", 256 * MIB)
+POLICY: Final = _plain("policy file", 128 * MIB)
+RUN: Final = Limits("run file", 4096 * MIB, 4096 * MIB, members=1024)
 REPORT: Final = _plain("report.json", 64 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
 
@@ -74,8 +76,26 @@ ACTIONS_WITHOUT_TIME: Final = 1000
 MAX_ERROR_CHARACTERS: Final = 8000
 """Of an error's message, and of its traceback, in the record of a trial; of a longer one the middle is left out."""
 
-MAX_TRIALS: Final = 10_000_000
-"""Of a campaign."""
+PICKLE_BYTES: Final = 4 * MIB
+"""Of the table of contents of a policy or run file."""
+PICKLE_STEPS: Final = 500_000
+"""Of that table: values in it, about."""
+CURVE_POINTS: Final = 20_000
+"""Of a learning curve."""
+LARGEST_WEIGHT: Final = 1e4
+"""Of a network."""
+START_WORLDS: Final = 20_000
+"""Of a file of starts."""
+RECORDS: Final = 200_000
+"""Of a recording."""
+RECORDED_CELLS: Final = 50_000_000
+"""Of all its records together."""
+RECORDED_CARS: Final = 64
+"""Of a record."""
+RECORDED_DEPTH: Final = 64
+"""Of the search of the action helper."""
+RECORDED_TICKS: Final = 1_000_000
+"""Of an episode."""
 
 ALL: Final = (YAML, TEXT, BUNDLE, ARRAYS, STARTS, RECORDING, HEADER, TRIALS, POLICY, RUN, REPORT, TABLE)
 
@@ -125,6 +145,7 @@ TRAIN_EPISODES: Final = Range(1, 1_000_000)
 SHARE: Final = Range(0, 1)
 BONUS: Final = Range(0, 1000)
 """Of novelty."""
+NETWORK_WIDTH: Final = Range(1, 4096)
 
 
 def size_text(n_bytes: int) -> str:

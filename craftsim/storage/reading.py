@@ -6,9 +6,11 @@ import gzip
 import io
 import os
 import stat
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -20,16 +22,24 @@ from craftsim.storage.limits import Limits, size_text
 
 Arrays = dict[str, NDArray[np.generic]]
 
-MAX_MEMBERS: Final = 64
-"""Files in an archive."""
 MAX_AXES: Final = 6
 """Of an array."""
 _HEADER_BYTES: Final = 4096
 _KINDS: Final = "biuf"
 """Kinds of the elements of arrays: booleans and numbers."""
 _PACKED: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-_DAMAGED: Final = (ValueError, EOFError, KeyError, RuntimeError, NotImplementedError, OverflowError)
-"""What zipfile and NumPy raise for archives that are none, besides errors of their own."""
+ARCHIVE_ERRORS: Final = (
+    *(zipfile.BadZipFile, zlib.error, OSError, struct.error),
+    *(ValueError, EOFError, KeyError, RuntimeError, NotImplementedError, OverflowError),
+)
+"""What zipfile and NumPy raise for archives that are none."""
+_END_BYTES: Final = 22
+"""Of what ends a zip file, without a comment."""
+_LARGE_BYTES: Final = 20 + 56
+"""Of what stands before that in an archive for more than 4 GiB, as torch writes all of them."""
+_TAIL_BYTES: Final = _LARGE_BYTES + _END_BYTES + (1 << 16)
+_DIRECTORY_BYTES: Final = 512
+"""For each file of an archive, in the list at its end."""
 
 
 def open_file(path: Path, limits: Limits) -> IO[bytes]:
@@ -128,21 +138,46 @@ def read_arrays(path: Path, limits: Limits) -> Arrays:
 
     Raises InputError for another file, or more or larger arrays than allowed.
     """
+    try:
+        with open_archive(path, limits) as archive:
+            return _arrays(path, archive)
+    except ARCHIVE_ERRORS as error:
+        raise InputError(f"{path}: damaged or not an archive of arrays: {_reason(error)}") from None
+
+
+@contextmanager
+def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
+    """Open a zip file; raise InputError for one that unpacks to more than it may, and as :func:`open_file`.
+
+    Whoever reads from it expects ARCHIVE_ERRORS.
+    """
     with open_file(path, limits) as file:
-        try:
-            with zipfile.ZipFile(file) as archive:
-                return _arrays(path, archive, limits)
-        except zipfile.BadZipFile as error:
-            raise InputError(f"{path}: not an archive of arrays: {error}") from None
-        except (zlib.error, OSError, *_DAMAGED) as error:
-            raise InputError(f"{path}: damaged or not an archive of arrays: {_reason(error)}") from None
+        if _directory_bytes(file) > limits.members * _DIRECTORY_BYTES:
+            raise InputError(f"{path}: too many files inside; allowed: at most {limits.members}")
+        with zipfile.ZipFile(file) as archive:
+            check_archive(path, archive, limits)
+            yield archive
+
+
+def _directory_bytes(file: IO[bytes]) -> int:
+    """Return the length of the list at the end of a zip file, all of which zipfile would read at once."""
+    file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
+    tail = file.read(_TAIL_BYTES)
+    end = len(tail) - _END_BYTES
+    if not (tail[max(end, 0) :].startswith(b"PK\5\6") and tail.endswith(b"\0\0")):
+        end = tail.rfind(b"PK\5\6")
+    if end < 0 or len(tail) - end < _END_BYTES:
+        return 0
+    if end >= _LARGE_BYTES and tail[end - 20 :].startswith(b"PK\6\7"):
+        return int.from_bytes(tail[end - _LARGE_BYTES + 40 : end - _LARGE_BYTES + 48], "little")
+    return int.from_bytes(tail[end + 12 : end + 16], "little")
 
 
 def check_archive(path: Path, archive: zipfile.ZipFile, limits: Limits) -> None:
     """Raise InputError for an archive that unpacks to more than it may."""
     members = archive.infolist()
-    if len(members) > MAX_MEMBERS:
-        raise InputError(f"{path}: {len(members)} files inside; allowed: at most {MAX_MEMBERS}")
+    if len(members) > limits.members:
+        raise InputError(f"{path}: {len(members)} files inside; allowed: at most {limits.members}")
     total = sum(member.file_size for member in members)
     if total > limits.content_bytes:
         raise InputError(
@@ -152,8 +187,7 @@ def check_archive(path: Path, archive: zipfile.ZipFile, limits: Limits) -> None:
         raise InputError(f"{path}: packed in a way that is not allowed; allowed: stored or deflated")
 
 
-def _arrays(path: Path, archive: zipfile.ZipFile, limits: Limits) -> Arrays:
-    check_archive(path, archive, limits)
+def _arrays(path: Path, archive: zipfile.ZipFile) -> Arrays:
     found: Arrays = {}
     for member in archive.infolist():
         name = member.filename.removesuffix(".npy")

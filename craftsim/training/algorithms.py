@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from craftsim.training.config import TrainConfig
-from craftsim.training.features import Shape
 from craftsim.training.learner import Learner
 from craftsim.training.off_policy import QLearner
 from craftsim.training.on_policy import PPOLearner
+from craftsim.training.shape import Shape
 
 
 def make_learner(config: TrainConfig, shape: Shape, ticks: int) -> Learner:

@@ -5,24 +5,72 @@ Both hold tensors and plain values only, and are read such that nothing in them 
 
 from __future__ import annotations
 
-import pickle
-from dataclasses import asdict
+import dataclasses
+import json
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
-import torch
-
-from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.errors import InputError
+from craftsim.storage.limits import CURVE_POINTS, POLICY, RUN, Limits
+from craftsim.storage.mistakes import first_mistake
+from craftsim.storage.writing import whole
+from craftsim.training.archive import reading_archive
 from craftsim.training.config import TrainConfig
-from craftsim.training.features import Shape
+from craftsim.training.curve import Point
 from craftsim.training.identity import TaskIdentity
-from craftsim.training.networks import CarNet
+from craftsim.training.shape import Shape
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+
+    from craftsim.training.networks import CarNet
 
 POLICY_FILE: Final = "policy.pt"
 RUN_FILE: Final = "run.pt"
 FORMAT: Final = 2
 """Raised whenever older files cannot be read any more."""
+
+T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True)
+class PolicyHead:
+    """All of a policy file but the weights."""
+
+    config: TrainConfig
+    task: TaskIdentity
+    shape: Shape
+    versions: dict[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class RunHead:
+    """All of a run file but tensors."""
+
+    config: TrainConfig
+    task: TaskIdentity
+    starts: str
+    """Digest of the other starts; empty without."""
+    versions: dict[str, str]
+    iteration: int
+    wall_s: float
+    curve: list[Point]
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.iteration < 2**60 or self.wall_s < 0:
+            raise InputError(f"iteration is {self.iteration} after {self.wall_s} s; allowed: 0 or more")
+
+
+@dataclasses.dataclass(frozen=True)
+class SavedRun:
+    """A run file, open: its tensors are read within the block of :func:`open_run`."""
+
+    head: RunHead
+    learner: Any
+    novelty: Any
 
 
 def save_policy(
@@ -34,63 +82,95 @@ def save_policy(
     versions: dict[str, str],
 ) -> None:
     """Write a policy, and what it was trained for and with."""
-    _save(
-        path,
-        {
-            "kind": "policy",
-            "config": config.as_dict(),
-            "task": identity.as_dict(),
-            "shape": asdict(shape),
-            "versions": versions,
-            "net": net.state_dict(),
-        },
-    )
+    head = PolicyHead(config, identity, shape, versions)
+    _save(path, {"kind": "policy", **dataclasses.asdict(head), "net": net.state_dict()})
 
 
 def read_policy(path: Path) -> tuple[TrainConfig, TaskIdentity, Shape, CarNet]:
     """Return what :func:`save_policy` wrote; raises InputError for any other file."""
-    content = _read(path, "policy")
-    try:
-        shape = Shape(**{**content["shape"], "size": tuple(content["shape"]["size"])})
-        net = CarNet(shape, N_ACTIONS)
-        net.load_state_dict(content["net"])
-        identity = TaskIdentity(**content["task"])
-        return TrainConfig.from_dict(content["config"]), identity, shape, net.eval()
-    except (KeyError, TypeError, RuntimeError, InputError) as error:
-        raise InputError(f"{path}: not a policy of this version of craftsim ({error})") from error
+    with _opened(path, "policy", POLICY) as content:
+        # Only after the file is known to be one of ours: torch takes a second and 200 MB.
+        saved = content.pop("net", None)
+        head = _head(PolicyHead, content)
+        if not isinstance(saved, dict):
+            raise InputError("it has no part 'net'")
+        import torch
+
+        from craftsim.discrete.rules.legality import N_ACTIONS
+        from craftsim.training.networks import CarNet
+        from craftsim.training.restoring import weights
+
+        with torch.device("meta"):
+            like = CarNet(head.shape, N_ACTIONS).state_dict()
+        state = weights(saved, like)
+        net = CarNet(head.shape, N_ACTIONS)
+        net.load_state_dict(state)
+        return head.config, head.task, head.shape, net.eval()
 
 
-def save_run(path: Path, content: dict[str, Any]) -> None:
+def save_run(path: Path, head: RunHead, learner: dict[str, Any], novelty: Any) -> None:
     """Write the state of a training run."""
-    _save(path, {"kind": "run", **content})
+    _save(path, {"kind": "run", **dataclasses.asdict(head), "learner": learner, "novelty": novelty})
 
 
-def read_run(path: Path) -> dict[str, Any]:
-    """Return what :func:`save_run` was given; raises InputError for any other file."""
-    return _read(path, "run")
+@contextmanager
+def open_run(path: Path) -> Iterator[SavedRun]:
+    """Give what :func:`save_run` wrote; raises InputError, beginning with the path, for any other file.
+
+    An InputError in the block is told as one of the file.
+    """
+    with _opened(path, "run", RUN) as content:
+        learner, novelty = content.pop("learner", None), content.pop("novelty", None)
+        yield SavedRun(_head(RunHead, content), learner, novelty)
 
 
 def _save(path: Path, content: dict[str, Any]) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        torch.save({"craftsim": FORMAT, **content}, partial)
-        partial.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+    import torch
+
+    with whole(path) as partial, partial.open("wb") as file:
+        try:
+            torch.save({"craftsim": FORMAT, **content}, file)
+        except RuntimeError as error:
+            # Torch notices only that less was written than it wanted.
+            if isinstance(error.__context__, OSError):
+                raise error.__context__ from None
+            raise
 
 
-def _read(path: Path, kind: str) -> dict[str, Any]:
+@contextmanager
+def _opened(path: Path, kind: str, limits: Limits) -> Iterator[dict[str, Any]]:
+    with reading_archive(path, limits) as content:
+        if not isinstance(content, dict) or content.pop("kind", None) != kind:
+            raise InputError(f"{path}: not a {kind} file of 'craftsim train'; {_HINTS[kind]}")
+        if (found := content.pop("craftsim", None)) != FORMAT:
+            raise InputError(f"{path}: written in format {str(found)[:40]}, this version reads {FORMAT}")
+        try:
+            yield content
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+
+
+@cache
+def _adapter(kind: Hashable) -> TypeAdapter[Any]:
+    from pydantic import ConfigDict, TypeAdapter, with_config
+
+    return TypeAdapter(
+        with_config(ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))(cast(type, kind))
+    )
+
+
+def _head(kind: type[T], content: dict[str, Any]) -> T:
+    from pydantic import ValidationError
+
+    curve = content.get("curve", ())
+    if isinstance(curve, list) and len(curve) > CURVE_POINTS:
+        raise InputError(f"the curve has {len(curve)} points; allowed: at most {CURVE_POINTS}")
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except (RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
-        raise InputError(f"{path}: not a file that 'craftsim train' wrote") from error
-    if not isinstance(content, dict) or content.get("kind") != kind:
-        raise InputError(f"{path}: not a {kind} file of 'craftsim train'; {_HINTS[kind]}")
-    if content["craftsim"] != FORMAT:
-        raise InputError(f"{path}: written in format {content['craftsim']}, this version reads {FORMAT}")
-    return content
+        # As JSON: strictly that takes a mapping for a dataclass, and a list for a tuple. A tensor is no value there.
+        head: T = _adapter(cast(Hashable, kind)).validate_json(json.dumps(content, default=str))
+    except ValidationError as error:
+        raise InputError(first_mistake(error)) from None
+    return head
 
 
 _HINTS: Final = {

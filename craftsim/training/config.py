@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal, get_args
 
-from craftsim.errors import InputError
+from craftsim.storage.limits import BATCH, BONUS, NETWORK_WIDTH, SEED
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql"]
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
@@ -32,23 +31,11 @@ class TrainConfig:
     """The same for blocks."""
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise InputError(f"seed is {self.seed}; allowed: 0 or more")
-        if self.worlds < 1:
-            raise InputError(f"worlds is {self.worlds}; allowed: 1 or more")
-        if self.width < 1:
-            raise InputError(f"width is {self.width}; allowed: 1 or more")
-        if not 0 <= self.novelty < math.inf:
-            raise InputError(f"novelty is {self.novelty}; allowed: 0 or more, and finite")
+        SEED.check("seed", self.seed)
+        BATCH.check("worlds", self.worlds)
+        NETWORK_WIDTH.check("width", self.width)
+        BONUS.check("novelty", self.novelty)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name."""
         return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> TrainConfig:
-        """Return what :meth:`as_dict` was made of; raises InputError if a key is missing or unknown."""
-        names = {field.name for field in fields(cls)}
-        if set(values) != names:
-            raise InputError(f"a configuration has the keys {sorted(names)}, not {sorted(values)}")
-        return cls(**values)

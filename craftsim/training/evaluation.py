@@ -2,31 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.training.curve import Played
 from craftsim.training.networks import CarNet
-
-
-@dataclass(frozen=True)
-class Played:
-    """The result of an evaluation."""
-
-    episodes: int
-    successes: int
-    mean_return: float
-    mean_ticks: float
-    """Of all episodes, those that ran out of time included."""
-
-    @property
-    def success(self) -> float:
-        """The success rate."""
-        return self.successes / self.episodes
 
 
 def evaluate(net: CarNet, task: Task, episodes: int, seed: int) -> Played:

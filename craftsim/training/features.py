@@ -2,48 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
-
 import torch
 from torch import Tensor, nn
 
 from craftsim.discrete.rules.legality import N_ACTIONS
-from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.observation import (
-    IS_BLOCK,
-    IS_BODY,
-    IS_CAR,
-    IS_FLAG,
-    IS_FOOT,
-    IS_FSLOPE,
-    IS_GOAL,
-    IS_LOADED,
-    ROW,
-    YAW_HIGH,
-    YAW_LOW,
-)
-
-_FORMS: Final = {IS_CAR: 8, IS_FSLOPE: 4, IS_BODY: 4, IS_FOOT: 4, IS_BLOCK: 1, IS_FLAG: 1}
-"""In how many forms an entity of each kind comes: four yaws, and a car with or without a load."""
-
-
-@dataclass(frozen=True)
-class Shape:
-    """What a network must know of a task to read its observations."""
-
-    size: tuple[int, int, int]
-    """Length, width and height of the map."""
-    n_cars: int
-    vector_length: int
-    """Numbers in one car's observation."""
-    width: int
-    """Length of the vectors inside the network."""
-
-    @classmethod
-    def of(cls, task: Task, width: int) -> Shape:
-        """Return the shape of networks for a task."""
-        return cls(task.starts[0].size, task.layout.n_cars, task.layout.vector_length, width)
+from craftsim.discrete.tasks.observation import IS_CAR, IS_GOAL, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
+from craftsim.training.shape import FORMS, Shape
 
 
 class Encoder(nn.Module):
@@ -58,15 +22,14 @@ class Encoder(nn.Module):
         super().__init__()
         length, width, height = shape.size
         self.map = (length, width, height + 1)  # a car may stand above the highest cell
-        self.cells = length * width * (height + 1)
-        first = _FORMS[IS_CAR]  # the own car has a part of the table to itself
-        counts = [_FORMS[kind] for kind in range(IS_CAR, IS_GOAL)]
+        self.cells = shape.cells
+        first = FORMS[IS_CAR]  # the own car has a part of the table to itself
+        counts = [FORMS[kind] for kind in range(IS_CAR, IS_GOAL)]
         forms = torch.tensor([first, *counts[:-1]]).cumsum(0)
-        first += sum(counts)
         self.register_buffer("forms", forms, persistent=False)
         self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
-        self.absent = first * self.cells
-        self.table = nn.EmbeddingBag(self.absent + 1, shape.width, mode="sum")
+        self.absent = shape.places - 1
+        self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
         self.car = nn.Parameter(torch.zeros(shape.n_cars, shape.width))
         self.mask = nn.Linear(N_ACTIONS, shape.width)
         nn.init.normal_(self.table.weight, std=0.5)
@@ -80,7 +43,7 @@ class Encoder(nn.Module):
         kinds = rows[..., IS_CAR:IS_GOAL]  # a goal never moves, so there is nothing to learn from its row
         yaw = 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW]
         form = (kinds * self.forms).sum(-1) + yaw * (kinds * self.turns).sum(-1) + 4 * rows[..., IS_LOADED]
-        form[..., 0] -= _FORMS[IS_CAR]
+        form[..., 0] -= FORMS[IS_CAR]
         shown = kinds.any(-1) & (x >= 0) & (y >= 0) & (z >= 0)
         shown &= (x < length) & (y < width) & (z < height)
         return torch.where(shown, form * self.cells + cell, self.absent)

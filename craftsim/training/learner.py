@@ -34,4 +34,7 @@ class Learner(ABC):
 
     @abstractmethod
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what :meth:`state` returned."""
+        """Go on from what :meth:`state` returned, its tensors as :class:`craftsim.training.archive.Saved`.
+
+        All of it is checked before any of it is used. Raises InputError.
+        """

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from torch import Tensor, nn
-from torchrl.modules import MLP
-from torchrl.modules.models.multiagent import QMixer
 
-from craftsim.training.features import Encoder, Shape
+from craftsim.training.features import Encoder
+from craftsim.training.shape import Shape
 
 OBSERVATION: Final = ("agents", "observation")
 MASK: Final = ("agents", "action_mask")
@@ -48,6 +47,9 @@ class StateQMixer(nn.Module):
     """QMIX's mixer, with what all cars observe as the state."""
 
     def __init__(self, shape: Shape) -> None:
+        # Policies play without this library, which takes 200 MB.
+        from torchrl.modules.models.multiagent import QMixer
+
         super().__init__()
         self.encoder = Encoder(shape)
         self.mixer = QMixer((shape.width,), _MIXING_WIDTH, shape.n_cars, "cpu")
@@ -60,8 +62,8 @@ class StateQMixer(nn.Module):
 
 
 def _head(width: int, n_out: int) -> nn.Module:
-    layers = MLP(width, n_out, num_cells=[width], activation_class=nn.ReLU)
+    first, last = nn.Linear(width, width), nn.Linear(width, n_out)
     # Small first outputs: the first policy is close to uniform, the first values close to zero.
-    nn.init.orthogonal_(layers[-1].weight, 0.01)
-    nn.init.zeros_(layers[-1].bias)
-    return nn.Sequential(nn.ReLU(), layers)
+    nn.init.orthogonal_(last.weight, 0.01)
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(nn.ReLU(), nn.Sequential(first, nn.ReLU(), last))

@@ -11,8 +11,8 @@ import torch
 from tensordict import TensorDictBase
 
 from craftsim.discrete.tasks.observation import ROW
-from craftsim.training.features import Shape
 from craftsim.training.networks import OBSERVATION
+from craftsim.training.shape import Shape
 
 BUCKETS: Final = 1 << 20
 _HASH_SEED: Final = 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Categorical, LazyTensorStorage, TensorDictReplayBuffer
@@ -15,10 +15,13 @@ from torchrl.objectives import DQNLoss, SoftUpdate
 from torchrl.objectives.multiagent import QMixerLoss
 
 from craftsim.discrete.rules.legality import N_ACTIONS
+from craftsim.errors import InputError
+from craftsim.storage.limits import LARGEST_WEIGHT
 from craftsim.training.config import AlgoName
-from craftsim.training.features import Shape
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, StateQMixer
+from craftsim.training.restoring import adam_state, check_like, module_state, part
+from craftsim.training.shape import Shape
 
 GAMMA: Final = 0.99
 LEARNING_RATE: Final = 5e-4
@@ -36,12 +39,15 @@ EPSILON_TICKS: Final = 300_000
 VALUE: Final = ("agents", "action_value")
 CHOSEN: Final = ("agents", "chosen_action_value")
 
+_Columns = dict[str, tuple[tuple[int, ...], torch.dtype]]
+
 
 class QLearner(Learner):
     """Learns the value of each action of a car: alone (iql), or such that the cars' values mix to the team's."""
 
     def __init__(self, shape: Shape, ticks: int, algo: AlgoName) -> None:
         self.ticks = ticks
+        self.shape = shape
         self.of_team = algo != "iql"
         self.net = CarNet(shape, N_ACTIONS)
         values = TensorDictSequential(
@@ -111,8 +117,77 @@ class QLearner(Learner):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take them over."""
-        self.loss.load_state_dict(state["modules"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.explores.load_state_dict(state["epsilon"])
-        self.buffer.load_state_dict(state["buffer"])
+        """Take them over, once all of them are checked."""
+        modules = module_state(state, "modules", self.loss)
+        optimizer = adam_state(state, self.optimizer)
+        epsilon = self._epsilon(part(state, "epsilon"))
+        remembered, cursors = self._remembered(part(state, "buffer"))
+        self.loss.load_state_dict(modules)
+        self.optimizer.load_state_dict(optimizer)
+        self.explores.load_state_dict(epsilon)
+        if remembered is not None:
+            self.buffer.extend(remembered)
+        self.buffer.load_state_dict(self.buffer.state_dict() | {"_writer": cursors})
+
+    def _epsilon(self, saved: dict[str, Any]) -> dict[str, torch.Tensor]:
+        own = self.explores.state_dict()
+        low, high = (float(own[key]) for key in ("eps_end", "eps_init"))
+        state = {key: check_like(saved.get(key), key, (), like.dtype).read() for key, like in own.items()}
+        same = all(torch.equal(state[key], like) for key, like in own.items() if key != "eps")
+        if not same or not low <= float(state["eps"]) <= high:
+            raise InputError(f"the part of random actions is {float(state['eps'])}; allowed: {low} to {high}")
+        return state
+
+    def _remembered(self, saved: dict[str, Any]) -> tuple[TensorDict | None, dict[str, int]]:
+        """Return what was played, each index and number in it within bounds, and where the next tick is written."""
+        storage, writer = part(saved, "_storage"), part(saved, "_writer")
+        n, at, total = storage.get("_len"), writer.get("_cursor"), writer.get("_write_count")
+        if not (type(n) is type(at) is type(total) is int and 0 <= n <= BUFFER and 0 <= at < BUFFER):
+            raise InputError(f"it remembers {str(n)[:40]} ticks; allowed: 0 to {BUFFER}")
+        if not 0 <= total < 2**60 or (n < BUFFER and at != n):
+            raise InputError(f"it remembers {n} ticks, but goes on at {at}")
+        cursors = {"_cursor": at, "_write_count": total}
+        if n == 0:
+            return None, cursors
+        tensors = part(storage, "_storage")
+        rows = {
+            key: check_like(tensors.get(key), key, (BUFFER, *shape), dtype).read()[:n]
+            for key, (shape, dtype) in self._columns().items()
+        }
+        for key, column in rows.items():
+            if key.endswith("observation"):
+                places = (self.net.encoder.places(some) for some in column.split(1024))
+                sound = all(int(p.min()) >= 0 and int(p.max()) <= self.net.encoder.absent for p in places)
+            elif key.endswith("action"):
+                sound = int(column.min()) >= 0 and int(column.max()) < N_ACTIONS
+            elif column.is_floating_point():
+                sound = float(column.min()) >= -LARGEST_WEIGHT and float(column.max()) <= LARGEST_WEIGHT
+            else:
+                sound = True
+            if not sound:
+                raise InputError(f"'{key}' of what it remembers holds what no tick has")
+        return _nested(rows, "", n, self.shape.n_cars), cursors
+
+    def _columns(self) -> _Columns:
+        """Return shape and type of what is remembered of a tick."""
+        n, length = self.shape.n_cars, self.shape.vector_length
+        seen: _Columns = {
+            "agents.observation": ((n, length), torch.int16),
+            "agents.action_mask": ((n, N_ACTIONS), torch.bool),
+        }
+        told = {"reward": torch.float32, "done": torch.bool, "terminated": torch.bool}
+        team: _Columns = {key: ((1,), dtype) for key, dtype in told.items()}
+        cars: _Columns = {f"agents.{key}": ((n, 1), dtype) for key, dtype in told.items()}
+        after = seen | team | ({} if self.of_team else cars)
+        return (
+            seen | {"agents.action": ((n,), torch.int64)} | {f"next.{key}": of for key, of in after.items()}
+        )
+
+
+def _nested(rows: dict[str, torch.Tensor], prefix: str, n: int, n_cars: int) -> TensorDict:
+    """Return columns, named with dots, as they came from a rollout of n ticks."""
+    here = {key.removeprefix(prefix): column for key, column in rows.items() if key.startswith(prefix)}
+    inner = {key.partition(".")[0]: None for key in here if "." in key}
+    content = {key: column for key, column in here.items() if "." not in key}
+    parts = {key: _nested(here, f"{key}.", n, n_cars) for key in inner}
+    return TensorDict(content | parts, (n, n_cars) if prefix == "agents." else (n,))

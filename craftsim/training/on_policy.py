@@ -12,9 +12,10 @@ from torchrl.modules import MaskedCategorical, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
 from craftsim.discrete.rules.legality import N_ACTIONS
-from craftsim.training.features import Shape
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, TeamNet
+from craftsim.training.restoring import adam_state, module_state
+from craftsim.training.shape import Shape
 
 GAMMA: Final = 0.99
 LAMBDA: Final = 0.95
@@ -81,6 +82,8 @@ class PPOLearner(Learner):
         return {"modules": self.loss.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take them over."""
-        self.loss.load_state_dict(state["modules"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        """Take them over, once all of them are checked."""
+        modules = module_state(state, "modules", self.loss)
+        optimizer = adam_state(state, self.optimizer)
+        self.loss.load_state_dict(modules)
+        self.optimizer.load_state_dict(optimizer)

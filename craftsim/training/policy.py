@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from craftsim.discrete.rules import RuleSet
     from craftsim.discrete.tasks import Task
     from craftsim.training.config import TrainConfig
-    from craftsim.training.features import Shape
     from craftsim.training.identity import TaskIdentity
     from craftsim.training.networks import CarNet
+    from craftsim.training.shape import Shape
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` (vector_length,) and ``action_mask`` (15,)."""
@@ -41,6 +41,7 @@ class TrainedPolicy:
         a policy with observations from elsewhere calls this before.
         """
         from craftsim.discrete.tasks import as_task
+        from craftsim.training.shape import Shape
 
         task = as_task(task)
         difference = self.identity.difference(task, rules)
@@ -48,6 +49,11 @@ class TrainedPolicy:
             raise InputError(
                 f"this policy was trained on {self.identity.name}, and cannot play {task.name}: {difference}; "
                 "train one with 'craftsim train --task'"
+            )
+        shape = Shape.of(task, self.shape.width)
+        if shape != self.shape:
+            raise InputError(
+                f"this policy is damaged: its network is for {self.shape}, {task.name} has {shape}"
             )
         self._checked = task
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import torch
@@ -17,29 +17,23 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError
 from craftsim.report import versions
 from craftsim.training.algorithms import make_learner
-from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_run, save_policy, save_run
+from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, RunHead, open_run, save_policy, save_run
 from craftsim.training.config import TrainConfig
-from craftsim.training.evaluation import Played, evaluate
+from craftsim.training.curve import Played, Point
+from craftsim.training.evaluation import evaluate
 from craftsim.training.extra import PACKAGES
-from craftsim.training.features import Shape
 from craftsim.training.grid_env import GridEnv
 from craftsim.training.identity import TaskIdentity, starts_digest
 from craftsim.training.interrupts import finishing_first
 from craftsim.training.novelty import Novelty
+from craftsim.training.restoring import numbers
+from craftsim.training.shape import Shape
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next."""
 EVALUATION_EPISODES: Final = 500
 """Episodes of an evaluation while training."""
 _ROLLOUT, _EVALUATION, _FINAL = range(3)
-
-
-@dataclass(frozen=True)
-class Point(Played):
-    """A point of the learning curve: how well a policy did on fresh episodes after so much training."""
-
-    steps: int
-    """Ticks played, all worlds together."""
 
 
 class Trainer:
@@ -110,6 +104,11 @@ class Trainer:
                 rollout = self.env.rollout(self.learner.ticks, self.learner.plays, break_when_any_done=False)
             self.novelty.add_to(rollout)
             self.learner.update(rollout)
+        if not all(weight.isfinite().all() for weight in self.learner.net.parameters()):
+            raise InputError(
+                f"training has diverged in iteration {self.iteration}: weights are no longer finite. What was saved "
+                "before stands; try another --seed or --algo"
+            )
         self.iteration += 1
 
     def _seed(self, purpose: int) -> int:
@@ -120,46 +119,45 @@ class Trainer:
         """Write the policy and all that is needed to go on."""
         net, made_with = self.learner.net, training_versions()
         save_policy(folder / POLICY_FILE, self.config, self.identity, self.shape, net, made_with)
-        save_run(
-            folder / RUN_FILE,
-            {
-                "config": self.config.as_dict(),
-                "task": self.identity.as_dict(),
-                "starts": self.starts,
-                "versions": made_with,
-                "iteration": self.iteration,
-                "wall_s": self.wall_s,
-                "curve": [asdict(point) for point in self.curve],
-                "learner": self.learner.state(),
-                "novelty": self.novelty.counts,
-            },
+        head = RunHead(
+            self.config, self.identity, self.starts, made_with, self.iteration, self.wall_s, self.curve
         )
+        save_run(folder / RUN_FILE, head, self.learner.state(), self.novelty.counts)
 
     @classmethod
-    def resume(cls, folder: Path, starts: Task | None = None, task: Task | None = None) -> Trainer:
+    def resume(
+        cls,
+        folder: Path,
+        starts: Task | None = None,
+        task: Task | None = None,
+        config: TrainConfig | None = None,
+    ) -> Trainer:
         """Return the run that a folder holds, as it was when it was saved.
 
-        Raises InputError where the task or the other starts are not those that it was begun with.
+        All of the file is checked before any of it is used. Raises InputError for a file that is none or damaged, and
+        where the configuration, the task or the other starts are not those that the run was begun with.
+
+        Args:
+            folder: holds the run.
+            starts: the task with other starts to train from, where they are not its own.
+            task: the task itself; made of its name in the file unless given, which may name a Python function. Give it,
+                or the configuration, for a file from others.
+            config: what the run must have been begun with; anything unless given.
         """
-        path = folder / RUN_FILE
-        content: dict[str, Any] = read_run(path)
-        try:
-            trainer = cls(TrainConfig.from_dict(content["config"]), starts, task)
-            if TaskIdentity(**content["task"]).digest != trainer.identity.digest:
-                raise InputError(
-                    f"{path}: the task '{trainer.task.name}' has changed since the run was begun"
-                )
-            if content["starts"] != trainer.starts:
-                begun = "other starts" if content["starts"] else "no other starts"
-                raise InputError(
-                    f"{path}: the run was begun with {begun} than these; give the --starts of then"
-                )
-            trainer.iteration, trainer.wall_s = content["iteration"], content["wall_s"]
-            trainer.curve = [Point(**point) for point in content["curve"]]
-            trainer.learner.restore(content["learner"])
-            trainer.novelty.counts = content["novelty"]
-        except (KeyError, TypeError, RuntimeError) as error:
-            raise InputError(f"{path}: not a run of this version of craftsim ({error})") from error
+        with open_run(folder / RUN_FILE) as run:
+            if config is not None and run.head.config != config:
+                raise InputError(f"it was begun with {run.head.config}, not with {config}")
+            trainer = cls(run.head.config, starts, task)
+            if run.head.task.digest != trainer.identity.digest:
+                raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
+            if run.head.starts != trainer.starts:
+                begun = "other starts" if run.head.starts else "no other starts"
+                raise InputError(f"the run was begun with {begun} than these; give the --starts of then")
+            counts = numbers(run.novelty, "novelty", trainer.novelty.counts, 0, 2**30)
+            trainer.learner.restore(run.learner)
+            trainer.novelty.counts = counts
+            trainer.iteration, trainer.wall_s = run.head.iteration, run.head.wall_s
+            trainer.curve = run.head.curve
         return trainer
 
 

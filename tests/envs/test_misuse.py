@@ -73,7 +73,7 @@ def _a_car_outside(grid):
         ({"grid": Grid.empty((4, 4, 3), 3)}, "3 cars"),
         ({"grid": _start(_one_block_more)}, "has 5 blocks; task 'strip' observes at most 4"),
         ({"grid": _start(_a_slope)}, "has 1 slopes"),
-        ({"grid": _start(_a_car_outside)}, r"car 1 of the start is at \(77, 3, 1\)"),
+        ({"grid": _start(_a_car_outside)}, r"car 1 is at \(77, 3, 1\)"),
         ({"blueprint": "no-such-file.yaml"}, "no such file"),
         ({"blueprint": 3}, "must be a path"),
         ({"grid": _start(lambda grid: None), "blueprint": "strip.yaml"}, "give one of them"),

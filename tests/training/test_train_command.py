@@ -45,7 +45,7 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
     [
         (["--until", "2"], "--until is 2.0"),
         (["--steps", "0"], "--steps is 0; allowed: 1 to"),
-        (["--resume"], "cannot read"),
+        (["--resume"], "no such file"),
         (["--seed", "-1"], "seed is -1"),
         (["--novelty", "nan"], "novelty is nan"),
         (["--starts", "no_such.plan"], "no_such.plan"),

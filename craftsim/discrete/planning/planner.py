@@ -103,13 +103,14 @@ class Planner:
     def __init__(self, rules: Rules, depth: int = DEFAULT_DEPTH) -> None:
         self.rules = rules
         self.depth = depth
-        self._spaces: dict[Cell, Space] = {}
+        self._last: tuple[Cell, Space] | None = None
 
     def _space(self, grid: Grid) -> Space:
-        if grid.size not in self._spaces:
-            self._spaces[grid.size] = make_space(grid.size)
-        forget_ways(self._spaces[grid.size])
-        return self._spaces[grid.size]
+        """Return scratch arrays; those of one map size are kept, and no more: they may take 20 MB each."""
+        if self._last is None or self._last[0] != grid.size:
+            self._last = grid.size, make_space(grid.size)
+        forget_ways(self._last[1])
+        return self._last[1]
 
     def _read(self, space: Space, node: int) -> tuple[Action, ...] | None:
         if node < 0:

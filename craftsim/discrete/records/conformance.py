@@ -15,23 +15,14 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.cells import RuleFlags
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.planning.planner import Planner
-from craftsim.discrete.records.traces import Record, recorded_grid
+from craftsim.discrete.records.schema import TASKS, Record
+from craftsim.discrete.records.traces import recorded_grid
 from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.tasks.measures import FlagNearness
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.rewards import CodeBarrier
 from craftsim.discrete.tasks.task import Task, make_task
 from craftsim.discrete.tasks.worlds import Worlds
-
-TASKS: Final = {
-    "strip_shaped": "strip",
-    "block_shaped": "block",
-    "simple_twolayer": "simple_two_story",
-    "complex_twolayer": "complex_two_story",
-    "free_building": "free_building",
-    "breaking_barrier": "breaking_barrier",
-}
-"""Our names of the tasks that recordings name."""
 
 QUIRK_TAGS: Final = frozenset({"devdep", "overwrite", "lost", "shared", "unfold_on_car", "unsupport"})
 """Tags of records in which something happened that only the published rule set follows."""
@@ -94,7 +85,7 @@ class Checker:
         self.exact = rules.rule_set == "published"
         self.uncorrected = Rules(rules.rule_set, RuleFlags(derived_marks=True))
         """The physical rules before physics corrected them: nothing but the bookkeeping differs from published."""
-        self._planners: dict[int, Planner] = {}
+        self._planner = Planner(rules)
 
     def check(self, line: int, record: Record) -> None:
         """Compare one record, of a tick or of plans."""
@@ -158,8 +149,9 @@ class Checker:
                 self._compare(where, what, wanted, got, before, **grids)
 
     def _plans(self, where: str, record: Record, before: Grid) -> None:
-        depth = record["depth"]
-        planner = self._planners.setdefault(depth, Planner(self.rules, depth))
+        if self._planner.depth != record["depth"]:
+            self._planner = Planner(self.rules, record["depth"])
+        planner = self._planner
         masks = [car["mask"] for car in record["cars"]]
         self._masks(where, "reachable", masks, planner.reachable(before), before)
         for car, entry in enumerate(record["cars"]):

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, create_model
 
 from craftsim.errors import InputError
-from craftsim.storage.limits import MAX_TRIALS
+from craftsim.storage.limits import RUNS
 from craftsim.storage.reading import parse_json
 from craftsim.validation.campaign.items import TrialRecord
 
@@ -54,7 +54,7 @@ class _Description:
     seed: int
     versions: dict[str, str]
     config: dict[str, Any]
-    items: Annotated[int, Field(ge=0, le=MAX_TRIALS)]
+    items: Annotated[int, Field(ge=0, le=int(RUNS.high))]
     keys: str
 
 

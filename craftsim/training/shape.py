@@ -1,0 +1,61 @@
+"""What a network must know of a task to read its observations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from craftsim.discrete.grid_checks import check_size
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.observation import IS_BLOCK, IS_BODY, IS_CAR, IS_FLAG, IS_FOOT, IS_FSLOPE, ROW
+from craftsim.errors import InputError
+from craftsim.storage.limits import NETWORK_WIDTH, POLICY, size_text
+
+FORMS: Final = {IS_CAR: 8, IS_FSLOPE: 4, IS_BODY: 4, IS_FOOT: 4, IS_BLOCK: 1, IS_FLAG: 1}
+"""In how many forms an entity of each kind comes: four yaws, and a car with or without a load."""
+_WEIGHT_BYTES: Final = 4
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The shape of the networks for a task. Raises InputError for one that no policy file could hold."""
+
+    size: tuple[int, int, int]
+    """Length, width and height of the map."""
+    n_cars: int
+    vector_length: int
+    """Numbers in one car's observation."""
+    width: int
+    """Length of the vectors inside the network."""
+
+    def __post_init__(self) -> None:
+        check_size(self.size, self.n_cars)
+        NETWORK_WIDTH.check("width", self.width)
+        if self.n_cars < 0 or self.vector_length < ROW or self.vector_length % ROW:
+            raise InputError(
+                f"the shape has {self.n_cars} cars that observe {self.vector_length} numbers; allowed: {ROW} a thing"
+            )
+        if (n_bytes := self.places * self.width * _WEIGHT_BYTES) > POLICY.content_bytes:
+            raise InputError(
+                f"for a map of size {self.size} a network of width {self.width} has {size_text(n_bytes)}; allowed: at "
+                f"most {size_text(POLICY.content_bytes)}; take a smaller map"
+            )
+
+    @property
+    def cells(self) -> int:
+        """Cells in which something may be; a car may stand above the highest one."""
+        length, width, height = self.size
+        return length * width * (height + 1)
+
+    @property
+    def places(self) -> int:
+        """Rows of the table of all things in all cells, with one for what is not there.
+
+        The own car has a part of the table to itself.
+        """
+        return (FORMS[IS_CAR] + sum(FORMS.values())) * self.cells + 1
+
+    @classmethod
+    def of(cls, task: Task, width: int) -> Shape:
+        """Return the shape of networks for a task."""
+        return cls(task.starts[0].size, task.layout.n_cars, task.layout.vector_length, width)

@@ -1,0 +1,146 @@
+"""Recordings and files of starts from people one does not know: one message, in bounded time and memory."""
+
+import copy
+import gzip
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from craftsim.cli import main
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.grid_checks import check_grid
+from craftsim.discrete.records.schema import parse_record
+from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks.starts import load_starts, save_starts, starting_from
+from craftsim.errors import InputError
+
+LINE = gzip.decompress((Path(__file__).parents[1] / "data" / "traces.jsonl.gz").read_bytes()).splitlines()[0]
+
+
+def _changed(**changes):
+    return json.dumps({**json.loads(LINE), **changes}).encode()
+
+
+def _with(change):
+    record = copy.deepcopy(json.loads(LINE))
+    change(record)
+    return json.dumps(record).encode()
+
+
+HOSTILE = {
+    "spaces": (b" " * 2**21, "the line is longer than"),
+    "huge size": (_changed(size=[2000, 2000, 500]), r"the size is \(2000, 2000, 500\); allowed: 1 to 128"),
+    "many cells": (_changed(size=[128, 128, 128]), "at most 131072 cells"),
+    "nested": (b"[" * 200_000, "not a record"),
+    "a long number": (_changed(t=7).replace(b'"t": 7', b'"t": ' + b"9" * 5000), "not a record"),
+    "not finite": (_changed(reward=float("nan")), "not a record"),
+    "a huge depth": (_changed(depth=10**9, cars=[]), "key 'depth'"),
+    "half a record": (_with(lambda r: r.pop("joint")), "needs 'joint'"),
+    "no text": (b"\xff\xfe\n", "not a record"),
+    "steering": (_changed(ep="\x1b[31m"), "key 'ep'"),
+    "a kind": (_with(lambda r: r["before"]["objs"][0].__setitem__(0, "tower")), "before.objs.0"),
+    "a cell": (_with(lambda r: r["before"]["objs"][0].__setitem__(1, 99)), r"the cell \(99, 0, 1\) is outside"),
+    "a negative cell": (_with(lambda r: r["before"]["objs"][0].__setitem__(3, -2)), "is outside"),
+    "a car": (_with(lambda r: r["before"]["cars"][0].__setitem__("x", 50)), r"car 0 is at \(50, 1, 1\), outside"),
+    "a heading": (_with(lambda r: r["before"]["cars"][0].__setitem__("yaw", 99)), "before.cars.0.yaw"),
+    "a load": (_with(lambda r: r["before"]["cars"][0].__setitem__("load", "wall")), "'load' of car 0 is 2; allowed"),
+    "a slope": (_with(lambda r: r["before"]["cars"][0].__setitem__("slope", 2)), "'slope' of car 0"),
+    "a mark": (_with(lambda r: r["before"]["dev"]["on"].append([0, 0, 0, 30])), "names a car that is not there"),
+    "a landing": (_with(lambda r: r["before"]["dev"]["back"].append([0, 0, 0, 1])), "holds no block"),
+    "a car that acts": (_with(lambda r: r["joint"][0].__setitem__(0, 7)), "'joint' names a car"),
+    "a car too few": (_with(lambda r: r["after"]["cars"].pop()), "'after.cars' has 1 entries"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_recording_is_one_message(name, tmp_path, capsys):
+    path = tmp_path / "odd.jsonl.gz"
+    path.write_bytes(gzip.compress(LINE + b"\n" + HOSTILE[name][0]))
+    assert main(["conformance", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"craftsim: {path}:2: ")
+    assert error.count("\n") == 1
+    with pytest.raises(InputError, match=HOSTILE[name][1]):
+        raise InputError(error)
+
+
+def test_a_pipe_as_recording_is_not_waited_for(tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe")
+    assert main(["conformance", str(tmp_path / "pipe")]) == 2
+    assert "not a regular file" in capsys.readouterr().err
+
+
+def test_keys_that_we_do_not_compare_are_passed_over():
+    assert "weather" not in parse_record(_changed(weather="fair"))
+
+
+def _start():
+    return make_task("strip").draw(np.random.default_rng(0))
+
+
+def _set(name, place, value):
+    def change(grid):
+        getattr(grid, name)[place] = value
+
+    return change
+
+
+ODD = {
+    "kind": (_set("kind", (0, 0, 1), 99), r"'kind' of the cell \(0, 0, 1\) is 99; allowed: the kinds 0 to 8"),
+    "ground": (_set("kind", (0, 0, 0), Kind.BODY), "allowed: ground in the layer 0"),
+    "ground above": (_set("kind", (0, 0, 2), Kind.GROUND), "allowed: ground in the layer 0"),
+    "yaw": (_set("yaw", (0, 0, 1), 99), "'yaw' of the cell"),
+    "top": (_set("top", (0, 0, 1), 30000), "'top' of the cell"),
+    "back": (_set("back", (0, 0, 2), True), "allowed: a mark as landing on blocks"),
+    "heading": (_set("cars", (0, CarField.YAW), 99), "'yaw' of car 0 is 99; allowed: 0 to 3"),
+    "load": (_set("cars", (0, CarField.LOAD), 10**6), "'load' of car 0 is 1000000"),
+    "load yaw": (_set("cars", (0, CarField.LOAD_YAW), 2), "'load_yaw' of car 0 is 2"),
+    "slope": (_set("cars", (0, CarField.SLOPE), 99), "'slope' of car 0 is 99"),
+    "below": (_set("cars", (1, CarField.Z), 0), "car 1 is at"),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_a_start_that_the_rules_cannot_look_up_is_refused(name, tmp_path):
+    grid = _start()
+    ODD[name][0](grid)
+    with pytest.raises(InputError, match=ODD[name][1]):
+        starting_from(make_task("strip"), [grid])
+    arrays = {
+        key: np.stack([getattr(_start(), key), getattr(grid, key)])
+        for key in ("kind", "yaw", "cars", "top", "back")
+    }
+    np.savez(tmp_path / "starts.npz", **arrays)
+    with pytest.raises(InputError, match=r"starts\.npz: world 1: "):
+        load_starts(tmp_path / "starts.npz")
+
+
+def test_arrays_of_another_shape_or_type_are_no_world():
+    grid = _start()
+    for name, array, words in (
+        ("kind", grid.kind.astype(np.int64), "the array 'kind' holds int64; allowed: int8"),
+        ("kind", grid.kind[:, :, 0], "have shapes"),
+        ("cars", grid.cars[:, :3], "have shapes"),
+        ("top", grid.top[:2], "have shapes"),
+        ("cars", np.zeros((300, 7), np.int64), "300 cars"),
+        ("kind", [1, 2], "holds list"),
+    ):
+        other = grid.copy()
+        setattr(other, name, array)
+        with pytest.raises(InputError, match=words):
+            check_grid(other)
+    with pytest.raises(InputError, match="the size is"):
+        check_grid(Grid.empty((129, 1, 1)))
+
+
+def test_feet_without_a_body_count_as_slopes(tmp_path):
+    grid = make_task("simple_two_story").draw(np.random.default_rng(0))
+    free = [tuple(cell) for cell in np.argwhere(grid.kind[:, :, 1] == Kind.AIR)]
+    for x, y in free[:4]:
+        grid.kind[x, y, 1] = Kind.FOOT
+    with pytest.raises(InputError, match="slopes; task 'simple_two_story' observes at most"):
+        starting_from(make_task("simple_two_story"), [grid])
+    save_starts(tmp_path / "starts.npz", [grid])

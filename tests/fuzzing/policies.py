@@ -1,0 +1,126 @@
+"""Mutated policy and run files, read as ``validate --policy`` and ``train --resume`` read them."""
+
+import io
+import tempfile
+import zipfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from craftsim.errors import InputError
+from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
+from craftsim.training.config import TrainConfig
+from craftsim.training.trainer import Trainer
+
+CONFIG = TrainConfig("strip", "ippo", worlds=1, width=4)
+VALUES = (
+    *(None, -1, 0, 1, 10**6, 2**70, 1e30, float("nan"), float("inf"), "", "x" * 100, "\ud800", True),
+    *([], {}, (), [1], {"a": 1}, {1: 2}, [[]]),
+    *(torch.zeros(0), torch.zeros(1), torch.full((2, 4), torch.nan), torch.zeros(3, dtype=torch.int64)),
+)
+
+
+@cache
+def _saved() -> dict[str, bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        trainer = Trainer(CONFIG)
+        next(trainer.run(trainer.steps_an_iteration, until=2.0))
+        trainer.save(Path(folder))
+        return {name: (Path(folder) / name).read_bytes() for name in (POLICY_FILE, RUN_FILE)}
+
+
+def _paths(value: object, path: tuple = ()) -> list[tuple]:
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [path, *(found for key, item in items for found in _paths(item, (*path, key)))]
+
+
+@cache
+def _places(name: str) -> list[tuple]:
+    return _paths(_content(name))[1:]
+
+
+def _content(name: str):
+    return torch.load(io.BytesIO(_saved()[name]), weights_only=True)
+
+
+def _other_value(rng: np.random.Generator, name: str) -> bytes:
+    content = _content(name)
+    *way, last = _places(name)[int(rng.integers(len(_places(name))))]
+    inner = content
+    for key in way:
+        inner = inner[key]
+    match int(rng.integers(4)):
+        case 0:
+            del inner[last]
+        case 1 if isinstance(inner[last], torch.Tensor) and inner[last].numel():
+            inner[last] = inner[last].clone()
+            inner[last].reshape(-1)[int(rng.integers(inner[last].numel()))] = int(
+                rng.integers(-(2**30), 2**30)
+            )
+        case 2 if isinstance(inner[last], torch.Tensor):
+            inner[last] = inner[last].reshape(-1)[:-1]
+        case _:
+            inner[last] = VALUES[int(rng.integers(len(VALUES)))]
+    file = io.BytesIO()
+    torch.save(content, file)
+    return file.getvalue()
+
+
+def _other_pickle(rng: np.random.Generator, data: bytes) -> bytes:
+    """Return the archive with a byte of its pickle changed, and right sums."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(file, "w") as new:
+        for member in old.infolist():
+            content = bytearray(old.read(member))
+            if member.filename.endswith("data.pkl"):
+                for _ in range(int(rng.integers(1, 4))):
+                    content[int(rng.integers(len(content)))] = int(rng.integers(256))
+            new.writestr(member.filename, bytes(content))
+    return file.getvalue()
+
+
+def _damaged(rng: np.random.Generator, name: str) -> bytes:
+    data = _saved()[name]
+    match int(rng.integers(4)):
+        case 0:
+            return data[: int(rng.integers(len(data)))]
+        case 1:
+            place = int(rng.integers(len(data)))
+            return data[:place] + rng.bytes(4) + data[place + 4 :]
+        case 2:
+            return _other_pickle(rng, data)
+    return _other_value(rng, name)
+
+
+def policy(rng: np.random.Generator, folder: Path) -> None:
+    """Attack a policy file."""
+    (folder / POLICY_FILE).write_bytes(_damaged(rng, POLICY_FILE))
+    try:
+        read_policy(folder / POLICY_FILE)
+    except InputError:
+        return
+
+
+@cache
+def _task():
+    return Trainer(CONFIG).task
+
+
+def run(rng: np.random.Generator, folder: Path) -> None:
+    """Attack a run file."""
+    (folder / RUN_FILE).write_bytes(_damaged(rng, RUN_FILE))
+    try:
+        Trainer.resume(folder, task=_task(), config=CONFIG)
+    except InputError:
+        return
+
+
+TARGETS: dict[str, Callable[[np.random.Generator, Path], None]] = {"policy": policy, "run": run}
+
+
+def attack(rng: np.random.Generator, folder: Path) -> None:
+    """Make one mutated case of either format and read it; few are of run files, whose training is set up each time."""
+    (run if rng.random() < 0.1 else policy)(rng, folder)

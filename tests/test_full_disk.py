@@ -104,10 +104,6 @@ ELSEWHERE = {
     # Examples in docstrings.
     "models/parameter_files.py",
     "skills/gains.py",
-    "discrete/tasks/starts.py",
-    "training/checkpoint.py",
-    "training/curve.py",
-    "validation/replays/bundle.py",
 }
 
 

@@ -10,8 +10,8 @@ from craftsim.errors import InputError
 Solver = Literal["newton", "pgs"]
 
 RANGES: Final[dict[str, tuple[float, float]]] = {
-    "timestep_s": (1e-4, 0.005),
-    "control_period_s": (1e-4, 1.0),
+    "timestep_s": (2.5e-4, 0.005),
+    "control_period_s": (1e-3, 1.0),
     "solver_iterations": (1, 10_000),
     "friction_impedance_ratio": (1e-3, 1e6),
     "sleep_tolerance_m_s": (1e-12, 10.0),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,6 +49,9 @@ def clip(path: Path, site: Site, car: int, span_s: float, lines: Sequence[str]) 
 
         watch(site)
         yield watch
-        while film.frames < frames:
+        # A simulation that breaks down starts its time over again and again: then the clip stays short.
+        for _ in range(math.ceil(CLIP_S * speed / site.config.control_period_s) + 1):
+            if film.frames >= frames:
+                break
             site.advance()
             watch(site)

@@ -36,7 +36,7 @@ def _plain(what: str, size: int, line_bytes: int = 0) -> Limits:
 
 
 YAML: Final = _plain("YAML file", 256 * KIB)
-TEXT: Final = _plain("plan", 256 * KIB)
+TEXT: Final = _plain("plan or list of actions", 256 * KIB)
 BUNDLE: Final = _plain("bundle.json", 8 * MIB)
 ARRAYS: Final = Limits("archive of arrays", 16 * MIB, 64 * MIB)
 STARTS: Final = Limits("file of starts", 32 * MIB, 64 * MIB)

@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from craftsim.errors import InputError
 from craftsim.storage.limits import JSON_VALUES, Limits
+from craftsim.storage.mistakes import first_mistake
 from craftsim.storage.reading import read_bytes
 
 if TYPE_CHECKING:
-    from pydantic import TypeAdapter, ValidationError
+    from pydantic import TypeAdapter
     from pydantic_core import SchemaValidator
 
 T = TypeVar("T")
 
 _TOLD: Final = 1000
 """With more mistakes than this none is told: a description of each would take more memory than the file."""
-_SHOWN: Final = 60
-"""Characters of what a message quotes from a file."""
 
 
 class Schema(Generic[T]):
@@ -74,7 +73,10 @@ class Schema(Generic[T]):
         try:
             value: T = self._validator.validate_json(data)
         except ValidationError as error:
-            raise InputError(f"{where}: {_first(error)}") from None
+            if (count := error.error_count()) > _TOLD:
+                text = f"{count} values are missing, wrong or unknown; is it the file that it should be?"
+                raise InputError(f"{where}: {text}") from None
+            raise InputError(f"{where}: {first_mistake(error)}") from None
         except InputError as error:
             raise InputError(f"{where}: {error}") from error
         return value
@@ -86,21 +88,3 @@ def _stop_at_first(schema: Any) -> None:
         schema["fail_fast"] = True
     for part in schema.values() if isinstance(schema, dict) else schema if isinstance(schema, list) else ():
         _stop_at_first(part)
-
-
-def _first(error: ValidationError) -> str:
-    if (count := error.error_count()) > _TOLD:
-        return f"{count} values are missing, wrong or unknown; is it the file that it should be?"
-    first = error.errors(include_url=False)[0]
-    place = ".".join(str(part)[:_SHOWN] for part in first["loc"])
-    if not place:
-        return first["msg"]
-    found = "" if first["type"] == "missing" else f", not {_shown(first['input'])}"
-    return f"{place}: {first['msg']}{found}"
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, dict | list):
-        return "a mapping" if isinstance(value, dict) else "a list"
-    text = repr(value)
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."

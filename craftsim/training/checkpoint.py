@@ -26,9 +26,9 @@ from craftsim.training.shape import Shape
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
-    from craftsim.training.networks import CarNet
+    from craftsim.training.policy import POLICY_FILE
+from craftsim.training.networks import CarNet
 
-POLICY_FILE: Final = "policy.pt"
 RUN_FILE: Final = "run.pt"
 FORMAT: Final = 2
 """Raised whenever older files cannot be read any more."""

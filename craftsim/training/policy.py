@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from craftsim.training.identity import TaskIdentity
     from craftsim.training.networks import CarNet
     from craftsim.training.shape import Shape
+
+POLICY_FILE: Final = "policy.pt"
+"""In the folder of a training run."""
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` (vector_length,) and ``action_mask`` (15,)."""
@@ -98,7 +101,7 @@ def load_policy(path: str | Path) -> TrainedPolicy:
         ['car_0', 'car_1']
     """
     need_torch()
-    from craftsim.training.checkpoint import POLICY_FILE, read_policy
+    from craftsim.training.checkpoint import read_policy
 
     path = Path(path)
     return TrainedPolicy(*read_policy(path / POLICY_FILE if path.is_dir() else path))

@@ -17,7 +17,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError
 from craftsim.report import versions
 from craftsim.training.algorithms import make_learner
-from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, RunHead, open_run, save_policy, save_run
+from craftsim.training.checkpoint import RUN_FILE, RunHead, open_run, save_policy, save_run
 from craftsim.training.config import TrainConfig
 from craftsim.training.curve import Played, Point
 from craftsim.training.evaluation import evaluate
@@ -26,6 +26,7 @@ from craftsim.training.grid_env import GridEnv
 from craftsim.training.identity import TaskIdentity, starts_digest
 from craftsim.training.interrupts import finishing_first
 from craftsim.training.novelty import Novelty
+from craftsim.training.policy import POLICY_FILE
 from craftsim.training.restoring import numbers
 from craftsim.training.shape import Shape
 

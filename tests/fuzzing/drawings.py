@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from craftsim.discrete.files.blueprint import read_blueprint
+from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import read_actions, read_plan
+from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
 from craftsim.discrete.tasks.task_files import read_task
+from craftsim.errors import InputError
 from craftsim.models.parameter_files import load_machines, load_noise
 from craftsim.skills.gains import load_gains
 from fuzzing.mutations import mutated_bytes, mutated_text
@@ -42,8 +44,20 @@ _SEEDS: dict[str, list[str]] = {
     "gains": [(_DATA / "gains" / "nominal.yaml").read_text()],
     "noise": ["{min_delay_s: 0.02, max_delay_s: 0.04, position_m: 0.001}\n"],
 }
+
+
+def _blueprint(path: Path) -> None:
+    """Read a blueprint; what is accepted must be readable again once it is written."""
+    grid = read_blueprint(path).grid(np.random.default_rng(0))
+    try:
+        again = parse_blueprint(blueprint_text(grid), path).grid(np.random.default_rng(0))
+    except InputError as error:
+        raise AssertionError(f"accepted, but not to be written: {error}") from error
+    assert again.same_visible(grid)
+
+
 _READERS: dict[str, Callable[[Path], object]] = {
-    "blueprint": lambda path: read_blueprint(path).grid(np.random.default_rng(0)),
+    "blueprint": _blueprint,
     "goal": read_design,
     "plan": lambda path: read_plan(path, n_cars=2),
     "actions": lambda path: read_actions(path, n_cars=2),
@@ -60,7 +74,7 @@ def _target(name: str) -> Callable[[np.random.Generator, Path], None]:
     def attack(rng: np.random.Generator, folder: Path) -> None:
         path, text = folder / "mutated.yaml", seeds[rng.integers(len(seeds))]
         data = mutated_text(text, rng).encode("utf-8", "surrogatepass")
-        path.write_bytes(mutated_bytes(data, rng) if rng.random() < 0.1 else data)
+        path.write_bytes(mutated_bytes(data, rng) if rng.random() < 0.2 else data)
         read(path)
 
     return attack

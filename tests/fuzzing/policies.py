@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from craftsim.errors import InputError
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
 from craftsim.training.config import TrainConfig
 from craftsim.training.trainer import Trainer
@@ -98,10 +97,7 @@ def _damaged(rng: np.random.Generator, name: str) -> bytes:
 def policy(rng: np.random.Generator, folder: Path) -> None:
     """Attack a policy file."""
     (folder / POLICY_FILE).write_bytes(_damaged(rng, POLICY_FILE))
-    try:
-        read_policy(folder / POLICY_FILE)
-    except InputError:
-        return
+    read_policy(folder / POLICY_FILE)
 
 
 @cache
@@ -112,15 +108,7 @@ def _task():
 def run(rng: np.random.Generator, folder: Path) -> None:
     """Attack a run file."""
     (folder / RUN_FILE).write_bytes(_damaged(rng, RUN_FILE))
-    try:
-        Trainer.resume(folder, task=_task(), config=CONFIG)
-    except InputError:
-        return
+    Trainer.resume(folder, task=_task(), config=CONFIG)
 
 
 TARGETS: dict[str, Callable[[np.random.Generator, Path], None]] = {"policy": policy, "run": run}
-
-
-def attack(rng: np.random.Generator, folder: Path) -> None:
-    """Make one mutated case of either format and read it; few are of run files, whose training is set up each time."""
-    (run if rng.random() < 0.1 else policy)(rng, folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import reprlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import PurePosixPath
@@ -12,6 +11,7 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationE
 
 from craftsim.errors import InputError
 from craftsim.storage.limits import RUNS
+from craftsim.storage.mistakes import first_mistake
 from craftsim.storage.reading import parse_json
 from craftsim.validation.campaign.items import TrialRecord
 
@@ -103,9 +103,5 @@ def _check(wanted: TypeAdapter[Any], data: bytes, where: str) -> None:
     try:
         wanted.validate_json(data)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
         # What is in a file may be long, and steer a terminal.
-        place = repr(".".join(map(str, first["loc"]))[:80])[1:-1]
-        found = "" if first["type"] == "missing" else f", not {reprlib.repr(first['input'])}"
-        text = f"{place}: {first['msg']}" if place else first["msg"]
-        raise InputError(f"{where}: {text}{found}") from None
+        raise InputError(f"{where}: {first_mistake(error)}") from None

@@ -24,7 +24,7 @@ from craftsim.envs.actions import by_agent, checked
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
-from craftsim.storage.limits import RUN
+from craftsim.storage.limits import POLICY
 from craftsim.storage.reading import read_bytes
 
 Observations = dict[str, dict[str, NDArray[Any]]]
@@ -129,13 +129,15 @@ def policy_digest(name: str) -> str:
         return RANDOM
     path = Path(name)
     if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix == ".pt")
+        from craftsim.training.policy import POLICY_FILE
+
+        files = [path / POLICY_FILE]
     elif path.is_file():
         files = [path]
     else:
         source = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
         files = [] if source is None else [Path(source)]
-    return hashlib.sha256(b"".join(read_bytes(file, RUN) for file in files)).hexdigest()
+    return hashlib.sha256(b"".join(read_bytes(file, POLICY) for file in files)).hexdigest()
 
 
 def _function(name: str) -> Policy:

@@ -8,7 +8,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from fuzzing.replays import TARGETS, bundle_files
+from fuzzing.replays import bundle_files
 
 from craftsim import cli
 from craftsim.errors import InputError
@@ -42,7 +42,7 @@ def _edit(folder, keys, value):
 
 EDITS = {
     "tiny steps": (SIMULATION, lambda s: s | {"timestep_s": 1e-7, "control_period_s": 1e-7}, "timestep_s must be"),
-    "a long period": ((*SIMULATION, "control_period_s"), 4e6, "control_period_s must be from 0.0001 to 1"),
+    "a long period": ((*SIMULATION, "control_period_s"), 4e6, "control_period_s must be from 0.001 to 1"),
     "no end of settling": ((*SIMULATION, "settle_s"), 1e9, "settle_s must be from 0 to 60"),
     "solver for ever": ((*SIMULATION, "solver_iterations"), 2**31, "solver_iterations must be from 1 to 10000"),
     "many steps": (("recipe", "steps"), lambda s: s * 6000, "18000 actions; allowed: at most 10000"),
@@ -183,13 +183,3 @@ def test_a_replay_ends_soon_after_the_bundle_says_it_does(folder):
 def test_times_that_are_not_those_of_the_replay_differ(folder):
     _edit(folder, ["end_s"], lambda end_s: end_s + 0.02)
     assert replay(read_bundle(folder)).differing == ("start_s and end_s",)
-
-
-@pytest.mark.parametrize("name", TARGETS)
-def test_mutated_files_are_read_or_refused(name, tmp_path):
-    slowest = 0.0
-    for seed in range(1500):
-        begun = time.process_time()
-        TARGETS[name](np.random.default_rng([13, seed]), tmp_path)
-        slowest = max(slowest, time.process_time() - begun)
-    assert slowest < 2

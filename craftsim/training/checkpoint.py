@@ -21,13 +21,13 @@ from craftsim.training.archive import reading_archive
 from craftsim.training.config import TrainConfig
 from craftsim.training.curve import Point
 from craftsim.training.identity import TaskIdentity
+from craftsim.training.policy import POLICY_FILE
 from craftsim.training.shape import Shape
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
-    from craftsim.training.policy import POLICY_FILE
-from craftsim.training.networks import CarNet
+    from craftsim.training.networks import CarNet
 
 RUN_FILE: Final = "run.pt"
 FORMAT: Final = 2

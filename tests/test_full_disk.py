@@ -98,9 +98,11 @@ WRITES = re.compile(
 ELSEWHERE = {
     # A tool for those who develop it writes into the source.
     "mjcf/make_machines.py",
-    # Lines are added to what is there, and drawn into memory.
+    # Lines are added to what is there; arrays and plots are written into memory.
     "validation/campaign/store.py",
     "validation/html/svg.py",
+    "training/archive.py",
+    "validation/replays/bundle.py",
     # Examples in docstrings.
     "models/parameter_files.py",
     "skills/gains.py",

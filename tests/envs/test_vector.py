@@ -113,11 +113,11 @@ def test_worlds_that_were_reached_are_kept_in_a_file_and_are_the_starts_of_train
 
 def test_files_that_hold_no_starts_and_starts_that_do_not_fit_are_refused(tmp_path):
     path = tmp_path / "starts.npz"
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such file"):
         load_starts(path)
     for text in ("no archive", ""):
         path.write_text(text)
-        with pytest.raises(InputError, match="save_starts"):
+        with pytest.raises(InputError, match="not an archive of arrays"):
             load_starts(path)
     np.savez(path, kind=np.zeros(3))
     with pytest.raises(InputError, match="save_starts"):

@@ -170,7 +170,7 @@ def test_the_default_settings_are_the_mjcfs_own(open_part):
     ("size", "n_cars", "message"),
     [
         ((30, 30, 10), 1, "a world of 9000 cells: too large for physics; allowed: at most 8192"),
-        ((6, 6, 1), 17, "a world of 17 cars: too large for physics; allowed: at most 16"),
+        ((6, 6, 1), 33, "a world of 33 cars: too large for physics; allowed: at most 32"),
     ],
 )
 def test_a_world_that_is_too_large_for_physics_is_refused_at_once(size, n_cars, message):
@@ -181,13 +181,12 @@ def test_a_world_that_is_too_large_for_physics_is_refused_at_once(size, n_cars, 
 
 
 def test_a_load_counts_as_a_part():
-    grid = Grid.empty((12, 12, 1), 2)
+    grid = Grid.empty((16, 14, 1), 2)
     grid.cars[:, :3] = [[0, 0, 1], [1, 0, 1]]
-    grid.kind[:11, 1:12, 1] = Kind.WALL
-    grid.kind[11, 1:6, 1] = Kind.WALL
+    grid.kind.reshape(-1, 2)[28 : 28 + 190, 1] = Kind.WALL
     Site(grid, reset=False)
     grid.cars[0, 4] = Kind.BLOCK
-    with pytest.raises(InputError, match="a world of 129 parts"):
+    with pytest.raises(InputError, match="a world of 193 parts"):
         Site(grid)
 
 

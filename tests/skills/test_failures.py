@@ -117,7 +117,7 @@ def test_a_hinge_needs_a_slope_above_the_car(make_site, action):
 
 def test_a_car_that_rests_off_its_target_is_misaligned(make_site):
     nominal = load_gains()
-    stiff = replace(nominal.drive, position_gain=0.5, integral_gain=1e-9, position_tolerance=1e-7)
+    stiff = replace(nominal.drive, position_gain=0.5, integral_gain=1e-5, position_tolerance=1e-7)
     outcome = _run(make_site((2, 1, 1), [(0, 0, 1, 0)]), RIGHT, gains=replace(nominal, drive=stiff))
     assert outcome.reason is Reason.MISALIGNED
     assert "from the target" in outcome.detail

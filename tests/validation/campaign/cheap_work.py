@@ -34,6 +34,8 @@ def work(job):
             return Done(True, [{"sum": number / 3, "text": "x" * 400}] * 60)
         case "slow":
             time.sleep(0.02)
+        case ("slow while", Path() as mark) if mark.exists():
+            time.sleep(5)
         case ("die once", Path() as mark) if not mark.exists():
             mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)

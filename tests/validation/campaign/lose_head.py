@@ -12,13 +12,20 @@ from craftsim.errors import InputError
 from craftsim.validation.campaign import Header, run_campaign
 
 HEADER = Header("ray", 0, {})
-ITEMS = cheap_work.items(200, **{f"i{i}": "slow" for i in range(200)})
+N_ITEMS = 14
+
+
+def items(out: Path):
+    """Return items that take long while the campaign's folder says so."""
+    return cheap_work.items(N_ITEMS, **{f"i{i}": ("slow while", out / "slow") for i in range(10, N_ITEMS)})
 
 
 def main(out: Path) -> None:
     """Run the campaign until it says that the cluster is gone."""
     nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
     os.environ["RAY_ADDRESS"] = nodes.address
+
+    out.joinpath("slow").touch()
 
     def kill_head(record):
         if sum(1 for _ in (out / "trials.jsonl").open()) == 10:
@@ -27,7 +34,7 @@ def main(out: Path) -> None:
                     os.kill(info.process.pid, signal.SIGKILL)
 
     try:
-        run_campaign(ITEMS, cheap_work.work, out, HEADER, workers=2, engine="ray", on_record=kill_head)
+        run_campaign(items(out), cheap_work.work, out, HEADER, workers=2, engine="ray", on_record=kill_head)
     except InputError as error:
         print(error)
 

@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 
 import cheap_work
-import numpy as np
 import pytest
 
 from craftsim.errors import InputError
@@ -100,16 +99,16 @@ def _attempted(**changes):
 
 
 DAMAGED = {
-    "a key is missing": (lambda r: json.dumps({k: v for k, v in r.items() if k != "extra"}), "extra: Field required"),
-    "a list for a key": (_changed(key=[]), r"key: Input should be a valid string, not \[\]"),
-    "attempts of another kind": (_changed(attempts=3), "attempts: "),
-    "an attempt without a field": (_changed(attempts=[{"tick": 0}]), r"attempts\.0\.car: Field required"),
-    "a text for a number": (_attempted(duration_s="1"), r"attempts\.0\.duration_s: .* number, not '1'"),
+    "a key is missing": (lambda r: json.dumps({k: v for k, v in r.items() if k != "extra"}), "extra': Field required"),
+    "a list for a key": (_changed(key=[]), "key': Input should be a valid string, not a list"),
+    "attempts of another kind": (_changed(attempts=3), "attempts': "),
+    "an attempt without a field": (_changed(attempts=[{"tick": 0}]), r"attempts\.0\.car': Field required"),
+    "a text for a number": (_attempted(duration_s="1"), r"attempts\.0\.duration_s': .* number, not '1'"),
     "no number": (_attempted(duration_s=float("nan")), "not JSON"),
-    "an unknown result": (_attempted(result="fine"), r"attempts\.0\.result: .*not 'fine'"),
+    "an unknown result": (_attempted(result="fine"), r"attempts\.0\.result': .*not 'fine'"),
     "a huge number": (_attempted(car_error_m=10**400), "finite"),
-    "a bundle elsewhere": (_changed(bundle="../mine"), "bundle: .*folder in bundles/"),
-    "a wrong extra": (_changed(extra={"ticks": 1, "forbidden": 0}), "extra.makespan_s: Field required"),
+    "a bundle elsewhere": (_changed(bundle="../mine"), "bundle': .*folder in bundles/"),
+    "a wrong extra": (_changed(extra={"ticks": 1, "forbidden": 0}), "extra.makespan_s': Field required"),
     "a failure that agrees": (_changed(error="x", attempts=[]), "does not agree"),
     "nested brackets": (lambda r: b"[" * 300_000, "recursion limit"),
     "a long number": (lambda r: b'{"index": ' + b"1" * 5000, "not JSON"),
@@ -142,17 +141,9 @@ def test_a_line_without_an_end_is_refused_without_reading_on(unfinished):
 def test_a_damaged_description_is_refused(unfinished, change):
     path = unfinished / "campaign.json"
     path.write_text(json.dumps({**json.loads(path.read_bytes()), **change}))
-    _refused(unfinished, rf"campaign\.json: not a campaign's description: {next(iter(change))}: ")
+    _refused(unfinished, rf"campaign\.json: not a campaign's description: key '{next(iter(change))}': ")
     with pytest.raises(InputError, match="not a campaign's description"):
         read_finished(unfinished, "validate", RUNS)
-
-
-def test_mutated_folders_are_read_or_refused(tmp_path):
-    rng = np.random.default_rng(13)
-    begun = time.process_time()
-    for _ in range(1500):
-        campaign_folders.attack(rng, tmp_path)
-    assert time.process_time() - begun < 60
 
 
 def test_what_utf_8_cannot_say_is_recorded_as_an_escape_and_read_back(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -104,4 +105,4 @@ def load_policy(path: str | Path) -> TrainedPolicy:
     from craftsim.training.checkpoint import read_policy
 
     path = Path(path)
-    return TrainedPolicy(*read_policy(path / POLICY_FILE if path.is_dir() else path))
+    return TrainedPolicy(*read_policy(path / POLICY_FILE if os.path.isdir(path) else path))

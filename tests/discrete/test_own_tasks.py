@@ -14,6 +14,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task, task_of
 from craftsim.discrete.tasks.measures import FlagAtGoal, OnePlatform
 from craftsim.discrete.tasks.rewards import Reward
+from craftsim.discrete.tasks.task_files import read_task
 from craftsim.errors import BlueprintError, InputError, PlanError
 
 START = """\
@@ -187,3 +188,9 @@ def test_worlds_and_plans_are_written_whole_and_read_back(tmp_path):
             write(tmp_path / "nowhere" / "file")
     with pytest.raises(InputError, match="no actions"):
         write_plan([], tmp_path / "empty.plan")
+
+
+def test_a_start_whose_name_is_too_long_for_a_file_is_one_message(tmp_path):
+    (tmp_path / "mine.yaml").write_text(f"start: {'x' * 300}\n")
+    with pytest.raises(InputError, match="File name too long"):
+        read_task(tmp_path / "mine.yaml")

@@ -5,6 +5,7 @@ A task file is a small YAML file; docs/tasks.md shows one.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Final, get_args
 
@@ -37,7 +38,7 @@ def read_task(
     if "start" not in keys.items:
         start = parse_blueprint(text, path).with_counts(n_cars, n_blocks)
         beside = path.with_name(f"{path.stem}_goal{path.suffix}")
-        design = read_design(beside) if beside.is_file() else None
+        design = read_design(beside) if os.path.isfile(beside) else None
         return _task(path, (start,), design, reward, DEFAULT_MAX_STEPS)
     for key in keys.items:
         if key not in TASK_KEYS:
@@ -75,7 +76,7 @@ def _place(source: Source, node: Node, key: str, shelf: Shelf) -> Path:
     if not isinstance(node, Scalar) or not node.text:
         source.fail(node.line, f"key '{key}': must be a file beside this one, or the name of a shipped one")
     near = source.path.parent / node.text
-    return near if near.is_file() else find(node.text, shelf)
+    return near if os.path.isfile(near) else find(node.text, shelf)
 
 
 def _task(

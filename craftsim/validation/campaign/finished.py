@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,7 +35,7 @@ def read_finished(folder: Path, command: str, form: Form = ANY) -> FinishedCampa
         InputError: the folder holds no campaign, an unfinished one or another command's, or a line that is no record.
     """
     path = folder / CAMPAIGN
-    if not path.exists():
+    if not os.path.exists(path):
         raise InputError(f"{folder} holds no campaign; give the --out of an earlier 'craftsim {command}'")
     header = read_header(path)
     if header["command"] != command:

@@ -20,11 +20,64 @@ def test_every_file_has_its_row():
     assert missing == []
 
 
+PHRASES = {
+    "JSON_VALUES": "holds up to {} values, no unknown",
+    "YAML_VALUES": "or noise: {} values",
+    "YAML_DEPTH": "nested {} levels deep, without anchors",
+    "PHYSICS_CELLS": "| a world in physics | {} cells",
+    "PHYSICS_CARS": "cells, {} cars, ",
+    "PHYSICS_PARTS": "{} parts (cars",
+    "PHYSICS_GOALS": "{} marked cells",
+    "PHYSICS_STEPS": "| a replay | {} physics steps",
+    "SHRINK_S": "| {} s of simulated time |",
+    "STEP_ACTIONS": "of them {} in one step",
+    "RECIPE_ACTIONS": "| the actions of a recipe | {}, of them",
+    "ACTIONS_WITHOUT_TIME": "in one step; {} more than there are control periods",
+    "MAX_ERROR_CHARACTERS": "is cut to {} characters",
+    "PICKLE_BYTES": "a policy or run file has {}",
+    "PICKLE_STEPS": "and {} values. A learning",
+    "CURVE_POINTS": "learning curve has {} points",
+    "LARGEST_WEIGHT": "a weight is {} at most",
+    "START_WORLDS": "a file of starts\n{} worlds",
+    "RECORDS": "has up to {} records",
+    "RECORDED_CELLS": "with {} cells together",
+    "RECORDED_CARS": "of worlds of {} cars",
+    "RECORDED_DEPTH": "plans of depth {} and",
+    "RECORDED_TICKS": "episodes of {} ticks",
+    "SEED": "| `--seed` | {} |",
+    "TRIAL_COUNT": "| `--trials`, and all runs of a campaign together | {} |",
+    "RUNS": "all runs of a campaign together | {} |",
+    "WORKERS": "| `--workers` | {} |",
+    "TIMEOUT_S": "| `--timeout` | {} s |",
+    "CARS": "| `--cars`, `--blocks` | {},",
+    "BLOCKS": "| `--cars`, `--blocks` | 0 to 256, {} |",
+    "EPISODE_TICKS": "| `--max-steps` | {} |",
+    "BATCH": "| `bench`: worlds | {} |",
+    "BENCH_S": "| `bench`: seconds, runs, episode | {},",
+    "BENCH_RUNS": "seconds, runs, episode | 0.001 to 3600, {},",
+    "BENCH_TICKS": "1 to 10000, {} |",
+    "SHOWN": "| `conformance --show` | {} |",
+    "TRAIN_STEPS": "| `train`: steps, episodes, worlds | {},",
+    "TRAIN_EPISODES": "| 1 to 1000000000000, {}, 1 to 100000 |",
+    "SHARE": "| `train`: until, novelty | {},",
+    "BONUS": "| `train`: until, novelty | 0 to 1, {} |",
+    "NETWORK_WIDTH": "width is {}.",
+}
+"""How the page says each number."""
+
+
+def _text(name: str, value: float | Range) -> str:
+    if isinstance(value, Range):
+        return str(value)
+    return size_text(int(value)) if name.endswith("_BYTES") else f"{value:,.0f}"
+
+
 def test_every_other_number_is_on_the_page():
     numbers = {
-        name: str(value) if isinstance(value, Range) else f"{value:,.0f}"
+        name: value
         for name, value in vars(limits).items()
         if name.isupper() and isinstance(value, int | float | Range) and value not in (KIB, MIB)
     }
-    numbers["PICKLE_BYTES"] = size_text(limits.PICKLE_BYTES)
-    assert {name: number for name, number in numbers.items() if number not in PAGE} == {}
+    assert numbers.keys() == PHRASES.keys()
+    said = {name: PHRASES[name].format(_text(name, value)) for name, value in numbers.items()}
+    assert [phrase for phrase in said.values() if phrase not in PAGE] == []

@@ -1,7 +1,7 @@
 """How much a file of each format may hold, and how large a number may be; docs/limits.md shows the tables.
 
-Nothing is read, unpacked or built before the limit that it falls under has been checked, so that no file, whoever
-wrote it, costs more than seconds and a few hundred megabytes.
+Nothing is read, unpacked or built before the limit that it falls under has been checked, so that a file is
+refused in seconds and within a few hundred megabytes, whoever wrote it.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ PHYSICS_CELLS: Final = 8192
 """Of the area of a world in physics: nine times that of the largest random world."""
 PHYSICS_CARS: Final = 32
 PHYSICS_PARTS: Final = 192
-"""Cars, loads, blocks, slopes, flags and walls of a world in physics together: what compiles, and settles
-while all of it moves, in 2 s and 500 MB."""
+"""Cars, loads, blocks, slopes, flags and walls of a world in physics together. At rest they compile and settle
+in about 2 s; a world of which all falls while it settles takes several times as long."""
 PHYSICS_GOALS: Final = 1024
 """Cells that are marked in a world in physics."""
 PHYSICS_STEPS: Final = 1_000_000

@@ -1,4 +1,4 @@
-"""JSON documents held to a schema: strictly, without unknown keys, with finite numbers; the first mistake is told."""
+"""JSON documents held to a schema: strict, no unknown keys, finite numbers; the first mistake is reported."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _TOLD: Final = 1000
-"""With more mistakes than this none is told: a description of each would take more memory than the file."""
+"""With more mistakes than this none is reported: a description of each would take more memory than the file."""
 
 
 class Schema(Generic[T]):

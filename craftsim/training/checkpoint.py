@@ -117,7 +117,7 @@ def save_run(path: Path, head: RunHead, learner: dict[str, Any], novelty: Any) -
 def open_run(path: Path) -> Iterator[SavedRun]:
     """Give what :func:`save_run` wrote; raises InputError, beginning with the path, for any other file.
 
-    An InputError in the block is told as one of the file.
+    An InputError in the block names the file.
     """
     with _opened(path, "run", RUN) as content:
         learner, novelty = content.pop("learner", None), content.pop("novelty", None)

@@ -20,6 +20,8 @@ def work(job):
     match what:
         case "raise":
             raise ValueError(f"no {number}\nin two lines")
+        case "odd":
+            raise ValueError("\ud800")
         case "exit":
             raise SystemExit(3)
         case "hang":

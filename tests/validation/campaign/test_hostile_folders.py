@@ -147,9 +147,9 @@ def test_a_damaged_description_is_refused(unfinished, change):
 
 
 def test_what_utf_8_cannot_say_is_recorded_as_an_escape_and_read_back(tmp_path):
-    odd = [Item("caf\udce9/0", "group \udce9", 7, None, "caf\udce9")]
+    odd = [Item("caf\udce9/0", "group \udce9", 7, (0, "odd"), "caf\udce9")]
     header = Header("validate", 7, {"worlds": {"caf\udce9": "shipped"}})
-    (record,) = run_campaign(odd, _surrogate, tmp_path, header)
+    (record,) = run_campaign(odd, cheap_work.work, tmp_path, header)
     assert record["key"] == "caf\\udce9/0"
     assert record["error"] == "ValueError: \\ud800"
     assert read_finished(tmp_path, "validate").records == [record]
@@ -158,10 +158,6 @@ def test_what_utf_8_cannot_say_is_recorded_as_an_escape_and_read_back(tmp_path):
 
 def _verbose(job):
     raise ValueError("y" * 10**6)
-
-
-def _surrogate(job):
-    raise ValueError("\ud800")
 
 
 def test_a_record_that_is_too_long_gives_way_to_a_failure(tmp_path):

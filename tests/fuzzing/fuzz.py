@@ -10,7 +10,6 @@ import argparse
 import faulthandler
 import importlib
 import pkgutil
-import resource
 import sys
 import tempfile
 import time
@@ -73,17 +72,32 @@ def targets() -> dict[str, Attack]:
 
 def attack(target: str, first: int, count: int, seed: int) -> Outcome:
     """Try some cases of one format."""
-    outcome, run = Outcome(target), targets()[target]
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with tempfile.TemporaryDirectory() as folder:
-        for case in range(first, first + count):
-            _try(outcome, run, case, seed, Path(folder))
-    outcome.grown_bytes = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
-    if outcome.grown_bytes > MAX_GROWTH:
+    run = targets()[target]
+    # Cases of which one is the first to compile the rules, or to import something, are measured once more.
+    for _ in range(2):
+        outcome = Outcome(target)
+        before = _peak_bytes(anew=True)
+        with tempfile.TemporaryDirectory() as folder:
+            for case in range(first, first + count):
+                _try(outcome, run, case, seed, Path(folder))
+        outcome.grown_bytes = _peak_bytes() - before
+        if outcome.grown_bytes <= MAX_GROWTH:
+            break
+    else:
         outcome.failures += (
             f"{target}: one of the cases {first} to {first + count - 1} took too much memory",
         )
     return outcome
+
+
+def _peak_bytes(anew: bool = False) -> int:
+    """Return the most memory that this process has held, or since it was last asked for ``anew``."""
+    if anew:
+        Path("/proc/self/clear_refs").write_text("5")
+    (line,) = (
+        line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")
+    )
+    return 1024 * int(line.split()[1])
 
 
 def _try(outcome: Outcome, run: Attack, case: int, seed: int, folder: Path) -> None:

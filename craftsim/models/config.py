@@ -10,7 +10,7 @@ from craftsim.errors import InputError
 Solver = Literal["newton", "pgs"]
 
 RANGES: Final[dict[str, tuple[float, float]]] = {
-    "timestep_s": (2.5e-4, 0.005),
+    "timestep_s": (2.5e-4, 0.01),
     "control_period_s": (1e-3, 1.0),
     "solver_iterations": (1, 10_000),
     "friction_impedance_ratio": (1e-3, 1e6),

@@ -141,4 +141,5 @@ class RandomizedSite:
         rougher = np.maximum(sliding[model.pair_geom1], sliding[model.pair_geom2])
         model.pair_friction[:, :2] = rougher[:, None]
         mujoco.mj_setConst(self.site.model, self.site.data)
+        self.site.take_figures()
         self.site.reset()

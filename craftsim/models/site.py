@@ -18,9 +18,10 @@ from craftsim.errors import InputError
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
 from craftsim.models.extent import check_extent
+from craftsim.models.grip import Grip
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.models.parts import Car, FreeBody, Slope
+from craftsim.models.parts import Car, FreeBody, Slope, trees_of_motors
 from craftsim.models.placement import placements
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -114,16 +115,20 @@ class Site:
             self.model: mujoco.MjModel = spec.compile()
         except ValueError as error:
             raise InputError(f"MuJoCo makes no world of these figures: {error}") from error
-        self.data = mujoco.MjData(self.model)
-        self._policies = self.model.tree_sleep_policy.copy()
-        self._commanded = b""
-        """Which motors had a command in the last period; empty where the policies may not fit it."""
-        self._tree_of_motor = self.model.dof_treeid[
-            self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]]
-        ].astype(np.intp)
         self.cars = tuple(
             Car.find(self.model, name, machines.car(i)) for i, name in enumerate(names["smartcar"])
         )
+        self.data = mujoco.MjData(self.model)
+        self._grip: Grip | None = None
+        if machines.drive == "reduced":
+            for car in self.cars:
+                car.add_spin(self.model)
+            mujoco.mj_setConst(self.model, self.data)
+            self._grip = Grip(self.model, self.cars)
+        self._policies = self.model.tree_sleep_policy.copy()
+        self._commanded = b""
+        """Which motors had a command in the last period; empty where the policies may not fit it."""
+        self._tree_of_motor = trees_of_motors(self.model)
         self.slopes = tuple(Slope.find(self.model, name) for name in names["slope"])
         self.blocks = tuple(FreeBody.find(self.model, name + "block") for name in names["block"])
         self.flags = tuple(FreeBody.find(self.model, name + "flag") for name in names["flag"])
@@ -132,6 +137,8 @@ class Site:
 
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
+        if self._grip is not None:
+            self._grip.begin()
         mujoco.mj_resetData(self.model, self.data)
         self._set_policies(self._policies)
         joints: dict[str, list[float]] = {"smartcar": [], "slope": []}
@@ -146,6 +153,11 @@ class Site:
         self.overlaps = tuple(overlaps(self.model, self.data))
         self.capped_steps = 0
         self._step(round(self.config.settle_s / self.config.timestep_s))
+
+    def take_figures(self) -> None:
+        """Take over what somebody has changed in the model, such as motors' limits, before a reset."""
+        if self._grip is not None:
+            self._grip = Grip(self.model, self.cars)
 
     @property
     def diverged(self) -> bool:
@@ -171,6 +183,8 @@ class Site:
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Run one control period of physics under the commands that stand; ``observe`` is called after every step."""
+        if self._grip is not None:
+            self._grip.limit(self.data)
         if self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
             self.model.opt.enableflags &= ~_SLEEP

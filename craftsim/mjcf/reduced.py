@@ -9,7 +9,7 @@ from craftsim.mjcf import shapes
 from craftsim.mjcf.shapes import Point
 from craftsim.models.parameters import SmartcarParameters
 
-BRISTLES: Final = (200.0, 0.2)
+BRISTLES: Final = (200.0, 0.5)
 """Stiffness (Nm/rad) and damping (Nms/rad) of a gear's dry friction: a loaded car on the slope gives way by 0.1 mm
 before it holds, without swinging."""
 STRIBECK_RAD_S: Final = 0.1

@@ -115,11 +115,12 @@ class Drive:
 
 def trees_of_motors(model: mujoco.MjModel) -> NDArray[np.intp]:
     """Return the kinematic tree (nu,) that each motor moves."""
-    of_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-    target = model.actuator_trnid[:, 0]
-    joint_body, site_body = model.jnt_bodyid[target * of_joint], model.site_bodyid[target * ~of_joint]
-    root = model.body_rootid[np.where(of_joint, joint_body, site_body)]
-    return model.dof_treeid[model.body_dofadr[root]].astype(np.intp)
+    bodies = [
+        model.jnt_bodyid[target] if kind == mujoco.mjtTrn.mjTRN_JOINT else model.site_bodyid[target]
+        for kind, target in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
+    ]
+    roots = model.body_rootid[np.array(bodies, np.intp)]
+    return model.dof_treeid[model.body_dofadr[roots]].astype(np.intp)
 
 
 @dataclass(frozen=True)

@@ -147,7 +147,7 @@ def test_below_the_statics_limit_a_car_cannot_climb(car, threshold, forward):
 @pytest.mark.parametrize("mu", [0.8, 0.4])
 @pytest.mark.parametrize("downhill", [0.0, math.pi, math.pi / 2])
 def test_braked_wheels_slide_where_rollers_do(car, threshold, mu, downhill):
-    """atan(mu cos 45 deg): a roller holds along its axis alone, and all four together. Band: 2 %."""
+    """atan(mu cos 45 deg): a roller holds along its axis alone, and all four together. Band: 3 %."""
     car.model.geom_friction[car.wheels, 0] = mu
 
     def slides(angle: float) -> bool:
@@ -160,7 +160,7 @@ def test_braked_wheels_slide_where_rollers_do(car, threshold, mu, downhill):
     gears = [car.model.actuator(f"car0/gear_{w}").id for w in ("fl", "fr", "rl", "rr")]
     car.model.actuator_biasprm[gears, 3:5] = 1.0
     expected = math.atan(mu * math.cos(math.pi / 4))
-    assert threshold(slides, 0.1, 0.9) == pytest.approx(expected, rel=0.02)
+    assert threshold(slides, 0.1, 0.9) == pytest.approx(expected, rel=0.03)
 
 
 def test_grip_limits_how_fast_a_car_speeds_up(car):

@@ -125,6 +125,7 @@ def setup_of(
         _noise(noise, declared),
         _noise(assume, declared),
         randomization,
+        SimulationConfig.of(machines.drive),
         gains=gains,
         machines=machines,
     )

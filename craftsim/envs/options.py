@@ -68,8 +68,8 @@ class Options:
     machines: Machines | None = None
     """The parameters of cars, blocks and slopes, the nominal ones unless given; physics only."""
     drive: Drive | None = None
-    """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and else ``reduced``,
-    which is several times as fast (docs/physics.md says how far it can be trusted). Physics only."""
+    """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and else
+    ``reduced``, which is several times as fast (docs/drives.md says how far it can be trusted). Physics only."""
     check_contacts: bool = False
     """Whether the judge logs contacts, 8 % of the time; what is unsafe then ends at once. Physics only."""
     observers: tuple[Callable[[Site], None], ...] = ()
@@ -159,7 +159,7 @@ class Options:
             noise=self.noise or EXACT,
             assumed=self.assumed or self.noise or EXACT,
             randomization=self.randomization,
-            simulation=self.config or SimulationConfig(),
+            simulation=self.config or SimulationConfig.of(machines.drive),
             gains=self.gains or nominal_gains(),
             machines=machines,
         )

@@ -6,11 +6,18 @@ from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 from craftsim.errors import InputError
+from craftsim.models.parameters import Drive
 
 Solver = Literal["newton", "pgs"]
 
+STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.02 / 3}
+"""Physics step of each drive, unless another is asked for: verdicts are those of steps of 1 ms, and final poses within
+0.3 mm of theirs (``craftsim bench steps``)."""
+ROLLERS_STEP_S: Final = 0.005
+"""The longest step in which rollers keep the ground."""
+
 RANGES: Final[dict[str, tuple[float, float]]] = {
-    "timestep_s": (2.5e-4, 0.01),
+    "timestep_s": (2.5e-4, 0.007),
     "control_period_s": (1e-3, 1.0),
     "solver_iterations": (1, 10_000),
     "friction_impedance_ratio": (1e-3, 1e6),
@@ -37,7 +44,8 @@ class SimulationConfig:
     """
 
     timestep_s: float = 0.004
-    """Physics step. Final poses differ by less than 2 mm from those at 1 ms (tests/skills/test_demo_plan.py)."""
+    """Physics step, of rollers. Final poses differ by less than 2 mm from those at 1 ms
+    (tests/skills/test_demo_plan.py)."""
 
     control_period_s: float = 0.02
     """How often skills are asked for a command: 50 Hz, as a small robot's controller. A multiple of the step."""
@@ -67,9 +75,8 @@ class SimulationConfig:
     def __post_init__(self) -> None:
         for name, (least, most) in RANGES.items():
             if not least <= getattr(self, name) <= most:
-                why = "; above 0.005 s rollers lose the ground, try 0.004" * (name == "timestep_s")
                 raise InputError(
-                    f"SimulationConfig.{name} must be from {least:g} to {most:g}, not {getattr(self, name)}{why}"
+                    f"SimulationConfig.{name} must be from {least:g} to {most:g}, not {getattr(self, name)}"
                 )
         if self.solver not in get_args(Solver):
             raise InputError(
@@ -80,6 +87,19 @@ class SimulationConfig:
             raise InputError(
                 f"SimulationConfig.control_period_s ({self.control_period_s}) must be an integer multiple of "
                 f"timestep_s ({self.timestep_s})"
+            )
+
+    @classmethod
+    def of(cls, drive: Drive) -> SimulationConfig:
+        """Return the settings for cars with a drive."""
+        return cls(timestep_s=STEPS_S[drive])
+
+    def check_drive(self, drive: Drive) -> None:
+        """Raise InputError for a physics step that is too long for a drive."""
+        if drive == "rollers" and self.timestep_s > ROLLERS_STEP_S:
+            raise InputError(
+                f"SimulationConfig.timestep_s is {self.timestep_s:g}; above {ROLLERS_STEP_S:g} s rollers lose the "
+                f"ground, try {STEPS_S[drive]:g}"
             )
 
     @property

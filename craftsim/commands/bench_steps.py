@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from craftsim.checking.attempt import Attempt
     from craftsim.validation.audit.trial import Trial
 
-STEPS_S: Final = (0.001, 0.002, 0.004, 0.005, 0.02 / 3)
+STEPS_S: Final = (0.001, 0.002, 0.004, 0.005)
 """Physics steps, the finest first: all others are compared with it."""
 
 

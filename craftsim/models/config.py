@@ -10,14 +10,12 @@ from craftsim.models.parameters import Drive
 
 Solver = Literal["newton", "pgs"]
 
-STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.02 / 3}
+STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.005}
 """Physics step of each drive, unless another is asked for: verdicts are those of steps of 1 ms, and final poses within
-0.3 mm of theirs (``craftsim bench steps``)."""
-ROLLERS_STEP_S: Final = 0.005
-"""The longest step in which rollers keep the ground."""
+0.3 mm of theirs (``craftsim bench steps``). In longer steps rollers lose the ground, and servos ring."""
 
 RANGES: Final[dict[str, tuple[float, float]]] = {
-    "timestep_s": (2.5e-4, 0.007),
+    "timestep_s": (2.5e-4, 0.005),
     "control_period_s": (1e-3, 1.0),
     "solver_iterations": (1, 10_000),
     "friction_impedance_ratio": (1e-3, 1e6),
@@ -75,8 +73,9 @@ class SimulationConfig:
     def __post_init__(self) -> None:
         for name, (least, most) in RANGES.items():
             if not least <= getattr(self, name) <= most:
+                why = "; above 0.005 s rollers lose the ground, try 0.004" * (name == "timestep_s")
                 raise InputError(
-                    f"SimulationConfig.{name} must be from {least:g} to {most:g}, not {getattr(self, name)}"
+                    f"SimulationConfig.{name} must be from {least:g} to {most:g}, not {getattr(self, name)}{why}"
                 )
         if self.solver not in get_args(Solver):
             raise InputError(
@@ -93,14 +92,6 @@ class SimulationConfig:
     def of(cls, drive: Drive) -> SimulationConfig:
         """Return the settings for cars with a drive."""
         return cls(timestep_s=STEPS_S[drive])
-
-    def check_drive(self, drive: Drive) -> None:
-        """Raise InputError for a physics step that is too long for a drive."""
-        if drive == "rollers" and self.timestep_s > ROLLERS_STEP_S:
-            raise InputError(
-                f"SimulationConfig.timestep_s is {self.timestep_s:g}; above {ROLLERS_STEP_S:g} s rollers lose the "
-                f"ground, try {STEPS_S[drive]:g}"
-            )
 
     @property
     def steps_per_period(self) -> int:

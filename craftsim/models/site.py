@@ -100,7 +100,6 @@ class Site:
         check_extent(grid, goals)
         machines.check_number(grid.n_cars)
         self.config = config or SimulationConfig.of(machines.drive)
-        self.config.check_drive(machines.drive)
         self.machines = machines
         self.size = grid.size
         self.overlaps: tuple[Overlap, ...] = ()

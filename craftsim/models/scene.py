@@ -24,7 +24,9 @@ def write_scene(
 
     Raises InputError where the disk does not take a file.
     """
-    spec, _ = compose(grid, placements(grid, machines), config or SimulationConfig.of(machines.drive), goals, machines)
+    spec, _ = compose(
+        grid, placements(grid, machines), config or SimulationConfig.of(machines.drive), goals, machines
+    )
     spec.compile()
     files = {**spec.assets, "site.xml": spec.to_xml()}
     for name, content in files.items():

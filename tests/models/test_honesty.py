@@ -54,7 +54,9 @@ def test_no_model_has_hidden_helpers(name):
     assert model.opt.disableflags == 0
     assert not model.opt.wind.any()
     # Motors move joints; those of the reduced drive's wheels push the car itself.
-    pushing = [model.actuator(a).name for a in np.flatnonzero(model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT)]
+    pushing = [
+        model.actuator(a).name for a in np.flatnonzero(model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT)
+    ]
     wheels = [f"{motor}_{wheel}" for motor in ("wheel", "gear") for wheel in ("fl", "fr", "rl", "rr")]
     assert {name.rpartition("/")[2] for name in pushing} == (set(wheels) if "reduced" in name else set())
 

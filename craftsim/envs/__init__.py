@@ -5,11 +5,9 @@ Importing this package registers ``craftsim/SimpleTwoStory-v0`` and its like wit
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
 from craftsim.errors import InputError
@@ -77,12 +75,13 @@ def vector_env(
     backend: BackendName = "grid",
     n_cars: int | None = None,
     n_blocks: int | None = None,
+    workers: int | None = None,
     **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
     """Return many worlds of a task as a Gymnasium environment, one agent for all cars of each world.
 
     An episode that ends is reset in the same step, and its last observation is in ``infos["final_obs"]``. Grid worlds
-    advance in one array call; each world in physics runs in a process of its own, so call this where
+    advance in one array call; worlds in physics are spread over processes, so call this where
     ``__name__ == "__main__"``, and close it.
 
     Args:
@@ -91,6 +90,8 @@ def vector_env(
         backend: the grid and its rules, or contact physics.
         n_cars: as in :func:`parallel_env`.
         n_blocks: as in :func:`parallel_env`.
+        workers: physics only: how many processes share the worlds, one for each processor unless given; no number
+            depends on it.
         options: on the grid ``rule_set``, ``helper_depth`` and ``time_weight``; in physics the fields of
             :class:`craftsim.envs.options.Options`, ``observe`` aside.
 
@@ -105,22 +106,19 @@ def vector_env(
         (8, 2, 15)
     """
     from craftsim.envs.options import Options
-    from craftsim.envs.vector import GridVectorEnv
 
     Options.named(backend=backend, **options)
     task = as_task(task, n_cars, n_blocks)
-    if backend == "grid":
-        for name in options:
-            if name not in ("rule_set", "helper_depth", "time_weight"):
-                raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
-        return GridVectorEnv(task, num_envs, **options)
-    from craftsim.envs.central import CentralConstruction
+    if backend == "physics":
+        from craftsim.envs.physics_vector import PhysicsVectorEnv
 
-    make = partial(CentralConstruction, task, backend=backend, **options)
-    make().close()  # so that what is wrong is said here, and not in a process
-    if not isinstance(num_envs, int) or num_envs < 1:
-        raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")
-    return AsyncVectorEnv([make] * num_envs, context="spawn", autoreset_mode=AutoresetMode.SAME_STEP)
+        return PhysicsVectorEnv(task, num_envs, workers=workers, **options)
+    from craftsim.envs.vector import GridVectorEnv
+
+    for name in ("workers",) if workers is not None else options:
+        if name not in ("rule_set", "helper_depth", "time_weight"):
+            raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
+    return GridVectorEnv(task, num_envs, **options)
 
 
 GYMNASIUM_IDS: Final = {
@@ -132,6 +130,6 @@ for _name, _id in GYMNASIUM_IDS.items():
     gymnasium.register(
         _id,
         entry_point="craftsim.envs.central:CentralConstruction",
-        vector_entry_point="craftsim.envs.vector:GridVectorEnv",
+        vector_entry_point="craftsim.envs:vector_env",
         kwargs={"task": _name},
     )

@@ -15,7 +15,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.options import BackendName, Options
+from craftsim.envs.options import Options
 from craftsim.envs.spaces import central_space, joint_action_space
 from craftsim.errors import InputError
 
@@ -23,11 +23,12 @@ Observation = dict[str, NDArray[Any]]
 Bools = NDArray[np.bool_]
 
 
-class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
-    """B grid worlds of one task; one who sees a world's global state chooses an action for each of its cars.
+class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
+    """B worlds of one task, in whatever they are simulated: the spaces, and how episodes follow each other.
 
-    A world whose episode ends is reset in the same step: the observation returned is the new episode's first, and the
-    old one's last is in ``infos["final_obs"]``. :meth:`car_vectors` is what the single cars observe.
+    One who sees a world's global state chooses an action for each of its cars. A world whose episode ends is reset in
+    the same step: the observation returned is the new episode's first, and the old one's last is in
+    ``infos["final_obs"]``.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
@@ -35,37 +36,39 @@ class GridVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         "render_modes": [],
     }
 
+    def __init__(self, task: Task | str, num_envs: int) -> None:
+        """Make the spaces; raises InputError for a task that there is not and for a number that is none."""
+        if not isinstance(num_envs, int) or num_envs < 1:
+            raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")
+        self.task = as_task(task)
+        self.num_envs = num_envs
+        self.single_observation_space = central_space(self.task)
+        self.single_action_space = joint_action_space(self.task)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+
+class GridVectorEnv(TaskVectorEnv):
+    """B grid worlds of one task; :meth:`car_vectors` is what the single cars observe."""
+
     def __init__(
         self,
         task: Task | str,
         num_envs: int = 1,
         *,
-        backend: BackendName = "grid",
         rule_set: RuleSet = "physical",
         helper_depth: int | None = None,
         time_weight: float = 0.0,
     ) -> None:
         """Prepare ``num_envs`` worlds; the options are as in :class:`craftsim.envs.options.Options`.
 
-        Raises InputError for a task or an option value that there is not, and for any backend but the grid.
+        Raises InputError for a task or an option value that there is not.
         """
-        if backend != "grid":
-            raise InputError(
-                f"a batch in one call is of grid worlds, not of backend '{backend}'; for physics say "
-                "vectorization_mode='async' (or 'sync'), or craftsim.envs.vector_env(..., backend='physics')"
-            )
-        if not isinstance(num_envs, int) or num_envs < 1:
-            raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")
-        options = Options(backend, rule_set, helper_depth, time_weight)
-        self.task = as_task(task)
-        self.num_envs = num_envs
+        super().__init__(task, num_envs)
+        options = Options("grid", rule_set, helper_depth, time_weight)
         self.time_weight = options.time_weight
         self.episodes = Episodes(self.task, np.random.default_rng(), num_envs, rule_set, helper_depth)
         self._begun = False
-        self.single_observation_space = central_space(self.task)
-        self.single_action_space = joint_action_space(self.task)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

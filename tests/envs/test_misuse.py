@@ -155,7 +155,7 @@ def test_every_agent_needs_an_action():
         env.step({"car_0": 15, "car_1": STOP})
 
 
-def test_a_batch_is_of_grid_worlds_and_begins_with_a_reset():
+def test_a_batch_of_grid_worlds_begins_with_a_reset():
     with pytest.raises(InputError, match="num_envs"):
         GridVectorEnv("strip", 0)
     with pytest.raises(InputError, match="time_weight"):
@@ -163,5 +163,3 @@ def test_a_batch_is_of_grid_worlds_and_begins_with_a_reset():
     envs = gymnasium.make_vec(GYMNASIUM_IDS["strip"], 2, backend="grid")
     with pytest.raises(InputError, match=r"reset\(\)"):
         envs.step(np.full((2, 2), STOP))
-    with pytest.raises(InputError, match="vectorization_mode='async'"):
-        gymnasium.make_vec(GYMNASIUM_IDS["strip"], 2, backend="physics")

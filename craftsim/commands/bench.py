@@ -31,7 +31,7 @@ DEPTH: Final = 20
 
 
 def bench(
-    what: tyro.conf.Positional[Literal["rules", "env", "workers", "durations"]],
+    what: tyro.conf.Positional[Literal["rules", "env", "physics", "workers", "durations"]],
     rules: RuleSet = "published",
     worlds: Annotated[int, BATCH] = 1000,
     seconds: Annotated[float, BENCH_S] = 2.0,
@@ -49,8 +49,12 @@ def bench(
     A fixed calibration work in plain Python is timed in turns with it: "per unit" is steps in the time of one unit of
     that work, "CraftEnv" what CraftEnv would do here and now by an estimate from the calibration, "times" the ratio.
 
-    env: the same through PettingZoo and in batches; and in physics, the wall time of a step against that of MuJoCo's
+    env: the same through PettingZoo and in batches; and in physics, the CPU time of a step against that of MuJoCo's
     steps alone under the same commands.
+
+    physics: joint steps a CPU second against CraftEnv's; with growing numbers of cars that drive and of blocks that
+    rest against MuJoCo's steps alone under the same commands ("over bare"; "us" is what one of these takes, "units"
+    what a joint step costs in units of the calibration work); resets; many worlds with one worker process and with two.
 
     workers: two worker processes against one, building a task again and again, their start included.
 
@@ -60,12 +64,12 @@ def bench(
         what: what to measure.
         rules: the rule set to run; rules only.
         worlds: how many worlds a batch has.
-        seconds: how long each measurement on the grid runs.
+        seconds: how long each measurement on the grid runs, and each play of a task in physics.
         memory_worlds: how many worlds to make for the memory figure; rules only.
         episode: ticks of the episode that is timed in physics, 2 or more; env only.
         runs: how often the task is built; workers only.
         seed: decides starts, actions and orders.
-        out: folder for report.json.
+        out: folder for report.json; for physics.png and physics.md, too.
     """
     from craftsim.commands.terminal import Terminal
     from craftsim.report import output_directory, write_report
@@ -85,6 +89,11 @@ def bench(
 
             config |= {"worlds": worlds, "depth": DEPTH, "episode": episode}
             wall = bench_env(console, TASKS, DEPTH, worlds, seconds, episode, seed)
+        case "physics":
+            from craftsim.commands.bench_physics import bench_physics
+
+            config |= {"seconds": seconds}
+            wall = bench_physics(console, TASKS, seconds, seed, out)
         case "workers":
             config |= {"runs": runs}
             wall = _bench_workers(console, runs, seed)

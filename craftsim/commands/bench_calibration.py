@@ -148,16 +148,22 @@ def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper:
     calls = units = 0
     of_calls = of_units = 0.0
     for _ in range(_TURNS):
-        done, spent = _repeat(lambda _: step(), seconds / _TURNS)
+        done, spent = repeat(lambda _: step(), seconds / _TURNS)
         calls, of_calls = calls + done, of_calls + spent
-        done, spent = _repeat(unit, _SHARE * seconds / _TURNS)
+        done, spent = repeat(unit, _SHARE * seconds / _TURNS)
         units, of_units = units + done, of_units + spent
     units_a_second = units / of_units
     reference = units_a_second * REFERENCE_PER_UNIT[task] * (1.0 if helper else PRIMITIVE_TIMES_HELPER[task])
     return Rate(n * calls / of_calls, units_a_second, reference)
 
 
-def _repeat(work: Callable[[int], object], seconds: float) -> tuple[int, float]:
+def pace(seconds: float = 0.1) -> float:
+    """Return how many units of the calibration work this processor does in a CPU second just now."""
+    n, spent = repeat(unit, seconds)
+    return n / spent
+
+
+def repeat(work: Callable[[int], object], seconds: float) -> tuple[int, float]:
     """Return how often something was done within so many CPU seconds, once at least, and the time that it took."""
     begun = time.process_time()
     n = 0

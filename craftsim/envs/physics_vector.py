@@ -74,6 +74,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
         self.render_mode = one.render_mode
         one.close()
         self._worlds = WorldProcesses(make, num_envs, self.workers)
+        self._ids = frozenset(range(num_envs))
         self._acting = np.zeros(num_envs, np.bool_)
         self._begun = False
         self._rows = np.zeros((num_envs, self.task.layout.n_rows, ROW), np.int32)
@@ -142,10 +143,8 @@ class PhysicsVectorEnv(TaskVectorEnv):
 
     def _checked_ids(self, ids: Sequence[int] | NDArray[np.integer]) -> NDArray[np.int64]:
         chosen = np.asarray(ids)
-        known = (
-            chosen.ndim == 1 and chosen.dtype.kind in "iu" and np.isin(chosen, np.arange(self.num_envs)).all()
-        )
-        if not known or len(np.unique(chosen)) != len(chosen):
+        known = chosen.ndim == 1 and chosen.dtype.kind in "iu" and set(chosen.tolist()) <= self._ids
+        if not known or len(set(chosen.tolist())) != len(chosen):
             raise InputError(
                 f"ids are {ids!r}; allowed: different whole numbers from 0 to {self.num_envs - 1}"
             )

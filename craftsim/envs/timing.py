@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -59,15 +59,28 @@ def vector_step(envs: GridVectorEnv, seed: int) -> Callable[[], None]:
     return step
 
 
+Play = Callable[[int, np.random.Generator, dict[str, dict[str, NDArray[Any]]]], dict[str, int]]
+"""Chooses the actions of a tick, of which it is told the number, by what the agents observe."""
+
+
+def random_play(
+    tick: int, rng: np.random.Generator, observations: dict[str, dict[str, NDArray[Any]]]
+) -> dict[str, int]:
+    """Return one of the offered actions for each agent, uniformly."""
+    return _act(rng, observations)
+
+
 @dataclass(frozen=True)
 class PhysicsTiming:
-    """Wall time of the same physics, once in the environment and once bare."""
+    """CPU time of the same physics, once in the environment and once bare."""
 
     n_cars: int
     n_steps: int
     """Steps of the environment."""
     n_periods: int
     """Control periods that they took."""
+    n_physics_steps: int
+    """Steps of MuJoCo in those."""
     env_s: float
     bare_s: float
     """Of MuJoCo's steps alone, under the commands that were recorded."""
@@ -88,24 +101,36 @@ class _Period:
     """Whether its first step ran with sleep switched off, to wake what is commanded."""
 
 
-def time_physics(task: Task, seed: int = 0, repeats: int = 5) -> PhysicsTiming:
-    """Time an episode of masked random play in physics against MuJoCo's steps alone, the best of some repeats each.
+def time_physics(
+    task: Task, seed: int = 0, repeats: int = 5, options: Options | None = None, play: Play = random_play
+) -> PhysicsTiming:
+    """Time an episode in physics against MuJoCo's steps alone, in CPU seconds, the best of some repeats each in turns.
 
     The commands of every control period are recorded and replayed from the same state by ``mj_step`` and nothing else,
     which ends in the same state, bit for bit. The reset is part of neither time.
+
+    Args:
+        task: what is played; an episode is as long as it says.
+        seed: of the environment and of what ``play`` draws.
+        repeats: how often either is timed.
+        options: of the environment.
+        play: chooses the actions.
     """
-    env = ParallelConstruction(task, Options())
+    env = ParallelConstruction(task, options or Options())
     periods: list[_Period] = []
-    _, n_steps = _play(env, seed, periods)
+    _, n_steps = _play(env, seed, play, periods)
     end = _site(env).data.qpos.copy()
     _find_rousing(env, seed, periods)
     env_times, bare_times = [], []
     for _ in range(repeats):
-        env_times.append(_play(env, seed)[0])
+        env_times.append(_play(env, seed, play)[0])
         bare_times.append(_replay(env, seed, periods))
         if not np.array_equal(_site(env).data.qpos, end):
             raise RuntimeError("the replay of the commands does not end where the environment did")
-    return PhysicsTiming(env.core.n_cars, n_steps, len(periods), min(env_times), min(bare_times))
+    n_physics_steps = len(periods) * _site(env).config.steps_per_period
+    return PhysicsTiming(
+        env.core.n_cars, n_steps, len(periods), n_physics_steps, min(env_times), min(bare_times)
+    )
 
 
 def _site(env: ParallelConstruction) -> Site:
@@ -114,8 +139,10 @@ def _site(env: ParallelConstruction) -> Site:
     return backend.checked.site
 
 
-def _play(env: ParallelConstruction, seed: int, record: list[_Period] | None = None) -> tuple[float, int]:
-    """Play an episode; return the wall time of its steps and their number, and record its periods if asked to."""
+def _play(
+    env: ParallelConstruction, seed: int, play: Play, record: list[_Period] | None = None
+) -> tuple[float, int]:
+    """Play an episode; return the CPU time of its steps and their number, and record its periods if asked to."""
     rng = np.random.default_rng(seed)
     observations = env.reset(seed=seed)[0]
     if record is not None:
@@ -126,10 +153,10 @@ def _play(env: ParallelConstruction, seed: int, record: list[_Period] | None = N
         )
     seconds, n_steps = 0.0, 0
     while env.agents:
-        actions = _act(rng, observations)
-        begun = time.perf_counter()
+        actions = play(n_steps, rng, observations)
+        begun = time.process_time()
         observations = env.step(actions)[0]
-        seconds += time.perf_counter() - begun
+        seconds += time.process_time() - begun
         n_steps += 1
     return seconds, n_steps
 
@@ -157,10 +184,10 @@ def _step(site: Site, period: _Period) -> None:
 
 
 def _replay(env: ParallelConstruction, seed: int, periods: list[_Period]) -> float:
-    """Return the wall time of the recorded periods without anything else."""
+    """Return the CPU time of the recorded periods without anything else."""
     env.reset(seed=seed)
     site = _site(env)
-    begun = time.perf_counter()
+    begun = time.process_time()
     for period in periods:
         _step(site, period)
-    return time.perf_counter() - begun
+    return time.process_time() - begun

@@ -1,0 +1,173 @@
+"""Measure what many worlds in physics cost: workers, handing over their work, memory."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.tasks import make_task
+from craftsim.envs.central import CentralConstruction
+from craftsim.envs.physics_vector import PhysicsVectorEnv
+from craftsim.errors import CraftsimError
+
+WORLDS: Final = 8
+"""That workers share, and that memory is divided by."""
+_TICKS: Final = 4
+"""Of each world in a turn."""
+_CALLS: Final = 500
+
+
+@dataclass(frozen=True)
+class WorkersTiming:
+    """The same play in many worlds with one worker process and with two."""
+
+    one_worker: float
+    """Joint steps a second of wall time."""
+    two_workers: float
+    one_worker_cpu_s: float
+    """CPU seconds a joint step, those of the process that chooses the actions included."""
+    two_workers_cpu_s: float
+    handing_over_us: float
+    """CPU time that a joint step takes more in another process than in this one, in microseconds, both together."""
+    load: float
+    """How many processes wanted a processor in the last minute, those measured included."""
+    processors: int
+
+    @property
+    def ratio(self) -> float:
+        """How many times as many joint steps two workers do, on a machine as busy as this one."""
+        return self.two_workers / self.one_worker
+
+    @property
+    def cpu_ratio(self) -> float:
+        """What a joint step costs with two workers over what it costs with one; twice its inverse bounds the ratio."""
+        return self.two_workers_cpu_s / self.one_worker_cpu_s
+
+
+def time_workers(task: str, options: Mapping[str, Any], seconds: float, seed: int) -> WorkersTiming:
+    """Play the same with one worker and with two, in turns for so many seconds each; the best turn of either counts.
+
+    Raises CraftsimError where their results differ.
+    """
+    with (
+        closing(PhysicsVectorEnv(task, WORLDS, workers=1, **options)) as one,
+        closing(PhysicsVectorEnv(task, WORLDS, workers=2, **options)) as two,
+    ):
+        walls: dict[int, list[float]] = {1: [], 2: []}
+        cpus: dict[int, list[float]] = {1: [], 2: []}
+        end = time.perf_counter() + 2 * seconds
+        while time.perf_counter() < end or not walls[2]:
+            for envs in (one, two):
+                wall_s, cpu_s = _play(envs, seed)
+                walls[envs.workers].append(wall_s)
+                cpus[envs.workers].append(cpu_s)
+            if not np.array_equal(one.car_vectors(), two.car_vectors()):
+                raise CraftsimError("two workers gave other results than one")
+        over_us = _handing_over_us(one, task, options)
+    return WorkersTiming(
+        one_worker=1 / min(walls[1]),
+        two_workers=1 / min(walls[2]),
+        one_worker_cpu_s=min(cpus[1]),
+        two_workers_cpu_s=min(cpus[2]),
+        handing_over_us=over_us,
+        load=os.getloadavg()[0],
+        processors=len(os.sched_getaffinity(0)),
+    )
+
+
+def _play(envs: PhysicsVectorEnv, seed: int) -> tuple[float, float]:
+    """Play some ticks of each world at its own pace; return wall and CPU seconds a joint step."""
+    rngs = [np.random.default_rng([seed, world]) for world in range(envs.num_envs)]
+
+    def act(ids: NDArray[np.int64], masks: NDArray[np.int8]) -> None:
+        picked = [
+            (rngs[world].random(mask.shape) * mask).argmax(-1) for world, mask in zip(ids, masks, strict=True)
+        ]
+        envs.send(np.array(picked), ids)
+
+    masks = envs.reset(seed=seed)[0]["action_mask"]
+    left = np.full(envs.num_envs, _TICKS)
+    begun, cpu_s = time.perf_counter(), _cpu_s(envs)
+    act(np.arange(envs.num_envs), masks)
+    while left.any():
+        observation, *_, infos = envs.recv()
+        ids = infos["env_id"]
+        left[ids] -= 1
+        if (goes_on := left[ids] > 0).any():
+            act(ids[goes_on], observation["action_mask"][goes_on])
+    n = _TICKS * envs.num_envs
+    return (time.perf_counter() - begun) / n, (_cpu_s(envs) - cpu_s) / n
+
+
+def _cpu_s(envs: PhysicsVectorEnv) -> float:
+    """Return the CPU seconds of this process and the workers so far."""
+    ticks = 0
+    for pid in envs.pids:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return time.process_time() + ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _handing_over_us(envs: PhysicsVectorEnv, task: str, options: Mapping[str, Any]) -> float:
+    """Return how much longer a joint step in which nothing moves costs in another process."""
+    here = CentralConstruction(task, **options)
+    here.reset(seed=0)
+    envs.reset(seed=0)
+    still = np.full(here.core.n_cars, Action.STOP)
+
+    def step_here() -> None:
+        _, _, terminated, truncated, _ = here.step(still)
+        if terminated or truncated:
+            here.reset()
+
+    def step_there() -> None:
+        envs.send(still[None], [0])
+        envs.recv()
+
+    began_s = _cpu_s(envs)
+    for _ in range(_CALLS):
+        step_there()
+    there_s = _cpu_s(envs) - began_s
+    began_s = time.process_time()
+    for _ in range(_CALLS):
+        step_here()
+    here_s = time.process_time() - began_s
+    here.close()
+    return 1e6 * (there_s - here_s) / _CALLS
+
+
+def mib_a_world(task: str, options: Mapping[str, Any]) -> float:
+    """Return what each world beyond the first adds to the memory of a process that plays it, in MiB."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as process:
+        return process.submit(_grown_mib, task, dict(options)).result() / WORLDS
+
+
+def _grown_mib(task: str, options: dict[str, Any]) -> float:
+    """Return by how much the memory of this process grows for some worlds after a first one."""
+    short = make_task(task, max_steps=0)
+    rng = np.random.default_rng(0)
+    envs, before = [], 0.0
+    for number in range(1 + WORLDS):
+        env = CentralConstruction(short, **options)
+        masks = env.reset(seed=number)[0]["action_mask"]
+        env.step((rng.random(masks.shape) * masks).argmax(-1))
+        envs.append(env)
+        if number == 0:
+            before = _resident_mib()
+    return _resident_mib() - before
+
+
+def _resident_mib() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

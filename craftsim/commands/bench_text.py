@@ -1,0 +1,107 @@
+"""What ``craftsim bench physics`` has measured, in tables and lines, for the terminal and for the documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from craftsim.commands.bench_batches import WORLDS, WorkersTiming
+from craftsim.commands.bench_calibration import Rate
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from craftsim.commands.bench_physics import YardTiming
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A table of texts."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def for_terminal(self) -> Table:
+        """Return it as the terminal shows it."""
+        from rich.box import SIMPLE
+        from rich.table import Table
+
+        table = Table(title=self.title, box=SIMPLE)
+        for name in self.head:
+            table.add_column(name, no_wrap=True)
+        for row in self.rows:
+            table.add_row(*row)
+        return table
+
+    def as_markdown(self) -> str:
+        """Return it as Markdown has it, its title above it."""
+        lines = [self.head, ("---",) * len(self.head), *self.rows]
+        return "\n".join([f"{self.title}:", "", *(f"| {' | '.join(line)} |" for line in lines)])
+
+
+def rate_table(rates: Sequence[tuple[str, str, Rate]]) -> Cells:
+    """Return the rates of tasks, by drive."""
+    rows = (
+        (task, drive, f"{rate.steps_a_second:.1f}", f"{rate.reference_a_second:.1f}", f"{rate.times:.3f}")
+        for task, drive, rate in rates
+    )
+    return Cells(
+        "Joint steps a CPU second", ("task", "drive", "steps/s", "CraftEnv", "times CraftEnv"), tuple(rows)
+    )
+
+
+def yard_table(yards: Sequence[YardTiming]) -> Cells:
+    """Return what worlds with so many cars and blocks cost."""
+    rows = (
+        (
+            row.drive,
+            str(row.n_cars),
+            str(row.n_blocks),
+            f"{row.joint_steps_a_second:.1f}",
+            f"{row.units_a_step:.1f}",
+            f"{row.physics_step_us:.0f}",
+            f"{100 / row.timing.ratio:.0f} %",
+            f"{row.timing.ratio:.2f}",
+            f"{row.resets_a_second:.0f}",
+        )
+        for row in yards
+    )
+    head = ("drive", "cars", "blocks", "steps/s", "units", "us", "mj_step", "over bare", "resets/s")
+    return Cells("Cars that drive to and fro, blocks at rest", head, tuple(rows))
+
+
+def yard_lines(yards: Sequence[YardTiming]) -> list[str]:
+    """Return, by drive, how costs grow with moving cars and with resting blocks."""
+    lines = []
+    for drive in dict.fromkeys(row.drive for row in yards):
+        cost = {(row.n_cars, row.n_blocks): row.units_a_step for row in yards if row.drive == drive}
+        alone = sorted(cars for cars, blocks in cost if not blocks)
+        few, many = alone[0], alone[-1]
+        grown = cost[many, 0] / many / (cost[few, 0] / few)
+        lines.append(f"{drive}: a car of {many} costs {grown:.2f} times what one of {few} costs.")
+        beside, blocks = max(cost, key=lambda key: key[1])
+        if blocks and beside in alone:
+            more = 100 * (cost[beside, blocks] / cost[beside, 0] - 1)
+            lines.append(
+                f"{drive}: {blocks} blocks at rest add {more:.0f} % to the cost of {beside} moving cars."
+            )
+    return lines
+
+
+def batch_lines(
+    task: str, workers: Mapping[str, WorkersTiming], mib_a_world: Mapping[str, float]
+) -> list[str]:
+    """Return, by drive, what many worlds of a task cost."""
+    lines = []
+    for drive, timing in workers.items():
+        lines += [
+            f"{drive}, {WORLDS} worlds of {task}: {timing.one_worker:.1f} joint steps a second of wall time with one "
+            f"worker, {timing.two_workers:.1f} with two: {timing.ratio:.2f} times as many, with equal results "
+            f"({timing.processors} processors, load {timing.load:.1f}).",
+            f"{drive}: a joint step costs {1e3 * timing.one_worker_cpu_s:.1f} ms of CPU with one worker, "
+            f"{timing.cpu_ratio:.2f} times that with two; handing it over, {timing.handing_over_us:.0f} us. "
+            f"A world takes {mib_a_world[drive]:.1f} MiB.",
+        ]
+    return lines

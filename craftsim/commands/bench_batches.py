@@ -150,15 +150,15 @@ def _handing_over_us(envs: PhysicsVectorEnv, task: str, options: Mapping[str, An
 def mib_a_world(task: str, options: Mapping[str, Any]) -> float:
     """Return what each world beyond the first adds to the memory of a process that plays it, in MiB."""
     with ProcessPoolExecutor(1, get_context("spawn")) as process:
-        return process.submit(_grown_mib, task, dict(options)).result() / WORLDS
+        return process.submit(_grown_mib, task, dict(options), WORLDS).result() / WORLDS
 
 
-def _grown_mib(task: str, options: dict[str, Any]) -> float:
-    """Return by how much the memory of this process grows for some worlds after a first one."""
+def _grown_mib(task: str, options: dict[str, Any], n_worlds: int) -> float:
+    """Return by how much the memory of this process grows for so many worlds after a first one."""
     short = make_task(task, max_steps=0)
     rng = np.random.default_rng(0)
     envs, before = [], 0.0
-    for number in range(1 + WORLDS):
+    for number in range(1 + n_worlds):
         env = CentralConstruction(short, **options)
         masks = env.reset(seed=number)[0]["action_mask"]
         env.step((rng.random(masks.shape) * masks).argmax(-1))

@@ -1,9 +1,10 @@
-"""``craftsim train``: cars learn a task on the grid."""
+"""``craftsim train``: cars learn a task on the grid, or in contact physics."""
 
 from __future__ import annotations
 
 import re
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -15,8 +16,18 @@ from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.errors import InputError
 from craftsim.report import output_directory, write_report
-from craftsim.storage.limits import BATCH, BLOCKS, BONUS, CARS, SEED, SHARE, TRAIN_EPISODES, TRAIN_STEPS
-from craftsim.training.config import AlgoName, TrainConfig
+from craftsim.storage.limits import (
+    BATCH,
+    BLOCKS,
+    BONUS,
+    CARS,
+    SEED,
+    SHARE,
+    TRAIN_EPISODES,
+    TRAIN_STEPS,
+    WORKERS,
+)
+from craftsim.training.config import WORLDS, AlgoName, TrainBackend, TrainConfig
 from craftsim.training.extra import need_torch
 
 if TYPE_CHECKING:
@@ -34,7 +45,9 @@ def train(
     seed: Annotated[int, SEED] = 0,
     steps: Annotated[int, TRAIN_STEPS] = 3_000_000,
     until: Annotated[float, SHARE] = 0.99,
-    worlds: Annotated[int, BATCH] = 500,
+    backend: TrainBackend = "grid",
+    worlds: Annotated[int | None, BATCH] = None,
+    workers: Annotated[int | None, WORKERS] = None,
     novelty: Annotated[float, BONUS] = 0.0,
     cars: Annotated[int | None, CARS] = None,
     blocks: Annotated[int | None, BLOCKS] = None,
@@ -43,11 +56,11 @@ def train(
     resume: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Train a policy on the grid and report its success rate there on fresh episodes.
+    """Train a policy on the grid, or in nominal physics, and report its success rate there on fresh episodes.
 
-    It runs on one core, under the physical rule set; gains and machine parameters mean nothing on the grid, so there is
-    no --rules, --gains or --parameters here. Ctrl-C ends it after the current iteration with everything saved; --resume
-    goes on as if it had never stopped. Exit status 0 when training ended by itself.
+    It runs under the physical rule set, on the grid on one core; gains and machine parameters mean nothing there, so
+    there is no --rules, --gains or --parameters here. Ctrl-C ends it after the current iteration with everything saved;
+    --resume goes on as if it had never stopped. Exit status 0 when training ended by itself.
 
     Args:
         task: one of the paper's six, or a task of one's own: a registered name, a file, or module:factory.
@@ -55,7 +68,10 @@ def train(
         seed: decides everything that is drawn.
         steps: ticks to play at most, all worlds together.
         until: end when this success rate is reached in an evaluation.
-        worlds: how many are stepped side by side in a rollout.
+        backend: where it is trained and evaluated.
+        worlds: how many are stepped side by side in a rollout; 500 on the grid and 64 in physics unless given.
+        workers: processes that share the worlds in physics, one for each processor unless given; results do not depend
+            on it.
         novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
         cars: other than the task's number of cars; those that its start does not list are drawn at random.
         blocks: the same for blocks.
@@ -67,7 +83,12 @@ def train(
     need_torch()
     from craftsim.discrete.tasks import as_task
 
-    config = TrainConfig(task, algo, seed, worlds, novelty=novelty, n_cars=cars, n_blocks=blocks)
+    if backend == "grid" and workers is not None:
+        raise InputError("--workers is for physics; on the grid one process steps all worlds: leave it out")
+    worlds = WORLDS[backend] if worlds is None else worlds
+    config = TrainConfig(
+        task, algo, seed, worlds, novelty=novelty, n_cars=cars, n_blocks=blocks, backend=backend
+    )
     learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:
         raise InputError(
@@ -81,32 +102,35 @@ def train(
     # One thread adds numbers up in one order, so that a run can be repeated bit for bit.
     torch.set_num_threads(1)
     console = Terminal()
-    trainer = _trainer(config, learnt, starts, folder, resume)
+    trainer = _trainer(config, learnt, starts, folder, resume, workers)
     begun = time.perf_counter()
-    try:
-        _run(trainer, console, steps, until, folder)
-    except KeyboardInterrupt:
+    with closing(trainer):
+        try:
+            _run(trainer, console, steps, until, folder)
+        except KeyboardInterrupt:
+            trainer.save(folder)
+            say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}")
+            return INTERRUPTED
         trainer.save(folder)
-        say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}")
-        return INTERRUPTED
-    trainer.save(folder)
-    asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
-    asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
-    _report(trainer, folder, asked, time.perf_counter() - begun)
+        asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
+        asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
+        _report(trainer, folder, asked, time.perf_counter() - begun)
     return 0
 
 
-def _trainer(config: TrainConfig, task: Task, starts: Path | None, folder: Path, resume: bool) -> Trainer:
+def _trainer(
+    config: TrainConfig, task: Task, starts: Path | None, folder: Path, resume: bool, workers: int | None
+) -> Trainer:
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
     other = with_starts(task, starts) if starts else None
     if resume:
-        return Trainer.resume(folder, other, config=config)
+        return Trainer.resume(folder, other, config=config, workers=workers)
     if (folder / RUN_FILE).exists():
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
-    return Trainer(config, other, task)
+    return Trainer(config, other, task, workers)
 
 
 def _run(trainer: Trainer, console: Console, steps: int, until: float, folder: Path) -> None:

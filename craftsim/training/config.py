@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal, get_args
 
+from craftsim.errors import InputError
 from craftsim.storage.limits import BATCH, BONUS, NETWORK_WIDTH, SEED
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql"]
+TrainBackend = Literal["grid", "physics"]
+WORLDS: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 64}
+"""How many are stepped side by side unless said otherwise."""
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
 
 
@@ -19,8 +24,8 @@ class TrainConfig:
     """A registered name, a file or ``module:factory``, as :func:`craftsim.discrete.tasks.as_task` takes it."""
     algo: AlgoName = "ippo"
     seed: int = 0
-    worlds: int = 500
-    """How many grid worlds are stepped side by side in a rollout."""
+    worlds: int = WORLDS["grid"]
+    """How many worlds are stepped side by side in a rollout."""
     width: int = 128
     """Length of the vectors inside the networks."""
     novelty: float = 0.0
@@ -29,8 +34,12 @@ class TrainConfig:
     """Other than the task's number of cars; those that its start does not list are drawn at random."""
     n_blocks: int | None = None
     """The same for blocks."""
+    backend: TrainBackend = "grid"
+    """Where it is trained and evaluated: on the grid, or in nominal contact physics."""
 
     def __post_init__(self) -> None:
+        if self.backend not in get_args(TrainBackend):
+            raise InputError(f"backend is {self.backend!r}; allowed: {', '.join(get_args(TrainBackend))}")
         SEED.check("seed", self.seed)
         BATCH.check("worlds", self.worlds)
         NETWORK_WIDTH.check("width", self.width)

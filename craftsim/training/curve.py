@@ -70,7 +70,7 @@ def plot_curve(path: Path, title: str, curve: Sequence[Point], intervals: Sequen
         steps, [low for low, _ in intervals], [high for _, high in intervals], color="tab:blue", alpha=0.2
     )
     right.plot(steps, [point.mean_return for point in curve], color="tab:orange", label="return")
-    left.set(xlabel="grid steps", ylabel="success", ylim=(-0.02, 1.02), title=title)
+    left.set(xlabel="steps of all worlds together", ylabel="success", ylim=(-0.02, 1.02), title=title)
     right.set_ylabel("mean return")
     figure.legend(loc="outside lower center", ncols=2)
     with whole(path) as partial:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -14,25 +15,27 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from craftsim.discrete.tasks import Task, as_task
+from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.report import versions
 from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import RUN_FILE, RunHead, open_run, save_policy, save_run
-from craftsim.training.config import TrainConfig
+from craftsim.training.config import TrainBackend, TrainConfig
 from craftsim.training.curve import Played, Point
-from craftsim.training.evaluation import evaluate
+from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.extra import PACKAGES
 from craftsim.training.grid_env import GridEnv
 from craftsim.training.identity import TaskIdentity, starts_digest
 from craftsim.training.interrupts import finishing_first
 from craftsim.training.novelty import Novelty
+from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.policy import POLICY_FILE
 from craftsim.training.restoring import numbers
 from craftsim.training.shape import Shape
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next."""
-EVALUATION_EPISODES: Final = 500
+EVALUATION_EPISODES: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 100}
 """Episodes of an evaluation while training."""
 _ROLLOUT, _EVALUATION, _FINAL = range(3)
 
@@ -40,24 +43,36 @@ _ROLLOUT, _EVALUATION, _FINAL = range(3)
 class Trainer:
     """A training run. After each iteration it is where another run of the same configuration would be, bit for bit."""
 
-    def __init__(self, config: TrainConfig, starts: Task | None = None, task: Task | None = None) -> None:
-        """Prepare a run.
+    def __init__(
+        self,
+        config: TrainConfig,
+        starts: Task | None = None,
+        task: Task | None = None,
+        workers: int | None = None,
+    ) -> None:
+        """Prepare a run; close it when it is done with.
 
         Args:
             config: what decides the run.
             starts: the task with other starts to train from, where they are not its own.
             task: the task itself; made of its name in the configuration unless given.
+            workers: how many processes share the worlds in physics; one for each processor unless given.
 
         Raises:
             InputError: there is no such task.
         """
         self.config = config
+        self.workers = workers
         self.task = task or as_task(config.task, config.n_cars, config.n_blocks)
         self.identity = TaskIdentity.of(self.task)
         self.starts = "" if starts is None else starts_digest(starts)
         """Digest of the other starts; empty without."""
         self.shape = Shape.of(self.task, config.width)
-        self.env = GridEnv(starts or self.task, config.worlds)
+        self.env: GridEnv | PhysicsEnv
+        if config.backend == "grid":
+            self.env = GridEnv(starts or self.task, config.worlds)
+        else:
+            self.env = PhysicsEnv(starts or self.task, config.worlds, workers)
         self.iteration = 0
         self.curve: list[Point] = []
         self.wall_s = 0.0
@@ -87,14 +102,24 @@ class Trainer:
                 self._iterate()
                 evaluates = self.iteration % EVALUATION_INTERVAL == 0
                 if evaluates:
-                    played = self.evaluate(EVALUATION_EPISODES, _EVALUATION)
+                    played = self.evaluate(EVALUATION_EPISODES[self.config.backend], _EVALUATION)
                     self.curve.append(Point(**asdict(played), steps=self.steps))
                 self.wall_s += time.perf_counter() - begun
             yield evaluates
 
     def evaluate(self, episodes: int, purpose: int = _FINAL) -> Played:
         """Evaluate the policy as it is on fresh episodes."""
-        return evaluate(self.learner.net, self.task, episodes, self._seed(purpose))
+        net, seed = self.learner.net, self._seed(purpose)
+        if isinstance(self.env, GridEnv):
+            return evaluate(net, self.task, episodes, seed)
+        if not self.starts:
+            return evaluate_in_physics(net, self.env.worlds, episodes, seed)
+        with closing(PhysicsVectorEnv(self.task, self.config.worlds, workers=self.workers)) as worlds:
+            return evaluate_in_physics(net, worlds, episodes, seed)
+
+    def close(self) -> None:
+        """End the processes that hold worlds in physics."""
+        self.env.close(raise_if_closed=False)
 
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
@@ -132,6 +157,7 @@ class Trainer:
         starts: Task | None = None,
         task: Task | None = None,
         config: TrainConfig | None = None,
+        workers: int | None = None,
     ) -> Trainer:
         """Return the run that a folder holds, as it was when it was saved.
 
@@ -144,11 +170,12 @@ class Trainer:
             task: the task itself; made of its name in the file unless given, which may name a Python function. Give it,
                 or the configuration, for a file from others.
             config: what the run must have been begun with; anything unless given.
+            workers: as in the constructor.
         """
         with open_run(folder / RUN_FILE) as run:
             if config is not None and run.head.config != config:
                 raise InputError(f"it was begun with {run.head.config}, not with {config}")
-            trainer = cls(run.head.config, starts, task)
+            trainer = cls(run.head.config, starts, task, workers)
             if run.head.task.digest != trainer.identity.digest:
                 raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
             if run.head.starts != trainer.starts:

@@ -1,0 +1,62 @@
+"""Training in physics: the form that TorchRL asks for, and the same run at any number of workers."""
+
+from contextlib import closing
+from dataclasses import replace
+
+import pytest
+import torch
+
+from craftsim.cli import main
+from craftsim.discrete.tasks import make_task
+from craftsim.errors import InputError
+from craftsim.training.config import TrainConfig
+from craftsim.training.physics_env import PhysicsEnv
+from craftsim.training.trainer import Trainer
+
+SHORT = make_task("strip", max_steps=0)
+"""Two ticks an episode."""
+
+
+def test_a_rollout_in_physics_keeps_the_last_observations_and_begins_each_episode_anew():
+    env = PhysicsEnv(SHORT, 2, workers=1)
+    try:
+        env.set_seed(3)
+        rollout = env.rollout(4, break_when_any_done=False)
+        twin = env.worlds.reset(seed=3)[0]
+    finally:
+        env.close()
+    assert rollout["next", "done"].squeeze(-1).tolist() == [[False, True, False, True]] * 2
+    assert not rollout["next", "terminated"].any()
+    seen, after = (rollout[key] for key in (("agents", "observation"), ("next", "agents", "observation")))
+    assert env.observation_spec["agents", "observation"].is_in(seen[:, 0])
+    # A world sees what it saw last, but at an episode's end: the strip always starts the same.
+    assert torch.equal(seen[:, 1], after[:, 0])
+    assert torch.equal(seen[:, 3], after[:, 2])
+    assert torch.equal(seen[:, 2], seen[:, 0])
+    start = torch.from_numpy(twin["observation"]).to(seen.dtype)
+    assert torch.equal(seen[:, 0, 0, 13:], start)
+
+
+def test_a_run_in_physics_is_the_same_with_one_worker_and_with_two_and_resumes(tmp_path):
+    config = TrainConfig("strip", worlds=3, width=8, backend="physics")
+    weights = []
+    for workers in (1, 2):
+        with closing(Trainer(config, task=SHORT, workers=workers)) as trainer:
+            assert next(iter(trainer.run(1, 2.0))) is False
+            played = trainer.evaluate(4)
+            assert (played.episodes, played.mean_ticks) == (4, 2.0)
+            weights.append([*(w.clone() for w in trainer.learner.net.parameters()), played.mean_return])
+            trainer.save(tmp_path)
+    assert all(bool((a == b).all()) if torch.is_tensor(a) else a == b for a, b in zip(*weights, strict=True))
+    with closing(Trainer.resume(tmp_path, task=SHORT, workers=1)) as resumed:
+        assert resumed.iteration == 1
+        assert resumed.config == config
+    with pytest.raises(InputError, match="it was begun with"):
+        Trainer.resume(tmp_path, task=SHORT, config=replace(config, backend="grid"))
+
+
+def test_where_training_runs_is_one_of_two_and_workers_are_for_physics(capsys):
+    with pytest.raises(InputError, match="allowed: grid, physics"):
+        TrainConfig("strip", backend="grit")
+    assert main(["train", "--workers", "2"]) == 2
+    assert "--workers is for physics" in capsys.readouterr().err

@@ -53,7 +53,7 @@ def bench(
     steps alone under the same commands.
 
     physics: joint steps a CPU second against CraftEnv's; with growing numbers of cars that drive and of blocks that
-    rest against MuJoCo's steps alone under the same commands ("over bare"; "us" is what one of these takes, "units"
+    rest against MuJoCo's steps alone under the same commands ("x bare"; "us" is what one of these takes, "units"
     what a joint step costs in units of the calibration work); resets; many worlds with one worker process and with two.
 
     workers: two worker processes against one, building a task again and again, their start included.

@@ -36,8 +36,9 @@ class WorkersTiming:
     """Joint steps a second of wall time."""
     two_workers: float
     one_worker_cpu_s: float
-    """CPU seconds a joint step, those of the process that chooses the actions included."""
+    """CPU seconds a joint step: of the worker, and of the process that chooses the actions."""
     two_workers_cpu_s: float
+    """The same of the busier of the two workers, while the other one works beside it."""
     handing_over_us: float
     """CPU time that a joint step takes more in another process than in this one, in microseconds, both together."""
     load: float
@@ -50,9 +51,12 @@ class WorkersTiming:
         return self.two_workers / self.one_worker
 
     @property
-    def cpu_ratio(self) -> float:
-        """What a joint step costs with two workers over what it costs with one; twice its inverse bounds the ratio."""
-        return self.two_workers_cpu_s / self.one_worker_cpu_s
+    def free_ratio(self) -> float:
+        """How many times as many they would do each on a processor of its own, by CPU times.
+
+        As if no worker did anything while actions are chosen and handed over.
+        """
+        return self.one_worker_cpu_s / self.two_workers_cpu_s
 
 
 def time_workers(task: str, options: Mapping[str, Any], seconds: float, seed: int) -> WorkersTiming:
@@ -87,7 +91,10 @@ def time_workers(task: str, options: Mapping[str, Any], seconds: float, seed: in
 
 
 def _play(envs: PhysicsVectorEnv, seed: int) -> tuple[float, float]:
-    """Play some ticks of each world at its own pace; return wall and CPU seconds a joint step."""
+    """Play some ticks of each world at its own pace; return wall and CPU seconds a joint step.
+
+    The latter are those of this process and of the busiest worker.
+    """
     rngs = [np.random.default_rng([seed, world]) for world in range(envs.num_envs)]
 
     def act(ids: NDArray[np.int64], masks: NDArray[np.int8]) -> None:
@@ -98,7 +105,7 @@ def _play(envs: PhysicsVectorEnv, seed: int) -> tuple[float, float]:
 
     masks = envs.reset(seed=seed)[0]["action_mask"]
     left = np.full(envs.num_envs, _TICKS)
-    begun, cpu_s = time.perf_counter(), _cpu_s(envs)
+    begun, cpu_s = time.perf_counter(), np.array(_cpu_s(envs))
     act(np.arange(envs.num_envs), masks)
     while left.any():
         observation, *_, infos = envs.recv()
@@ -107,16 +114,18 @@ def _play(envs: PhysicsVectorEnv, seed: int) -> tuple[float, float]:
         if (goes_on := left[ids] > 0).any():
             act(ids[goes_on], observation["action_mask"][goes_on])
     n = _TICKS * envs.num_envs
-    return (time.perf_counter() - begun) / n, (_cpu_s(envs) - cpu_s) / n
+    wall_s = time.perf_counter() - begun
+    own_s, *workers_s = np.array(_cpu_s(envs)) - cpu_s
+    return wall_s / n, float(own_s + max(workers_s)) / n
 
 
-def _cpu_s(envs: PhysicsVectorEnv) -> float:
-    """Return the CPU seconds of this process and the workers so far."""
-    ticks = 0
+def _cpu_s(envs: PhysicsVectorEnv) -> list[float]:
+    """Return the CPU seconds of this process and of each worker so far."""
+    seconds = [time.process_time()]
     for pid in envs.pids:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        ticks += int(fields[11]) + int(fields[12])
-    return time.process_time() + ticks / os.sysconf("SC_CLK_TCK")
+        seconds.append((int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"))
+    return seconds
 
 
 def _handing_over_us(envs: PhysicsVectorEnv, task: str, options: Mapping[str, Any]) -> float:
@@ -135,10 +144,10 @@ def _handing_over_us(envs: PhysicsVectorEnv, task: str, options: Mapping[str, An
         envs.send(still[None], [0])
         envs.recv()
 
-    began_s = _cpu_s(envs)
+    began_s = sum(_cpu_s(envs))
     for _ in range(_CALLS):
         step_there()
-    there_s = _cpu_s(envs) - began_s
+    there_s = sum(_cpu_s(envs)) - began_s
     began_s = time.process_time()
     for _ in range(_CALLS):
         step_here()

@@ -123,7 +123,7 @@ def bench_physics(
         },
         "yards": [row.as_dict() for row in yards],
         "workers": {
-            drive: asdict(timing) | {"ratio": timing.ratio, "cpu_ratio": timing.cpu_ratio}
+            drive: asdict(timing) | {"ratio": timing.ratio, "free_ratio": timing.free_ratio}
             for drive, timing in workers.items()
         },
         "mib_a_world": memory,

@@ -68,7 +68,7 @@ def yard_table(yards: Sequence[YardTiming]) -> Cells:
         )
         for row in yards
     )
-    head = ("drive", "cars", "blocks", "steps/s", "units", "us", "mj_step", "over bare", "resets/s")
+    head = ("drive", "cars", "blocks", "steps/s", "units", "us", "mj_step", "x bare", "resets/s")
     return Cells("Cars that drive to and fro, blocks at rest", head, tuple(rows))
 
 
@@ -97,11 +97,11 @@ def batch_lines(
     lines = []
     for drive, timing in workers.items():
         lines += [
-            f"{drive}, {WORLDS} worlds of {task}: {timing.one_worker:.1f} joint steps a second of wall time with one "
-            f"worker, {timing.two_workers:.1f} with two: {timing.ratio:.2f} times as many, with equal results "
-            f"({timing.processors} processors, load {timing.load:.1f}).",
-            f"{drive}: a joint step costs {1e3 * timing.one_worker_cpu_s:.1f} ms of CPU with one worker, "
-            f"{timing.cpu_ratio:.2f} times that with two; handing it over, {timing.handing_over_us:.0f} us. "
-            f"A world takes {mib_a_world[drive]:.1f} MiB.",
+            f"{drive}, {WORLDS} worlds of {task}: by CPU times two workers do {timing.free_ratio:.2f} times the joint "
+            "steps of one, each on a processor of its own, with equal results; a joint step takes "
+            f"{1e3 * timing.one_worker_cpu_s:.1f} ms, handing it to another process {timing.handing_over_us:.0f} us.",
+            f"{drive}: by the clock, {timing.one_worker:.1f} joint steps a second with one worker, "
+            f"{timing.two_workers:.1f} with two, {timing.ratio:.2f} times as many ({timing.processors} processors, "
+            f"load {timing.load:.1f}). A world takes {mib_a_world[drive]:.1f} MiB.",
         ]
     return lines

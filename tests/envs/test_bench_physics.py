@@ -47,6 +47,6 @@ def test_the_bench_of_physics_prints_plots_and_says_what_grows(tmp_path, monkeyp
         assert 0.2 < row["share_of_mj_step"] < 1.0
         assert row["resets_a_second"] > 10
     workers = figures["workers"]["rollers"]
-    assert 0.5 < workers["cpu_ratio"] < 2.0
+    assert 0.8 < workers["free_ratio"] < 2.5
     assert workers["handing_over_us"] < 20_000
     assert 0 < figures["mib_a_world"]["rollers"] < 50

@@ -1,4 +1,6 @@
-"""Find out once whether anything renders here; tests of physics do not need it."""
+"""Find out once whether anything renders here, which tests of physics do not need; a Ray cluster."""
+
+import fcntl
 
 import pytest
 
@@ -16,3 +18,26 @@ def rendering() -> None:
     """Skip the test where nothing renders."""
     if _WHY_NOT:
         pytest.skip(_WHY_NOT)
+
+
+@pytest.fixture
+def alone(tmp_path_factory):
+    """One of the tests with Ray at a time, whatever process runs it: a cluster is found by all of a machine."""
+    with (tmp_path_factory.getbasetemp().parent / "ray.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@pytest.fixture
+def ray_cluster(alone, monkeypatch):
+    """Yield a cluster of two nodes with a processor each, which RAY_ADDRESS names."""
+    import ray
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    nodes.add_node(num_cpus=1)
+    monkeypatch.setenv("RAY_ADDRESS", nodes.address)
+    yield nodes
+    ray.shutdown()
+    nodes.shutdown()

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from craftsim.envs.options import BackendName
     from craftsim.envs.parallel import ParallelConstruction
+    from craftsim.envs.physics_vector import EngineName
 
 __all__ = ["GYMNASIUM_IDS", "env", "parallel_env", "vector_env"]
 
@@ -76,6 +77,7 @@ def vector_env(
     n_cars: int | None = None,
     n_blocks: int | None = None,
     workers: int | None = None,
+    engine: EngineName = "local",
     **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
     """Return many worlds of a task as a Gymnasium environment, one agent for all cars of each world.
@@ -92,6 +94,7 @@ def vector_env(
         n_blocks: as in :func:`parallel_env`.
         workers: physics only: how many processes share the worlds, one for each processor unless given; no number
             depends on it.
+        engine: physics only: processes of this machine, or actors of an existing Ray cluster.
         options: on the grid ``rule_set``, ``helper_depth`` and ``time_weight``; in physics the fields of
             :class:`craftsim.envs.options.Options`, ``observe`` aside.
 
@@ -112,10 +115,11 @@ def vector_env(
     if backend == "physics":
         from craftsim.envs.physics_vector import PhysicsVectorEnv
 
-        return PhysicsVectorEnv(task, num_envs, workers=workers, **options)
+        return PhysicsVectorEnv(task, num_envs, workers=workers, engine=engine, **options)
     from craftsim.envs.vector import GridVectorEnv
 
-    for name in ("workers",) if workers is not None else options:
+    given = {"workers": workers is not None, "engine": engine != "local"}
+    for name in [*(name for name, is_given in given.items() if is_given), *options]:
         if name not in ("rule_set", "helper_depth", "time_weight"):
             raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
     return GridVectorEnv(task, num_envs, **options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -16,19 +16,23 @@ from craftsim.discrete.tasks.observation import ROW, car_vectors
 from craftsim.envs.actions import checked
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.vector import Bools, Observation, TaskVectorEnv
-from craftsim.envs.world_processes import (
+from craftsim.envs.world_processes import WorldProcesses
+from craftsim.envs.world_requests import (
     Acted,
     ActRequest,
     Answer,
+    Make,
     Rendered,
     RenderRequest,
     Request,
     ResetRequest,
     Seen,
-    WorldProcesses,
+    WorldHolder,
 )
 from craftsim.errors import CraftsimError, InputError
 from craftsim.storage.limits import WORKERS
+
+EngineName = Literal["local", "ray"]
 
 Batch = tuple[Observation, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 
@@ -50,7 +54,13 @@ class PhysicsVectorEnv(TaskVectorEnv):
     """
 
     def __init__(
-        self, task: Task | str, num_envs: int = 1, *, workers: int | None = None, **options: Any
+        self,
+        task: Task | str,
+        num_envs: int = 1,
+        *,
+        workers: int | None = None,
+        engine: EngineName = "local",
+        **options: Any,
     ) -> None:
         """Prepare ``num_envs`` worlds; the processes go on starting while this returns.
 
@@ -58,22 +68,26 @@ class PhysicsVectorEnv(TaskVectorEnv):
             task: as in :func:`craftsim.envs.parallel_env`.
             num_envs: how many worlds, 1 or more.
             workers: how many processes share them, at most one a world; one for each processor unless given.
+            engine: processes of this machine, or actors of an existing Ray cluster, of which each takes a processor.
             options: the fields of :class:`craftsim.envs.options.Options`, ``backend`` and ``observe`` aside.
 
         Raises:
-            InputError: there is no such task, option or option value.
+            InputError: there is no such task, option or option value, or no Ray cluster.
         """
         super().__init__(task, num_envs)
         if workers is not None and not isinstance(workers, int):
             raise InputError(f"workers is {workers!r}; allowed: None, or {WORKERS}")
-        self.workers = min(num_envs, workers or len(os.sched_getaffinity(0)))
-        WORKERS.check("workers", self.workers if workers is None else workers)
+        if workers is not None:
+            WORKERS.check("workers", workers)
+        if engine not in get_args(EngineName):
+            raise InputError(f"engine is {engine!r}; allowed: {', '.join(get_args(EngineName))}")
         make = partial(CentralConstruction, self.task, backend="physics", **options)
         one = make()  # so that what is wrong is said here, and not in a process
         self.metadata = one.metadata | {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.render_mode = one.render_mode
         one.close()
-        self._worlds = WorldProcesses(make, num_envs, self.workers)
+        self._worlds = _holder(make, num_envs, workers, engine)
+        self.workers = self._worlds.workers
         self._ids = frozenset(range(num_envs))
         self._acting = np.zeros(num_envs, np.bool_)
         self._begun = False
@@ -169,8 +183,8 @@ class PhysicsVectorEnv(TaskVectorEnv):
 
     @property
     def pids(self) -> list[int]:
-        """Numbers of the worker processes."""
-        return self._worlds.pids
+        """Numbers of the worker processes, where they are those of this machine."""
+        return self._worlds.pids if isinstance(self._worlds, WorldProcesses) else []
 
     def car_vectors(self) -> NDArray[np.int32]:
         """Return (B, n, length): what each car of each world observed last, its own row first."""
@@ -241,6 +255,14 @@ class PhysicsVectorEnv(TaskVectorEnv):
             np.array([one.truncated for one in acted], np.bool_),
             infos,
         )
+
+
+def _holder(make: Make, n_worlds: int, workers: int | None, engine: EngineName) -> WorldHolder:
+    if engine == "ray":
+        from craftsim.envs.ray_worlds import RayWorlds
+
+        return RayWorlds(make, n_worlds, workers)
+    return WorldProcesses(make, n_worlds, min(n_worlds, workers or len(os.sched_getaffinity(0))))
 
 
 def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:

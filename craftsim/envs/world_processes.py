@@ -6,97 +6,16 @@ import contextlib
 import os
 import signal
 import threading
-import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from queue import SimpleQueue
 from typing import Any
 
-import numpy as np
 from gymnasium.vector.utils import CloudpickleWrapper
-from numpy.typing import NDArray
 
-from craftsim.envs.central import CentralConstruction
+from craftsim.envs.world_requests import Answer, Make, Request, perform
 from craftsim.errors import CraftsimError
-
-Observation = dict[str, NDArray[Any]]
-Make = Callable[[], CentralConstruction]
-
-
-@dataclass(frozen=True, slots=True)
-class ResetRequest:
-    """Ask a world to begin an episode; see :meth:`craftsim.envs.core.Core.reset`."""
-
-    seed: int | None
-    options: dict[str, Any] | None
-
-
-@dataclass(frozen=True, slots=True)
-class ActRequest:
-    """Ask a world to let its cars act once, and to begin the next episode where that ends one."""
-
-    actions: NDArray[np.int64]
-    """(n,) by car."""
-
-
-@dataclass(frozen=True, slots=True)
-class RenderRequest:
-    """Ask a world for its picture."""
-
-
-Request = ResetRequest | ActRequest | RenderRequest
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """A world after a reset."""
-
-    observation: Observation
-
-
-@dataclass(frozen=True, slots=True)
-class Acted(Seen):
-    """A world after its cars have acted; the observation is the next episode's first where one has ended."""
-
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: dict[str, Any]
-    final: Observation | None
-    """The last observation of an episode that has ended."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rendered:
-    """What a world has rendered."""
-
-    picture: Any
-
-
-Answer = Seen | Acted | Rendered | CraftsimError
-
-
-def perform(env: CentralConstruction, request: Request) -> Answer:
-    """Return a world's answer to a request; what it raises is its answer, too."""
-    try:
-        match request:
-            case ResetRequest(seed, options):
-                return Seen(env.reset(seed=seed, options=options)[0])
-            case RenderRequest():
-                return Rendered(env.render())
-            case ActRequest(actions):
-                observation, reward, terminated, truncated, info = env.step(actions)
-                del info["action_mask"]  # the observation has it
-                final = None
-                if terminated or truncated:
-                    final, observation = observation, env.reset()[0]
-                return Acted(observation, reward, terminated, truncated, info, final)
-    except CraftsimError as error:
-        return error
-    except Exception:
-        return CraftsimError(f"a world in physics broke down:\n{traceback.format_exc()}")
 
 
 def _serve(requests: Connection, answers: Connection, make: Make, worlds: Sequence[int]) -> None:
@@ -122,7 +41,7 @@ def _serve(requests: Connection, answers: Connection, make: Make, worlds: Sequen
 
 
 class WorldProcesses:
-    """Worlds numbered from 0, spread over spawned processes; none of their numbers depends on how."""
+    """Worlds in spawned processes; see :class:`~craftsim.envs.world_requests.WorldHolder`."""
 
     def __init__(self, make: Make, n_worlds: int, workers: int) -> None:
         """Start the processes; they go on starting while this returns.
@@ -132,6 +51,7 @@ class WorldProcesses:
             n_worlds: how many worlds there are.
             workers: how many processes share them, at most one a world.
         """
+        self.workers = workers
         context, sent = get_context("spawn"), CloudpickleWrapper(make)
         self._workers = [_Worker(context, sent, range(i, n_worlds, workers)) for i in range(workers)]
         self._answers: dict[int, Answer] = {}
@@ -142,10 +62,7 @@ class WorldProcesses:
         return [worker.process.pid or 0 for worker in self._workers]
 
     def ask(self, requests: Mapping[int, Request]) -> None:
-        """Ask worlds, by number, for something each; none of them may have an answer due.
-
-        Raises CraftsimError where a process has ended.
-        """
+        """Ask worlds for something each."""
         for number, worker in enumerate(self._workers):
             own = {
                 world: request for world, request in requests.items() if world % len(self._workers) == number
@@ -154,10 +71,7 @@ class WorldProcesses:
                 worker.ask(own)
 
     def gather(self, at_least: int) -> dict[int, Answer]:
-        """Return the answers that are there, by world in rising order; wait for so many, or for all that are due.
-
-        Raises CraftsimError where a process has ended.
-        """
+        """Return the answers that are there, and wait for so many."""
         while len(self._answers) < at_least and self._collect(None):
             pass
         while self._collect(0.0):
@@ -175,7 +89,7 @@ class WorldProcesses:
         return bool(ready)
 
     def close(self) -> None:
-        """End all processes; one that has something left to do is killed."""
+        """End all processes."""
         for worker in self._workers:
             worker.end()
         for worker in self._workers:

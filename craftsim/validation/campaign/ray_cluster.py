@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
-import os
-import socket
 import sys
 import time
 from collections.abc import Sequence
 from typing import Any, Final
-from urllib.parse import urlsplit
 
+from craftsim.envs.ray_connection import LOOK_S, check_reachable, connect, processors
 from craftsim.errors import InputError
 from craftsim.validation.campaign.distribute import Worker, WorkerDiedError
 from craftsim.validation.campaign.items import Answer, Item, Work, perform
 
-REACH_S: Final = 5.0
-"""How long a cluster may take to answer at its address."""
-LOOK_S: Final = 2.0
-"""How often one looks whether its head is still there."""
+_HINT: Final = "--resume goes on with what was finished"
 
 
 def ray_workers(work: Work, n: int) -> list[Worker]:
@@ -29,60 +23,8 @@ def ray_workers(work: Work, n: int) -> list[Worker]:
     Raises:
         InputError: Ray is not installed, or there is no cluster, at the address that is given for instance.
     """
-    try:
-        import ray
-    except ImportError:
-        raise InputError("--engine ray needs Ray: pip install '.[ray]' in a checkout of craftsim") from None
-    if not ray.is_initialized():
-        try:
-            _check_reachable(_address())
-            ray.init(address="auto", log_to_driver=False, logging_level=logging.WARNING)
-        except (ConnectionError, ray.exceptions.RayError) as error:
-            raise InputError(
-                f"no Ray cluster ({str(error).splitlines()[0]}); start one with 'ray start --head', or give the "
-                "address of one in RAY_ADDRESS"
-            ) from error
-    head = _address()
-    if not head.startswith("ray://"):
-        head = ray.get_runtime_context().gcs_address
-    return [
-        RayWorker(ray, work, head) for _ in range(max(1, min(n, int(ray.cluster_resources().get("CPU", 1)))))
-    ]
-
-
-def _address() -> str:
-    """Return RAY_ADDRESS, or where else Ray finds a cluster; raise ConnectionError where it finds none."""
-    given = os.environ.get("RAY_ADDRESS", "auto")
-    if given != "auto":
-        return given
-    # Ray has no public name for where "auto" leads: the last 'ray start' of this machine, though it may be gone.
-    from ray._private.services import canonicalize_bootstrap_address
-
-    return str(canonicalize_bootstrap_address("auto"))
-
-
-def _check_reachable(address: str) -> None:
-    """Raise InputError where nobody listens at an address: Ray would try for over a minute.
-
-    The address is of the form ``host:port`` or ``ray://host:port``; one without a port is left to Ray.
-    """
-    try:
-        parts = urlsplit(address if "://" in address else f"//{address}")
-        host, port = parts.hostname, parts.port
-    except ValueError as error:
-        raise InputError(
-            f"'{address}' is no address of a Ray cluster ({error}); RAY_ADDRESS is HOST:PORT"
-        ) from None
-    if not host or not port:
-        return
-    try:
-        socket.create_connection((host, port), REACH_S).close()
-    except OSError as error:
-        raise InputError(
-            f"no Ray cluster answers at {address} ({error}); start one with 'ray start --head', or give the address of "
-            "one in RAY_ADDRESS; 'ray stop' forgets one of this machine that is gone. --resume goes on with what was "
-            "finished"
-        ) from error
+    ray, head = connect(_HINT)
+    return [RayWorker(ray, work, head) for _ in range(max(1, min(n, processors(ray))))]
 
 
 class _Actor:
@@ -117,7 +59,7 @@ class RayWorker:
         errors = self._ray.exceptions
         try:
             if self._actor is None:
-                _check_reachable(self._head)
+                check_reachable(self._head, _HINT)
                 self._actor = self._class.remote(sys.path)
             self._wait(self._actor.ready.remote(), math.inf)
             answers: list[Answer] = self._wait(
@@ -149,7 +91,7 @@ class RayWorker:
             except self._ray.exceptions.GetTimeoutError:
                 if time.monotonic() >= end:
                     raise
-                _check_reachable(self._head)
+                check_reachable(self._head, _HINT)
 
     def _end(self) -> None:
         """End the actor; the next work gets another one."""
@@ -157,5 +99,5 @@ class RayWorker:
         # Of a cluster that is gone nothing is left to be ended.
         with contextlib.suppress(self._ray.exceptions.RayError, InputError):
             if actor is not None:
-                _check_reachable(self._head)
+                check_reachable(self._head, _HINT)
                 self._ray.kill(actor)

@@ -1,6 +1,5 @@
 """On a real Ray cluster of two nodes a campaign gives the same as on this machine."""
 
-import fcntl
 import os
 import socket
 import subprocess
@@ -15,32 +14,12 @@ from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.validation.campaign import Header, run_campaign
 
-ray = pytest.importorskip("ray", reason="the extra 'ray' is not installed")
+pytest.importorskip("ray", reason="the extra 'ray' is not installed")
 HEADER = Header("ray", 0, {})
+pytestmark = pytest.mark.usefixtures("alone")
 
 
-@pytest.fixture(autouse=True)
-def alone(tmp_path_factory):
-    """One of these tests at a time, whatever process runs it: a cluster is found by all processes of a machine."""
-    with (tmp_path_factory.getbasetemp().parent / "ray.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
-@pytest.fixture
-def cluster(monkeypatch):
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    from ray.cluster_utils import Cluster
-
-    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    nodes.add_node(num_cpus=1)
-    monkeypatch.setenv("RAY_ADDRESS", nodes.address)
-    yield nodes
-    ray.shutdown()
-    nodes.shutdown()
-
-
-def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, cluster):
+def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, ray_cluster):
     faults = {"i3": "raise", "i5": "die", "i9": "hang"}
     faults = {**faults, "i7": ("die once", tmp_path / "died")}
     items = cheap_work.items(12, **faults)

@@ -12,7 +12,7 @@ author = "The craftsim developers"
 version = release = craftsim.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "public_names"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "speed"]
 
 myst_enable_extensions = ["attrs_inline"]
 myst_heading_anchors = 4

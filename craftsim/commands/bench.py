@@ -56,7 +56,8 @@ def bench(
     rest against MuJoCo's steps alone under the same commands ("x bare"; "us" is what one of these takes, "units"
     what a joint step costs in units of the calibration work); resets; many worlds with one worker process and with two.
 
-    workers: two worker processes against one, building a task again and again, their start included.
+    workers: two worker processes against one, building a task again and again, their start included; and what a single
+    run costs in a campaign, apart from such starts.
 
     durations: how long actions take in physics, as craftsim/data/durations.yaml holds it for the grid environments.
 
@@ -211,7 +212,8 @@ def _memory(n: int, rules: RuleSet, seed: int) -> tuple[int, float, float]:
 
 
 def _bench_workers(console: Console, runs: int, seed: int) -> dict[str, float]:
-    """Build ``strip`` so many times with one worker and with two; return wall times, starts of processes included."""
+    """Build ``strip`` so many times with one worker and with two; return wall times, and CPU times of a single run."""
+    from craftsim.commands.bench_campaign import cost_of_a_trial
     from craftsim.validation.validation import validate
 
     seconds, lines = [], []
@@ -226,4 +228,17 @@ def _bench_workers(console: Console, runs: int, seed: int) -> dict[str, float]:
     if lines[0] != lines[1]:
         raise CraftsimError("two workers gave other results than one")
     console.print(f"Two are {seconds[0] / seconds[1]:.2f} times faster than one, with equal results.")
-    return {"one_worker_s": seconds[0], "two_workers_s": seconds[1], "ratio": seconds[0] / seconds[1]}
+    cost = cost_of_a_trial("strip", max(1, runs // 4), seed)
+    console.print(
+        f"A run takes {cost.trial_s:.2f} s of CPU, {1e3 * cost.handing_out_s:.1f} ms of them for handing it out and "
+        f"writing it down: {cost.million_h:.0f} CPU hours for a million.",
+        soft_wrap=True,
+    )
+    return {
+        "one_worker_s": seconds[0],
+        "two_workers_s": seconds[1],
+        "ratio": seconds[0] / seconds[1],
+        "cpu_s_a_run": cost.trial_s,
+        "cpu_s_of_handing_out": cost.handing_out_s,
+        "cpu_h_a_million": cost.million_h,
+    }

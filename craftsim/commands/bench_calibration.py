@@ -157,8 +157,8 @@ def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper:
     return Rate(n * calls / of_calls, units_a_second, reference)
 
 
-def pace(seconds: float = 0.1) -> float:
-    """Return how many units of the calibration work this processor does in a CPU second just now."""
+def pace(seconds: float) -> float:
+    """Return how many units of the calibration work this processor does in a CPU second just now, timed for so long."""
     n, spent = repeat(unit, seconds)
     return n / spent
 

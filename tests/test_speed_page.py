@@ -1,0 +1,32 @@
+"""The tables of the page on speed are those of the reports beside them."""
+
+import json
+from pathlib import Path
+
+SPEED = Path(__file__).parents[1] / "docs/speed"
+PAGE = (SPEED.parent / "speed.md").read_text(encoding="utf-8")
+
+
+def _wall(name):
+    return json.loads((SPEED / name / "report.json").read_text(encoding="utf-8"))["wall"]
+
+
+def test_the_tables_of_physics_are_those_of_its_report():
+    wall, table = _wall("physics"), (SPEED / "physics/physics.md").read_text(encoding="utf-8")
+    for name, rate in wall["joint_steps"].items():
+        task, drive = name.split(", ")
+        assert f"| {task} | {drive} | {rate['steps_a_second']:.1f} |" in table
+        assert f"| {rate['times']:.3f} |" in table
+    for row in wall["yards"]:
+        what = f"| {row['drive']} | {row['n_cars']} | {row['n_blocks']} |"
+        assert f"{what} {row['joint_steps_a_second']:.1f} | {row['units_a_step']:.1f} |" in table
+    for workers in wall["workers"].values():
+        assert f"two workers do {workers['free_ratio']:.2f} times" in table
+
+
+def test_what_a_million_runs_cost_is_what_was_measured():
+    wall = _wall("workers")
+    assert f"| {wall['cpu_s_a_run']:.2f} s |" in PAGE
+    assert f"| {1e3 * wall['cpu_s_of_handing_out']:.1f} ms |" in PAGE
+    hours = 1e6 * wall["cpu_s_a_run"] / 3600
+    assert f"| {hours:.0f} h | {hours / 64:.1f} h |" in PAGE

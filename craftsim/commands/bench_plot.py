@@ -18,6 +18,7 @@ def plot_physics(path: Path, yards: Sequence[YardTiming]) -> Path:
     Returns the path; raises InputError where the disk does not take it.
     """
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, StrMethodFormatter
 
     figure = Figure(figsize=(11.0, 3.6), layout="constrained")
     by_cars, by_blocks, over_bare = figure.subplots(1, 3)
@@ -35,8 +36,10 @@ def plot_physics(path: Path, yards: Sequence[YardTiming]) -> Path:
     by_cars.set(xlabel="moving cars", ylabel="joint steps a CPU second", xscale="log", yscale="log")
     by_blocks.set(xlabel="blocks at rest beside 4 cars", ylabel="joint steps a CPU second")
     over_bare.set(xlabel="moving cars", ylabel="time over bare mj_step", xscale="log")
-    by_blocks.set_ylim(bottom=0)
-    over_bare.set_ylim(bottom=1)
+    by_cars.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    by_cars.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    by_blocks.set_ylim(0, 1.1 * by_blocks.get_ylim()[1])
+    over_bare.set_ylim(1, 1 + 1.2 * (over_bare.get_ylim()[1] - 1))
     for axes in (by_cars, over_bare):
         axes.minorticks_off()
         axes.set_xticks(cars, [str(n) for n in cars])

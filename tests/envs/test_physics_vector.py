@@ -102,7 +102,8 @@ def test_a_batch_in_physics_has_the_form_of_one_on_the_grid_and_is_made_by_gymna
     grid_seen, _ = grid.reset(seed=0)
     still = np.full((2, 2), Action.STOP)
     of_grid = grid.step(still)
-    with closing(gymnasium.make_vec(GYMNASIUM_IDS["strip"], 2, backend="physics", workers=1)) as envs:
+    options = {"backend": "physics", "workers": 1, "render_mode": "ansi"}
+    with closing(gymnasium.make_vec(GYMNASIUM_IDS["strip"], 2, **options)) as envs:
         assert isinstance(envs, PhysicsVectorEnv)
         assert (envs.observation_space, envs.action_space) == (grid.observation_space, grid.action_space)
         seen, _ = envs.reset(seed=0)
@@ -114,6 +115,8 @@ def test_a_batch_in_physics_has_the_form_of_one_on_the_grid_and_is_made_by_gymna
             }
         for mine, other in zip(batch[1:4], of_grid[1:4], strict=True):
             assert (mine.shape, mine.dtype) == (other.shape, other.dtype)
+
+        assert [type(picture) for picture in envs.render()] == [str, str]
 
         for act, words in (
             (lambda: envs.recv(), "no world is acting"),

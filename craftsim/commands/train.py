@@ -69,7 +69,7 @@ def train(
         steps: ticks to play at most, all worlds together.
         until: end when this success rate is reached in an evaluation.
         backend: where it is trained and evaluated.
-        worlds: how many are stepped side by side in a rollout; 500 on the grid and 64 in physics unless given.
+        worlds: how many are stepped side by side in a rollout; 500 on the grid and 32 in physics unless given.
         workers: processes that share the worlds in physics, one for each processor unless given; results do not depend
             on it.
         novelty: exploration bonus for a building never seen before, smaller the more often it was seen.

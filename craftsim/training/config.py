@@ -11,7 +11,7 @@ from craftsim.storage.limits import BATCH, BONUS, NETWORK_WIDTH, SEED
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql"]
 TrainBackend = Literal["grid", "physics"]
-WORLDS: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 64}
+WORLDS: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 32}
 """How many are stepped side by side unless said otherwise."""
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
 

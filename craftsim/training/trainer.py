@@ -35,7 +35,7 @@ from craftsim.training.shape import Shape
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next."""
-EVALUATION_EPISODES: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 100}
+EVALUATION_EPISODES: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 64}
 """Episodes of an evaluation while training."""
 _ROLLOUT, _EVALUATION, _FINAL = range(3)
 

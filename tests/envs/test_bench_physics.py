@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from craftsim.commands import bench_batches
-from craftsim.commands.bench_physics import bench_physics
+from craftsim.commands import bench_batches, bench_physics
 from craftsim.commands.bench_worlds import MOST_BLOCKS, MOST_CARS, to_and_fro, yard
 from craftsim.discrete.grid import Kind
 from craftsim.envs import parallel_env
@@ -28,10 +27,12 @@ def test_in_a_yard_all_cars_drive_to_and_fro_as_the_rules_allow_and_blocks_stay(
 
 
 def test_the_bench_of_physics_prints_plots_and_says_what_grows(tmp_path, monkeypatch):
-    monkeypatch.setattr(bench_batches, "WORLDS", 2)
-    monkeypatch.setattr(bench_batches, "_CALLS", 50)
+    for name, few in (("WORLDS", 2), ("_TICKS", 1), ("_CALLS", 20)):
+        monkeypatch.setattr(bench_batches, name, few)
+    for name, few in (("_REPEATS", 1), ("_RESETS_S", 0.05), ("_PACE_S", 0.05)):
+        monkeypatch.setattr(bench_physics, name, few)
     console = Console(record=True, width=120)
-    figures = bench_physics(
+    figures = bench_physics.bench_physics(
         console, ["simple_two_story"], 0.02, 0, tmp_path, ["rollers"], cars=[2, 4], blocks=[8]
     )
     text = console.export_text()
@@ -47,6 +48,6 @@ def test_the_bench_of_physics_prints_plots_and_says_what_grows(tmp_path, monkeyp
         assert 0.2 < row["share_of_mj_step"] < 1.0
         assert row["resets_a_second"] > 10
     workers = figures["workers"]["rollers"]
-    assert 0.8 < workers["free_ratio"] < 2.5
-    assert workers["handing_over_us"] < 20_000
+    assert 0.5 < workers["free_ratio"] < 4.0
+    assert workers["handing_over_us"] < 50_000
     assert 0 < figures["mib_a_world"]["rollers"] < 50

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.forces import PossibleForce, impact_limit_n
-from craftsim.models.overlaps import MachineNames
 from craftsim.models.site import Site
 from craftsim.storage.writing import whole
 
@@ -50,7 +49,7 @@ class ContactLog:
         """Prepare for a Site, and begin."""
         self.site = site
         model = site.model
-        machines = MachineNames.of(model)
+        machines = site.machine_names
         self.names, machine = machines.names, machines.of_geom
         """Of all machines: what is fixed first, then those that move in the order of their bodies."""
         low, high = np.minimum.outer(machine, machine), np.maximum.outer(machine, machine)

@@ -9,6 +9,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL, Machines
+from craftsim.models.parts import load_part
 from craftsim.models.placement import placements
 from craftsim.storage.writing import write_whole
 
@@ -24,7 +25,8 @@ def write_scene(
 
     Raises InputError where the disk does not take a file.
     """
-    spec, _ = compose(grid, placements(grid, machines), config or SimulationConfig(), goals, machines)
+    ground, parts = load_part("ground", machines), placements(grid, machines)
+    spec, _ = compose(ground, grid.size, parts, config or SimulationConfig(), goals, machines)
     spec.compile()
     files = {**spec.assets, "site.xml": spec.to_xml()}
     for name, content in files.items():

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.errors import InputError
-from craftsim.models.composition import compose
+from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
 from craftsim.models.extent import check_extent
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.models.parts import Car, FreeBody, Slope
+from craftsim.models.parts import FreeBody
 from craftsim.models.placement import placements
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -109,24 +109,16 @@ class Site:
         self._placements = placements(grid, machines)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
-        spec, names = compose(grid, self._placements, self.config, goals, machines)
-        try:
-            self.model: mujoco.MjModel = spec.compile()
-        except ValueError as error:
-            raise InputError(f"MuJoCo makes no world of these figures: {error}") from error
-        self.data = mujoco.MjData(self.model)
+        kinds = tuple(placed.kind for placed in self._placements)
+        parts = compiled_parts(kinds, len(goals), self.config, machines)
+        self.model, self.data = parts.placed(self.size, self._placements, goals)
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""
         """Which motors had a command in the last period; empty where the policies may not fit it."""
-        self._tree_of_motor = self.model.dof_treeid[
-            self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]]
-        ].astype(np.intp)
-        self.cars = tuple(
-            Car.find(self.model, name, machines.car(i)) for i, name in enumerate(names["smartcar"])
-        )
-        self.slopes = tuple(Slope.find(self.model, name) for name in names["slope"])
-        self.blocks = tuple(FreeBody.find(self.model, name + "block") for name in names["block"])
-        self.flags = tuple(FreeBody.find(self.model, name + "flag") for name in names["flag"])
+        self._tree_of_motor = parts.tree_of_motor
+        self.cars, self.slopes, self.blocks, self.flags = parts.cars, parts.slopes, parts.blocks, parts.flags
+        self.machine_names = parts.names
+        """The machines by their geoms."""
         if reset:
             self.reset()
 
@@ -143,7 +135,7 @@ class Site:
             self.data.qpos[drive.qpos] = position
             self.data.act[drive.activation] = position
         mujoco.mj_forward(self.model, self.data)
-        self.overlaps = tuple(overlaps(self.model, self.data))
+        self.overlaps = tuple(overlaps(self.machine_names, self.data))
         self.capped_steps = 0
         self._step(round(self.config.settle_s / self.config.timestep_s))
 

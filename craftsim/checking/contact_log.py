@@ -6,7 +6,6 @@ by 25 mm or more is faster than 0.5 m/s when it is looked at.
 
 from __future__ import annotations
 
-import copy
 import csv
 import math
 from dataclasses import astuple, dataclass, fields
@@ -149,7 +148,8 @@ class ContactLog:
 
     def _awake(self) -> mujoco.MjData:
         """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show."""
-        model, data = self.site.model, copy.copy(self.site.data)
+        model, data = self.site.model, self.site.spare
+        mujoco.mj_copyData(data, model, self.site.data)
         flags = model.opt.enableflags
         model.opt.enableflags = flags & ~_SLEEP
         mujoco.mj_forward(model, data)

@@ -31,13 +31,14 @@ DEPTH: Final = 20
 
 
 def bench(
-    what: tyro.conf.Positional[Literal["rules", "env", "workers", "durations"]],
+    what: tyro.conf.Positional[Literal["rules", "env", "trials", "workers", "durations"]],
     rules: RuleSet = "published",
     worlds: Annotated[int, BATCH] = 1000,
     seconds: Annotated[float, BENCH_S] = 2.0,
     memory_worlds: Annotated[int, BATCH] = 10_000,
     episode: Annotated[int, BENCH_TICKS] = 20,
     runs: Annotated[int, BENCH_RUNS] = 40,
+    contexts: Annotated[int, BENCH_RUNS] = 60,
     seed: Annotated[int, SEED] = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
@@ -52,6 +53,8 @@ def bench(
     env: the same through PettingZoo and in batches; and in physics, the wall time of a step against that of MuJoCo's
     steps alone under the same commands.
 
+    trials: the CPU time of a trial of the audit, stage by stage, over contexts taken evenly from all that it tries.
+
     workers: two worker processes against one, building a task again and again, their start included.
 
     durations: how long actions take in physics, as craftsim/data/durations.yaml holds it for the grid environments.
@@ -64,6 +67,7 @@ def bench(
         memory_worlds: how many worlds to make for the memory figure; rules only.
         episode: ticks of the episode that is timed in physics, 2 or more; env only.
         runs: how often the task is built; workers only.
+        contexts: how many contexts of the audit are tried; trials only.
         seed: decides starts, actions and orders.
         out: folder for report.json.
     """
@@ -85,6 +89,11 @@ def bench(
 
             config |= {"worlds": worlds, "depth": DEPTH, "episode": episode}
             wall = bench_env(console, TASKS, DEPTH, worlds, seconds, episode, seed)
+        case "trials":
+            from craftsim.commands.bench_trials import bench_trials
+
+            config |= {"contexts": contexts}
+            wall = bench_trials(console, contexts, seed)
         case "workers":
             config |= {"runs": runs}
             wall = _bench_workers(console, runs, seed)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -138,6 +139,11 @@ class Site:
         self.overlaps = tuple(overlaps(self.machine_names, self.data))
         self.capped_steps = 0
         self._step(round(self.config.settle_s / self.config.timestep_s))
+
+    @cached_property
+    def spare(self) -> mujoco.MjData:
+        """Data to look at a copy of the state in; what it holds is nobody's."""
+        return mujoco.MjData(self.model)
 
     @property
     def diverged(self) -> bool:

@@ -10,7 +10,6 @@ import csv
 import math
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Final
 
 import mujoco
 import numpy as np
@@ -19,8 +18,6 @@ from numpy.typing import NDArray
 from craftsim.checking.forces import PossibleForce, impact_limit_n
 from craftsim.models.site import Site
 from craftsim.storage.writing import whole
-
-_SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ class ContactLog:
         self._fall = np.zeros(n - 2)
         self._upright = np.ones(n - 2)
         self._start_s = self.site.time_s
-        self._note(self._awake())
+        self._note(self.site.awake_copy())
         self._at_start = np.isfinite(self._since)
 
     def look(self) -> None:
@@ -145,16 +142,6 @@ class ContactLog:
             writer = csv.writer(file)
             writer.writerow([field.name for field in fields(Contact)])
             writer.writerows(astuple(contact) for contact in self.contacts)
-
-    def _awake(self) -> mujoco.MjData:
-        """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show."""
-        model, data = self.site.model, self.site.spare
-        mujoco.mj_copyData(data, model, self.site.data)
-        flags = model.opt.enableflags
-        model.opt.enableflags = flags & ~_SLEEP
-        mujoco.mj_forward(model, data)
-        model.opt.enableflags = flags
-        return data
 
     def _note(self, data: mujoco.MjData) -> None:
         """Note the machines of all contacts, and the net force of each two.

@@ -141,8 +141,7 @@ class Site:
         self._step(round(self.config.settle_s / self.config.timestep_s))
 
     @cached_property
-    def spare(self) -> mujoco.MjData:
-        """Data to look at a copy of the state in; what it holds is nobody's."""
+    def _spare(self) -> mujoco.MjData:
         return mujoco.MjData(self.model)
 
     @property
@@ -204,6 +203,18 @@ class Site:
         mujoco.mj_copyData(self.data, self.model, state.data)
         self.capped_steps = state.capped_steps
         self._set_policies(state.policies)
+
+    def awake_copy(self) -> mujoco.MjData:
+        """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show.
+
+        The next call overwrites it.
+        """
+        mujoco.mj_copyData(self._spare, self.model, self.data)
+        flags = self.model.opt.enableflags
+        self.model.opt.enableflags = flags & ~_SLEEP
+        mujoco.mj_forward(self.model, self._spare)
+        self.model.opt.enableflags = flags
+        return self._spare
 
     def free_body_state(self, body: FreeBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return copies of a body's position (3,) in metres and unit quaternion (4,), w first, in the world frame."""

@@ -28,8 +28,8 @@ from craftsim.models.parameters import Machines
 from craftsim.models.parts import Car, FreeBody, Slope, load_part
 from craftsim.models.placement import Placement
 
-KEPT: Final = 16
-"""Compiled worlds that a process keeps, those used last: 3 MB each with two cars, 30 MB at most."""
+KEPT: Final = 8
+"""Compiled worlds that a process keeps, those used last: 2 to 4 MB each for a few cars, 35 MB for the largest."""
 
 _NOWHERE: Final = 10.0
 """Metres between the parts of a kept world: too far apart to touch."""

@@ -86,8 +86,8 @@ class _Rested:
     overlaps: tuple[Overlap, ...]
 
 
-KEPT: Final = 8
-"""Starts at rest that a process keeps, those used last."""
+KEPT: Final = 4
+"""Starts at rest that a process keeps, those used last: 1 MB each, and address space for more."""
 
 
 @lru_cache(maxsize=KEPT)

@@ -66,7 +66,8 @@ class CompiledParts:
         model.body_quat[self.roots] = quaternions
         model.qpos0[self.qpos] = np.hstack([positions, quaternions])[self.free]
         model.qpos_spring[self.qpos] = model.qpos0[self.qpos]
-        model.site_pos[len(model.site_pos) - len(goals) :] = [goal_position(goal) for goal in goals] or 0.0
+        if goals:
+            model.site_pos[model.site_bodyid == 0] = [goal_position(goal) for goal in goals]
         ground = model.geom("ground").id
         model.geom_pos[ground], model.geom_size[ground] = ground_pose_and_size(size)
         for camera, (position, quaternion) in camera_poses(size).items():

@@ -114,8 +114,8 @@ class RandomizedSite:
 
     def restore(self) -> None:
         """Go back to the nominal physics and to the start, as a reset leaves it."""
+        self._nominal.write(self.site.model)
         if not self._is_nominal:
-            self._nominal.write(self.site.model)
             self._follow()
             self._is_nominal = True
         if self._rested:

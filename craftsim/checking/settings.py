@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Final, Literal
@@ -14,7 +14,7 @@ from craftsim.errors import InputError, suggestion
 from craftsim.models.config import SimulationConfig
 from craftsim.models.noise import EXACT, MILD, NOISY, SensorNoise
 from craftsim.models.parameter_files import load_machines, load_noise
-from craftsim.models.parameters import NOMINAL, Machines
+from craftsim.models.parameters import NOMINAL, Drive, Machines
 from craftsim.models.randomization import DomainRandomization
 from craftsim.skills.gains import Gains, load_gains
 
@@ -94,6 +94,7 @@ def setup_of(
     machines: Machines | str | Path | None = None,
     noise: SensorNoise | str | Path | None = None,
     assume: SensorNoise | str | Path | None = None,
+    drive: Drive | None = None,
 ) -> Setup:
     """Return the configuration that the options of the commands stand for.
 
@@ -105,6 +106,7 @@ def setup_of(
         noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
         assume: what the cars take that noise to be: none, mild, strong, noise, or a file of it. Unless given, that of
             ``randomize``, whatever ``noise`` says.
+        drive: rollers or reduced; that of the machines unless given.
 
     Raises InputError for what no file should say.
     """
@@ -114,6 +116,8 @@ def setup_of(
         gains = nominal_gains() if gains is None else load_gains(Path(gains))
     if not isinstance(machines, Machines):
         machines = NOMINAL if machines is None else load_machines(Path(machines))
+    if drive is not None:
+        machines = replace(machines, drive=drive)
     thresholds, declared, randomization = RANDOMIZE[randomize]
     return Setup(
         rules,
@@ -121,6 +125,7 @@ def setup_of(
         _noise(noise, declared),
         _noise(assume, declared),
         randomization,
+        SimulationConfig.of(machines.drive),
         gains=gains,
         machines=machines,
     )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 Dir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 Randomize = Literal["none", "mild", "strong"]
+Drive = Literal["rollers", "reduced"]
 Engine = Literal["local", "ray"]
 
 
@@ -38,6 +39,8 @@ class PhysicsOptions:
     """YAML file of gains of the skills; those that it leaves out are the nominal ones."""
     parameters: File = None
     """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
+    drive: Drive = "rollers"
+    """How cars touch the ground: by forty free rollers, or reduced to one body, which is several times as fast."""
     seed: Annotated[int, SEED] = 0
     """Decides all that is drawn."""
 
@@ -45,7 +48,9 @@ class PhysicsOptions:
         """Return the configuration of the physics; raise InputError for a file that says what it should not."""
         from craftsim.checking.settings import setup_of
 
-        return setup_of(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume)
+        return setup_of(
+            *(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume, self.drive)
+        )
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,7 @@ class CampaignOptions(PhysicsOptions):
     def words(self) -> list[str]:
         """Return the options that decide the results, as they can be typed again."""
         words = ["--rules", self.rules, "--randomize", self.randomize, "--trials", str(self.trials)]
-        words += ["--seed", str(self.seed)]
+        words += ["--seed", str(self.seed), *(["--drive", self.drive] if self.drive != "rollers" else [])]
         for name in ("noise", "assume", "gains", "parameters", "against"):
             words += [f"--{name}", str(value)] if (value := getattr(self, name)) else []
         return words

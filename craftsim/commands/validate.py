@@ -90,6 +90,7 @@ def validate(
         machines=campaign.parameters,
         noise=campaign.noise,
         assume=campaign.assume,
+        drive=campaign.drive,
         order=order,
         trials=campaign.trials,
         seed=campaign.seed,

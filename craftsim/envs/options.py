@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
@@ -18,7 +18,7 @@ from craftsim.errors import InputError, suggestion
 if TYPE_CHECKING:
     from craftsim.models.config import SimulationConfig
     from craftsim.models.noise import SensorNoise
-    from craftsim.models.parameters import Machines
+    from craftsim.models.parameters import Drive, Machines
     from craftsim.models.randomization import DomainRandomization
     from craftsim.models.site import Site
     from craftsim.skills.gains import Gains
@@ -37,7 +37,7 @@ _PHYSICS_KINDS: Final = {
     "gains": ("craftsim.skills.gains", "Gains"),
     "machines": ("craftsim.models.parameters", "Machines"),
 }
-_PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "render_camera", "render_size")
+_PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "drive", "render_camera", "render_size")
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,9 @@ class Options:
     """Of the controllers, the shipped ones unless given; physics only."""
     machines: Machines | None = None
     """The parameters of cars, blocks and slopes, the nominal ones unless given; physics only."""
+    drive: Drive | None = None
+    """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and else
+    ``reduced``, which is several times as fast (docs/drives.md says how far it can be trusted). Physics only."""
     check_contacts: bool = False
     """Whether the judge logs contacts, 8 % of the time; what is unsafe then ends at once. Physics only."""
     observers: tuple[Callable[[Site], None], ...] = ()
@@ -148,14 +151,17 @@ class Options:
             value = getattr(self, name)
             if value is not None and not isinstance(value, getattr(import_module(module), kind)):
                 raise InputError(f"the option '{name}' must be a {kind}, not {value!r}")
+        machines = self.machines or replace(NOMINAL, drive="reduced")
+        if self.drive is not None:
+            machines = replace(machines, drive=self.drive)
         setup = Setup(
             rules=self.rule_set,
             noise=self.noise or EXACT,
             assumed=self.assumed or self.noise or EXACT,
             randomization=self.randomization,
-            simulation=self.config or SimulationConfig(),
+            simulation=self.config or SimulationConfig.of(machines.drive),
             gains=self.gains or nominal_gains(),
-            machines=self.machines or NOMINAL,
+            machines=machines,
         )
         pictures = Pictures(self.render_camera, self.render_size, self._shows_motion)
         return PhysicsBackend(

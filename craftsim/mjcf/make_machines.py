@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from craftsim.mjcf.meshes import RECORD, lengths, make_meshes
@@ -23,6 +24,8 @@ def write_machines(directory: Path) -> None:
     (directory / RECORD.name).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     for part in PARTS:
         (directory / f"{part}.xml").write_text(render(part, NOMINAL), encoding="utf-8")
+    reduced = render("smartcar", replace(NOMINAL, drive="reduced"))
+    (directory / "smartcar_reduced.xml").write_text(reduced, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.mjcf import shapes
+from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import ContactParameters, Machines, SmartcarParameters
 
@@ -83,12 +84,13 @@ def render(
         "scenery": _SCENERY if alone else "",
         "mesh": mesh,
         "tau": math.tau,
+        "drive": machines.drive,
         "config": SimulationConfig(),
         "pitch_m": CELL_PITCH_M,
         **_surfaces(machines.contact),
         **_shapes(part, machines, car or machines.cars[0]),
     }
-    templates = {"block": "table", "flag": "table", "wall": "table", "smartcar": context["car"].template}
+    templates = {"block": "table", "flag": "table", "wall": "table"}
     return _environment().get_template(f"{templates.get(part, part)}.xml").render(context)
 
 
@@ -132,6 +134,7 @@ def _shapes(part: str, machines: Machines, car: SmartcarParameters) -> dict[str,
                 "boss": shapes.boss(car),
                 "chassis_inertia": shapes.chassis_inertia(car),
                 "hub_inertia": shapes.hub_inertia(car),
+                "whole": WholeCar.of(car),
             }
         case "slope":
             return {"shape": shapes.slope(machines.slope, _SEAT)}

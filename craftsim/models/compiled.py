@@ -25,7 +25,7 @@ from craftsim.models.composition import camera_poses, compose, goal_position, gr
 from craftsim.models.config import SimulationConfig
 from craftsim.models.overlaps import MachineNames
 from craftsim.models.parameters import Machines
-from craftsim.models.parts import Car, FreeBody, Slope, load_part
+from craftsim.models.parts import Car, FreeBody, Slope, load_part, trees_of_motors
 from craftsim.models.placement import Placement
 
 KEPT: Final = 8
@@ -109,7 +109,7 @@ def compiled_parts(
         tuple(Slope.find(model, name) for name in names["slope"]),
         tuple(FreeBody.find(model, name + "block") for name in names["block"]),
         tuple(FreeBody.find(model, name + "flag") for name in names["flag"]),
-        model.dof_treeid[model.jnt_dofadr[model.actuator_trnid[:, 0]]].astype(np.intp),
+        trees_of_motors(model),
         MachineNames.of(model),
     )
 

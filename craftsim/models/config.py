@@ -6,8 +6,13 @@ from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 from craftsim.errors import InputError
+from craftsim.models.parameters import Drive
 
 Solver = Literal["newton", "pgs"]
+
+STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.005}
+"""Physics step of each drive, unless another is asked for: verdicts are those of steps of 1 ms, and final poses within
+0.3 mm of theirs (``craftsim bench steps``). In longer steps rollers lose the ground, and servos ring."""
 
 RANGES: Final[dict[str, tuple[float, float]]] = {
     "timestep_s": (2.5e-4, 0.005),
@@ -37,7 +42,8 @@ class SimulationConfig:
     """
 
     timestep_s: float = 0.004
-    """Physics step. Final poses differ by less than 2 mm from those at 1 ms (tests/skills/test_demo_plan.py)."""
+    """Physics step, of rollers. Final poses differ by less than 2 mm from those at 1 ms
+    (tests/skills/test_demo_plan.py)."""
 
     control_period_s: float = 0.02
     """How often skills are asked for a command: 50 Hz, as a small robot's controller. A multiple of the step."""
@@ -81,6 +87,11 @@ class SimulationConfig:
                 f"SimulationConfig.control_period_s ({self.control_period_s}) must be an integer multiple of "
                 f"timestep_s ({self.timestep_s})"
             )
+
+    @classmethod
+    def of(cls, drive: Drive) -> SimulationConfig:
+        """Return the settings for cars with a drive."""
+        return cls(timestep_s=STEPS_S[drive])
 
     @property
     def steps_per_period(self) -> int:

@@ -75,7 +75,7 @@ def digest_of(figures: dict[str, Any]) -> str:
             return {key: plain(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
             return [plain(item) for item in value]
-        return float(value)
+        return value if isinstance(value, str) else float(value)
 
     return hashlib.sha256(json.dumps(plain(figures), sort_keys=True).encode()).hexdigest()
 

@@ -15,12 +15,16 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import ClassVar, Final
+from typing import Final, Literal, get_args
 
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
-from craftsim.errors import InputError
+from craftsim.errors import InputError, suggestion
 from craftsim.models.figures import Allowed, assumed, check, derived, digest_of, fixed, published
 from craftsim.models.fit import check_car, check_machines
+
+Drive = Literal["rollers", "reduced"]
+"""How a car's mecanum wheels touch the ground: by ten free rollers each, or by one ball each that stands for them."""
+DRIVES: Final[tuple[Drive, ...]] = get_args(Drive)
 
 _SEAT: Final = fixed("the pockets of blocks and the pads of slopes fit this board and its boss")
 _GRID: Final = fixed("the grid's cells and levels have this size")
@@ -32,16 +36,11 @@ _FRICTION: Final = Allowed(most=3.0)
 class SmartcarParameters:
     """The mecanum smartcar. Heights are above the axle line unless the name says floor.
 
-    A car with another drive is a subclass that names its own MJCF template.
-
     Example:
         >>> import craftsim
         >>> round(craftsim.SmartcarParameters().mass_kg, 1)
         10.3
     """
-
-    template: ClassVar[str] = "smartcar"
-    """Name of the MJCF template in ``craftsim/mjcf/templates``."""
 
     wheel_radius_m: float = published(
         0.0496, "the mesh; the collision cylinder's 0.043 would ground the car on the crest of the slope"
@@ -331,10 +330,16 @@ class Machines:
     block: BlockParameters = BlockParameters()
     slope: SlopeParameters = SlopeParameters()
     contact: ContactParameters = ContactParameters()
+    drive: Drive = "rollers"
+    """Of all cars; docs/drives.md says how far ``reduced``, which is several times as fast, can be trusted."""
 
     def __post_init__(self) -> None:
         if not self.cars:
             raise InputError("Machines.cars must hold at least one car's figures")
+        if self.drive not in DRIVES:
+            raise InputError(
+                f"unknown drive '{self.drive}'{suggestion(str(self.drive), DRIVES)}; there are {', '.join(DRIVES)}"
+            )
         check_machines(self)
 
     def car(self, index: int) -> SmartcarParameters:

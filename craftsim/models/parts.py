@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.mjcf.meshes import Figures, mesh_bytes, mesh_file
+from craftsim.mjcf.reduced import WholeCar
 from craftsim.mjcf.rendering import render
 from craftsim.models.parameters import Machines, SmartcarParameters
 
@@ -120,6 +121,16 @@ class Drive:
         )
 
 
+def trees_of_motors(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Return the kinematic tree (nu,) that each motor moves."""
+    bodies = [
+        model.jnt_bodyid[target] if kind == mujoco.mjtTrn.mjTRN_JOINT else model.site_bodyid[target]
+        for kind, target in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
+    ]
+    roots = model.body_rootid[np.array(bodies, np.intp)]
+    return model.dof_treeid[model.body_dofadr[roots]].astype(np.intp)
+
+
 @dataclass(frozen=True)
 class Car:
     """One smartcar: its figures, and handles of its body, its wheel drives (in the order of WHEELS) and its board."""
@@ -129,19 +140,34 @@ class Car:
     board: Drive
     wheel_actuators: NDArray[np.intp]
     wheel_dofs: NDArray[np.intp]
+    """Empty for the reduced drive, whose wheels do not turn."""
 
     @classmethod
     def find(cls, model: mujoco.MjModel, prefix: str, parameters: SmartcarParameters) -> Car:
         """Return the smartcar of these figures that is attached under this prefix."""
-        wheels = [Drive.find(model, prefix + wheel) for wheel in WHEELS]
-        board = Drive.find(model, prefix + "board")
+        wheels = [model.actuator(prefix + wheel) for wheel in WHEELS]
+        on_axles = wheels[0].trntype[0] == mujoco.mjtTrn.mjTRN_JOINT
+        dofs = [model.joint(prefix + wheel).dofadr[0] for wheel in WHEELS] if on_axles else []
         return cls(
             parameters,
             FreeBody.find(model, prefix + "smartcar"),
-            board,
-            np.array([w.actuator for w in wheels], np.intp),
-            np.array([w.dof for w in wheels], np.intp),
+            Drive.find(model, prefix + "board"),
+            np.array([wheel.id for wheel in wheels], np.intp),
+            np.array(dofs, np.intp),
         )
+
+    def add_spin(self, model: mujoco.MjModel) -> None:
+        """Let a car with the reduced drive be as heavy to speed up as its wheels and motors make it.
+
+        MJCF has one armature for all six directions of a free joint, and the wheels' spin has none along z.
+        """
+        model.dof_armature[self.base.dof : self.base.dof + 6] = WholeCar.of(self.parameters).armature
+
+    def wheel_speeds(self, data: mujoco.MjData) -> NDArray[np.float64]:
+        """Return the speeds (4,) of the wheels in rad/s; those of the reduced drive as the last physics step began."""
+        if len(self.wheel_dofs):
+            return data.qvel[self.wheel_dofs]
+        return data.actuator_velocity[self.wheel_actuators]
 
 
 @dataclass(frozen=True)

@@ -143,10 +143,13 @@ class RandomizedSite:
         motor = factors(randomization.motor, model.nu)
         model.actuator_forcerange[:] *= motor[:, None]
         model.actuator_gainprm[:, 0] *= motor
-        model.actuator_biasprm[:, 1:] *= motor[:, None]
+        gears = model.actuator_biastype == mujoco.mjtBias.mjBIAS_DCMOTOR
+        model.actuator_biasprm[~gears, 1:] *= motor[~gears, None]
         friction = factors(randomization.joint_friction, model.nv)
         model.dof_frictionloss[:] *= friction
         model.dof_damping[:] *= friction
+        # Coulomb and static friction of the reduced drive's gears.
+        model.actuator_biasprm[gears, 3:5] *= factors(randomization.joint_friction, int(gears.sum()))[:, None]
         tilt, towards = randomization.tilt_rad * math.sqrt(rng.uniform()), rng.uniform(0, math.tau)
         down = np.array(
             [math.sin(tilt) * math.cos(towards), math.sin(tilt) * math.sin(towards), -math.cos(tilt)]
@@ -171,3 +174,4 @@ class RandomizedSite:
         rougher = np.maximum(sliding[model.pair_geom1], sliding[model.pair_geom2])
         model.pair_friction[:, :2] = rougher[:, None]
         mujoco.mj_setConst(self.site.model, self.site.data)
+        self.site.take_figures()

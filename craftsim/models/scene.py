@@ -26,7 +26,8 @@ def write_scene(
     Raises InputError where the disk does not take a file.
     """
     ground, parts = load_part("ground", machines), placements(grid, machines)
-    spec, _ = compose(ground, grid.size, parts, config or SimulationConfig(), goals, machines)
+    config = config or SimulationConfig.of(machines.drive)
+    spec, _ = compose(ground, grid.size, parts, config, goals, machines)
     spec.compile()
     files = {**spec.assets, "site.xml": spec.to_xml()}
     for name, content in files.items():

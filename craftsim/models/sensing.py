@@ -68,7 +68,7 @@ def measure(site: Site, car: int) -> CarMeasurement:
         heading=math.atan2(forward[1], forward[0]),
         pitch=math.asin(max(-1.0, min(1.0, forward[2]))),
         roll=math.asin(max(-1.0, min(1.0, left[2]))),
-        wheel_speeds=_per_wheel(data.qvel[handle.wheel_dofs]),
+        wheel_speeds=_per_wheel(handle.wheel_speeds(data)),
         board_m=data.qpos.item(handle.board.qpos),
         board_force_n=_drive_force(site, handle.board),
         slope=slope,

@@ -19,6 +19,7 @@ from craftsim.errors import InputError
 from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
 from craftsim.models.extent import check_extent
+from craftsim.models.grip import Grip
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import FreeBody
@@ -99,7 +100,7 @@ class Site:
         """
         check_extent(grid, goals)
         machines.check_number(grid.n_cars)
-        self.config = config or SimulationConfig()
+        self.config = config or SimulationConfig.of(machines.drive)
         self.machines = machines
         self.size = grid.size
         self.overlaps: tuple[Overlap, ...] = ()
@@ -113,6 +114,12 @@ class Site:
         kinds = tuple(placed.kind for placed in self._placements)
         parts = compiled_parts(kinds, len(goals), self.config, machines)
         self.model, self.data = parts.placed(self.size, self._placements, goals)
+        self._grip: Grip | None = None
+        if machines.drive == "reduced":
+            for car in parts.cars:
+                car.add_spin(self.model)
+            mujoco.mj_setConst(self.model, self.data)
+            self._grip = Grip(self.model, parts.cars)
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""
         """Which motors had a command in the last period; empty where the policies may not fit it."""
@@ -125,6 +132,8 @@ class Site:
 
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
+        if self._grip is not None:
+            self._grip.begin()
         mujoco.mj_resetData(self.model, self.data)
         self._set_policies(self._policies)
         joints: dict[str, list[float]] = {"smartcar": [], "slope": []}
@@ -143,6 +152,11 @@ class Site:
     @cached_property
     def _spare(self) -> mujoco.MjData:
         return mujoco.MjData(self.model)
+
+    def take_figures(self) -> None:
+        """Take over what somebody has changed in the model, such as motors' limits, before a reset."""
+        if self._grip is not None:
+            self._grip = Grip(self.model, self.cars)
 
     @property
     def diverged(self) -> bool:
@@ -168,6 +182,8 @@ class Site:
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Run one control period of physics under the commands that stand; ``observe`` is called after every step."""
+        if self._grip is not None:
+            self._grip.limit(self.data)
         if self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
             self.model.opt.enableflags &= ~_SLEEP

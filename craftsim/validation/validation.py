@@ -16,7 +16,7 @@ from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
 from craftsim.models.noise import SensorNoise
-from craftsim.models.parameters import Machines
+from craftsim.models.parameters import Drive, Machines
 from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains
@@ -128,6 +128,7 @@ def validate(
     machines: Machines | str | Path | None = None,
     noise: SensorNoise | str | Path | None = None,
     assume: SensorNoise | str | Path | None = None,
+    drive: Drive | None = None,
     order: PlanOrder = "ticks",
     trials: int = 1,
     seed: int = 0,
@@ -161,6 +162,7 @@ def validate(
         noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
         assume: what the cars take that noise to be: none, mild, strong, noise, or a file of it; that of ``randomize``
             unless given.
+        drive: rollers or reduced; that of the machines unless given.
         order: how plans are carried out.
         trials: how many runs of each; under ``randomize="none"`` in a fixed world all are alike.
         seed: decides all that is drawn; the same for every plan and policy.
@@ -207,7 +209,7 @@ def validate(
         named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
         pilots = [policy_pilot(one, subjects, order, rules, timeout_s) for one in dict.fromkeys(named)]
     folder = None if out is None else Path(out)
-    setup = setup_of(randomize, rules, gains, machines, noise, assume)
+    setup = setup_of(randomize, rules, gains, machines, noise, assume, drive)
     config: dict[str, Any] = {
         "worlds": {subject.name: subject.digest for subject in subjects},
         "by": {pilot.name: pilot.digest for pilot in pilots},

@@ -96,6 +96,7 @@ def test_a_failed_skill_shows_as_what_happened_and_in_the_infos():
     env.reset(seed=0)
     site = env.core.backend.checked.site
     site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+    site.take_figures()
     before = env.grid
     observations, _, terminated, truncated, infos = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})
     info = infos["car_0"]

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from drawn import draw
 
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Kind
+from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
 
 PARTS = ("ground", "block", "flag", "wall", "slope", "smartcar")
@@ -29,6 +31,8 @@ def compiled(name: str) -> mujoco.MjModel:
     """Return a part alone, or the demo's scene."""
     if name == "all kinds":
         return Site(ALL_KINDS).model
+    if name == "all kinds, reduced":
+        return Site(ALL_KINDS, machines=replace(NOMINAL, drive="reduced")).model
     if name != "demo":
         with as_file(files("craftsim.mjcf")) as folder:
             return mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
@@ -37,7 +41,7 @@ def compiled(name: str) -> mujoco.MjModel:
     return Site(drawing.grid(np.random.default_rng(0))).model
 
 
-@pytest.mark.parametrize("name", [*PARTS, "demo"])
+@pytest.mark.parametrize("name", [*PARTS, "demo", "smartcar_reduced", "all kinds, reduced"])
 def test_no_model_has_hidden_helpers(name):
     """No equality constraint, mocap body, gravity compensation, tendon, or contact taken out by hand."""
     model = compiled(name)
@@ -49,7 +53,12 @@ def test_no_model_has_hidden_helpers(name):
     assert model.opt.gravity.tolist() == [0, 0, -9.81]
     assert model.opt.disableflags == 0
     assert not model.opt.wind.any()
-    assert (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)).all()
+    # Motors move joints; those of the reduced drive's wheels push the car itself.
+    pushing = [
+        model.actuator(a).name for a in np.flatnonzero(model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT)
+    ]
+    wheels = [f"{motor}_{wheel}" for motor in ("wheel", "gear") for wheel in ("fl", "fr", "rl", "rr")]
+    assert {name.rpartition("/")[2] for name in pushing} == (set(wheels) if "reduced" in name else set())
 
 
 FAMILIES = {
@@ -60,6 +69,7 @@ FAMILIES = {
     "car/(plate|boss)": "board",
     "car/guard": "guard",
     "car/roller": "roller",
+    "car/wheel": "wheel",
     "slope/(incline|wall)": "base",
     "slope/pad": "pad",
     "slope/gear": "gear",
@@ -109,6 +119,8 @@ DROPPED = {
     ),
 }
 """The pairs of solids that do not touch each other in physics, in one machine and of two, by the reason why not."""
+WHEELS_IN_PLACE_OF_ROLLERS = pairs_of("guard: guard board", "wheel: wheel", machine="same")
+"""What else is one rigid body, or slides in it, where the wheels are fixed to the chassis."""
 
 
 def filtered(model: mujoco.MjModel) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
@@ -144,18 +156,27 @@ def named(model: mujoco.MjModel, pairs: set[tuple[int, int]], part: str) -> set[
     return found
 
 
-@pytest.mark.parametrize("name", [*PARTS, "demo", "all kinds"])
+def listed(reduced: bool) -> set[tuple[str, str, str]]:
+    pairs = set().union(*DROPPED.values())
+    if not reduced:
+        return pairs
+    swapped = {(m, *sorted("wheel" if f == "roller" else f for f in (a, b))) for m, a, b in pairs}
+    return swapped | WHEELS_IN_PLACE_OF_ROLLERS
+
+
+@pytest.mark.parametrize("name", [*PARTS, "demo", "all kinds", "smartcar_reduced", "all kinds, reduced"])
 def test_every_pair_that_a_filter_drops_is_listed_with_a_reason(name):
     model = compiled(name)
-    touch, dropped = (named(model, pairs, name.replace("smart", "")) for pairs in filtered(model))
-    listed = set().union(*DROPPED.values())
-    assert dropped <= listed
-    assert not touch & listed
-    if name == "all kinds":
-        assert dropped == listed, "what is listed is dropped"
+    part = name.replace("smart", "").replace("_reduced", "")
+    touch, dropped = (named(model, pairs, part) for pairs in filtered(model))
+    expected = listed("reduced" in name)
+    assert dropped <= expected
+    assert not touch & expected
+    if name.startswith("all kinds"):
+        assert dropped == expected, "what is listed is dropped"
 
 
-@pytest.mark.parametrize("name", ["slope", "smartcar"])
+@pytest.mark.parametrize("name", ["slope", "smartcar", "smartcar_reduced"])
 def test_mujoco_drops_exactly_these_pairs(name):
     """With margins so wide that all is near, MuJoCo itself says which pairs can touch."""
     model = compiled(name)

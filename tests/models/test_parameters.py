@@ -264,6 +264,11 @@ def test_the_files_are_what_the_parameters_render(part):
     assert text == render(part, NOMINAL), "run 'make machines'"
 
 
+def test_the_reduced_car_is_what_the_parameters_render():
+    text = (files("craftsim.mjcf") / "smartcar_reduced.xml").read_text(encoding="utf-8")
+    assert text == render("smartcar", replace(NOMINAL, drive="reduced")), "run 'make machines'"
+
+
 def test_an_edited_length_is_seen_by_the_meshes_before_they_are_made_again():
     car = bumped(SMARTCAR, "chassis_length_m")
     assert shipped(SMARTCAR)

@@ -10,6 +10,7 @@ from typing import Any
 from craftsim.errors import InputError
 from craftsim.validation.campaign import FinishedCampaign, Form, Item, read_finished
 from craftsim.validation.campaign.header import CAMPAIGN, differences, read_header
+from craftsim.validation.statistics.alike import Alike, alike
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import Record, carried_out
 
@@ -45,13 +46,15 @@ class Comparison:
     """Settings and versions that differ, by their dotted names: of the earlier run, and of this one."""
     trials: Paired
     """The earlier run is the first."""
+    actions: Alike
+    """The earlier run is the first here, too."""
 
     def __str__(self) -> str:
         trials = self.trials
         return (
             f"Against {self.against}: of {trials.pairs} paired trials {trials.both} agree with the rules in both, "
             f"{trials.only_first} only there, {trials.only_second} only here, {trials.neither} in neither; "
-            f"McNemar's exact test: p = {trials.p_value:.3g}."
+            f"McNemar's exact test: p = {trials.p_value:.3g}.\n{self.actions}"
         )
 
 
@@ -89,7 +92,8 @@ def compare_runs(
     headers = (earlier.header, read_header(out / CAMPAIGN))
     before, after = ({key: header.get(key) for key in ("config", "versions")} for header in headers)
     trials = compare_paired(chosen(earlier.records), chosen(records))
-    return Comparison(str(earlier.folder), dict(differences(before, after)), trials)
+    actions = alike(chosen(earlier.records), chosen(records))
+    return Comparison(str(earlier.folder), dict(differences(before, after)), trials, actions)
 
 
 def compare_paired(first: Iterable[Record], second: Iterable[Record]) -> Paired:

@@ -1,0 +1,113 @@
+"""How hard the wheels of the reduced drive can push: by their grip, from the load that each of them carries.
+
+Wheels without rollers do not touch the floor with friction; their motors push the car as if they did. A mecanum wheel
+holds the ground along its roller's axis, at 45 degrees to its way, with a force of at most the friction coefficient
+times its load N: no more of its motor's torque than mu N R / sqrt(2), less what the gear takes, reaches the ground. The
+loads are those of the last physics step, and the limits hold for one control period.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from craftsim.mjcf.reduced import WholeCar
+from craftsim.models.parts import WHEELS, Car
+
+
+class Grip:
+    """The limits of the wheel motors of all cars of a compiled model with the reduced drive."""
+
+    def __init__(self, model: mujoco.MjModel, cars: Sequence[Car]) -> None:
+        """Take the motors' own limits as they are in the model now."""
+        self._model = model
+        self._limits = model.actuator_forcerange.copy()
+        prefixes = [model.body(car.base.body).name.rpartition("/")[0] + "/" for car in cars]
+        wheels = [prefix + wheel for prefix in prefixes for wheel in WHEELS]
+        geoms = np.array([model.geom(name).id for name in wheels], np.int32)
+        self._wheel = np.full(model.ngeom, -1, np.int32)
+        self._wheel[geoms] = np.arange(len(wheels))
+        """By geom: its wheel, counted over all cars, or -1."""
+        self._motors = np.array([model.actuator(name).id for name in wheels], np.intp)
+        self._gears = np.array(
+            [model.actuator(p + w.replace("wheel", "gear")).id for p in prefixes for w in WHEELS], np.intp
+        )
+        self._trees = np.repeat([car.base.tree for car in cars], len(WHEELS))
+        radii = np.repeat([car.parameters.wheel_radius_m for car in cars], len(WHEELS))
+        spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in cars], len(WHEELS))
+        self._nm_per_n = model.geom_friction[geoms, 0] * radii / math.sqrt(2)
+        """By wheel: the torque that a newton of load lets it pass on."""
+        self._inertia = spin[:, None] * model.actuator_gear[self._motors]
+        """By wheel: the torque that an acceleration of the car, in its own frame, takes to turn wheel and motor."""
+        self._dofs = np.repeat([car.base.dof for car in cars], len(WHEELS))
+        self._bodies = np.repeat([car.base.body for car in cars], len(WHEELS))
+
+    def begin(self) -> None:
+        """Give the motors their own limits."""
+        self._model.actuator_forcerange[:] = self._limits
+
+    def limit(self, data: mujoco.MjData) -> None:
+        """Limit the motors of all cars that are awake, for what their wheels carry now."""
+        contact = data.contact
+        _limit(
+            self._model.actuator_forcerange,
+            self._limits,
+            contact.geom,
+            contact.efc_address,
+            data.efc_force,
+            data.actuator_force,
+            data.tree_asleep,
+            data.qacc,
+            data.xmat,
+            *(self._wheel, self._motors, self._gears, self._trees, self._nm_per_n),
+            *(self._inertia, self._dofs, self._bodies),
+        )
+
+
+@njit(cache=True)
+def _limit(
+    forcerange: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    geoms: NDArray[np.int32],
+    addresses: NDArray[np.int32],
+    forces: NDArray[np.float64],
+    motor_forces: NDArray[np.float64],
+    asleep: NDArray[np.int32],
+    qacc: NDArray[np.float64],
+    xmat: NDArray[np.float64],
+    wheel_of: NDArray[np.int32],
+    motors: NDArray[np.intp],
+    gears: NDArray[np.intp],
+    trees: NDArray[np.int64],
+    nm_per_n: NDArray[np.float64],
+    inertia: NDArray[np.float64],
+    dofs: NDArray[np.int64],
+    bodies: NDArray[np.int64],
+) -> None:
+    load = np.zeros(len(motors))
+    for contact in range(len(geoms)):
+        if addresses[contact] < 0:
+            continue
+        for side in range(2):
+            wheel = wheel_of[geoms[contact, side]]
+            if wheel >= 0:
+                load[wheel] += forces[addresses[contact]]
+    for wheel in range(len(motors)):
+        if asleep[trees[wheel]] >= 0:
+            continue
+        motor, most = motors[wheel], load[wheel] * nm_per_n[wheel]
+        friction, spin = motor_forces[gears[wheel]], 0.0
+        for axis in range(2):
+            for world in range(3):
+                spin += (
+                    inertia[wheel, axis] * xmat[bodies[wheel], 3 * world + axis] * qacc[dofs[wheel] + world]
+                )
+        spin += inertia[wheel, 5] * qacc[dofs[wheel] + 5]
+        low, high = limits[motor]
+        forcerange[motor, 0] = min(max(-most - friction + min(spin, 0.0), low), high)
+        forcerange[motor, 1] = min(max(most - friction + max(spin, 0.0), low), high)

@@ -1,0 +1,51 @@
+"""How alike the actions of two runs are."""
+
+import pytest
+from synthetic import attempt, record
+
+from craftsim.checking.attempt import Result
+from craftsim.validation.statistics.alike import alike
+
+
+def test_actions_are_paired_in_order_for_as_long_as_both_runs_try_the_same():
+    first = [record("a", attempt(tick=0), attempt(tick=1), attempt(tick=2)), record("b", attempt())]
+    second = [record("a", attempt(tick=0), attempt(tick=3), attempt(tick=2)), record("c", attempt())]
+    assert alike(first, second).actions == 1
+
+
+def test_what_differs_is_told_by_kind_with_an_example():
+    first = [record(key, attempt(slope=True)) for key in "abc"] + [record("d", attempt(Result.FAILED))]
+    second = [record(key, attempt(Result.FAILED, slope=True)) for key in "ab"]
+    second += [record("c", attempt(slope=True)), record("d", attempt(Result.UNSAFE))]
+    found = alike(first, second)
+    assert (found.actions, found.as_predicted_alike, found.share) == (4, 2, 0.5)
+    (one,) = found.differences
+    assert (one.kind, one.actions, one.example) == (
+        "MOVE on a slope: as predicted there, failed here",
+        2,
+        "a",
+    )
+    assert "50.00% went as predicted" in str(found)
+    assert "2 MOVE on a slope" in str(found)
+
+
+def test_ratios_are_medians_over_actions_as_predicted_in_both():
+    first = [
+        record("a", attempt(duration_s=1.0), attempt(tick=1, duration_s=2.0), attempt(tick=2, duration_s=4.0))
+    ]
+    second = [
+        record(
+            "a",
+            attempt(duration_s=1.1),
+            attempt(tick=1, duration_s=2.4),
+            attempt(Result.FAILED, tick=2, duration_s=40.0),
+        )
+    ]
+    found = alike(first, second)
+    assert found.duration_ratio == pytest.approx(1.15)
+    assert found.error_ratio == pytest.approx(1.0)
+
+
+def test_nothing_in_common_is_alike_without_ratios():
+    found = alike([record("a", attempt())], [])
+    assert (found.actions, found.share, found.duration_ratio) == (0, 1.0, None)

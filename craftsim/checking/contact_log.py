@@ -6,23 +6,18 @@ by 25 mm or more is faster than 0.5 m/s when it is looked at.
 
 from __future__ import annotations
 
-import copy
 import csv
 import math
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.forces import PossibleForce, impact_limit_n
-from craftsim.models.overlaps import MachineNames
 from craftsim.models.site import Site
 from craftsim.storage.writing import whole
-
-_SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
 @dataclass(frozen=True)
@@ -50,7 +45,7 @@ class ContactLog:
         """Prepare for a Site, and begin."""
         self.site = site
         model = site.model
-        machines = MachineNames.of(model)
+        machines = site.machine_names
         self.names, machine = machines.names, machines.of_geom
         """Of all machines: what is fixed first, then those that move in the order of their bodies."""
         low, high = np.minimum.outer(machine, machine), np.maximum.outer(machine, machine)
@@ -74,7 +69,7 @@ class ContactLog:
         self._fall = np.zeros(n - 2)
         self._upright = np.ones(n - 2)
         self._start_s = self.site.time_s
-        self._note(self._awake())
+        self._note(self.site.awake_copy())
         self._at_start = np.isfinite(self._since)
 
     def look(self) -> None:
@@ -147,15 +142,6 @@ class ContactLog:
             writer = csv.writer(file)
             writer.writerow([field.name for field in fields(Contact)])
             writer.writerows(astuple(contact) for contact in self.contacts)
-
-    def _awake(self) -> mujoco.MjData:
-        """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show."""
-        model, data = self.site.model, copy.copy(self.site.data)
-        flags = model.opt.enableflags
-        model.opt.enableflags = flags & ~_SLEEP
-        mujoco.mj_forward(model, data)
-        model.opt.enableflags = flags
-        return data
 
     def _note(self, data: mujoco.MjData) -> None:
         """Note the machines of all contacts, and the net force of each two.

@@ -62,7 +62,13 @@ SEED_0: Final = Seed((0,))
 
 def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> RandomizedSite:
     """Return the compiled world of a grid, to be set up again and again; it stands nowhere yet."""
-    return RandomizedSite(Site(grid, setup.simulation, goals, reset=False, machines=setup.machines))
+    site = Site(grid, setup.simulation, goals, reset=False, machines=setup.machines)
+    return RandomizedSite(site, (_visible(grid), tuple(goals), setup.simulation, setup.machines))
+
+
+def _visible(grid: Grid) -> tuple[bytes, ...]:
+    """Return all of a grid that stands somewhere in physics."""
+    return tuple(array.tobytes() for array in (np.array(grid.size), grid.kind, grid.yaw, grid.cars))
 
 
 def set_up(

@@ -14,6 +14,7 @@ import tyro
 from craftsim.commands.text import say
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import CraftsimError
+from craftsim.models.parameters import Drive
 from craftsim.storage.limits import BATCH, BENCH_RUNS, BENCH_S, BENCH_TICKS, SEED
 
 if TYPE_CHECKING:
@@ -31,13 +32,15 @@ DEPTH: Final = 20
 
 
 def bench(
-    what: tyro.conf.Positional[Literal["rules", "env", "physics", "workers", "durations"]],
+    what: tyro.conf.Positional[Literal["rules", "env", "physics", "steps", "trials", "workers", "durations"]],
     rules: RuleSet = "published",
     worlds: Annotated[int, BATCH] = 1000,
     seconds: Annotated[float, BENCH_S] = 2.0,
     memory_worlds: Annotated[int, BATCH] = 10_000,
     episode: Annotated[int, BENCH_TICKS] = 20,
     runs: Annotated[int, BENCH_RUNS] = 40,
+    contexts: Annotated[int, BENCH_RUNS] = 60,
+    drive: Drive = "rollers",
     seed: Annotated[int, SEED] = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
@@ -56,6 +59,10 @@ def bench(
     rest against MuJoCo's steps alone under the same commands ("x bare"; "us" is what one of these takes, "units"
     what a joint step costs in units of the calibration work); resets; many worlds with one worker process and with two.
 
+    steps: how verdicts, errors, durations and forces depend on the physics step, over contexts of the audit.
+
+    trials: the CPU time of a trial of the audit, stage by stage, over contexts taken evenly from all that it tries.
+
     workers: two worker processes against one, building a task again and again, their start included; and what a single
     run costs in a campaign, apart from such starts.
 
@@ -69,6 +76,8 @@ def bench(
         memory_worlds: how many worlds to make for the memory figure; rules only.
         episode: ticks of the episode that is timed in physics, 2 or more; env only.
         runs: how often the task is built; workers only.
+        contexts: how many contexts of the audit are tried; steps and trials only.
+        drive: of the cars; steps and trials only.
         seed: decides starts, actions and orders.
         out: folder for report.json; for physics.png and physics.md, too.
     """
@@ -95,6 +104,16 @@ def bench(
 
             config |= {"seconds": seconds}
             wall = bench_physics(console, TASKS, seconds, seed, out)
+        case "steps":
+            from craftsim.commands.bench_steps import bench_steps
+
+            config |= {"contexts": contexts, "drive": drive}
+            figures = bench_steps(console, drive, contexts, seed)
+        case "trials":
+            from craftsim.commands.bench_trials import bench_trials
+
+            config |= {"contexts": contexts, "drive": drive}
+            wall = bench_trials(console, drive, contexts, seed)
         case "workers":
             config |= {"runs": runs}
             wall = _bench_workers(console, runs, seed)

@@ -14,13 +14,12 @@ from craftsim.commands.bench_worlds import to_and_fro, yard
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.timing import PhysicsTiming, parallel_step, time_physics
+from craftsim.models.parameters import DRIVES
 from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-DRIVES: Final = ("rollers",)
-"""Models of a car's wheels."""
 CARS: Final = (2, 4, 8, 16, 32)
 BLOCKS: Final = (8, 32, 128)
 """At rest, beside the cars of :data:`_BLOCKS_BESIDE`."""
@@ -32,8 +31,7 @@ _PACE_S: Final = 0.2
 
 def options_of(drive: str) -> dict[str, Any]:
     """Return the options of an environment whose cars have this drive."""
-    assert drive in DRIVES
-    return {}
+    return {"drive": drive}
 
 
 @dataclass(frozen=True)

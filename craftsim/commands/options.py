@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from craftsim.discrete.rules import RuleSet
+from craftsim.models.parameters import Drive
 from craftsim.storage.limits import SEED, TRIAL_COUNT, WORKERS
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 Dir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 Randomize = Literal["none", "mild", "strong"]
-Drive = Literal["rollers", "reduced"]
 Engine = Literal["local", "ray"]
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
-from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.grid import Cell
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.models.parts import load_part
+from craftsim.models.parts import shared_part
 from craftsim.models.placement import Placement
 
 _MARGIN_CELLS = 2
@@ -22,37 +23,39 @@ _FIELD_OF_VIEW_DEG = 38.0
 
 
 def compose(
-    grid: Grid,
+    spec: mujoco.MjSpec,
+    size: Cell,
     placed: list[Placement],
     config: SimulationConfig,
     goals: Sequence[Cell],
     machines: Machines = NOMINAL,
 ) -> tuple[mujoco.MjSpec, dict[str, list[str]]]:
-    """Attach every part to the ground; return the spec and the name prefixes by kind of part."""
-    spec = load_part("ground", machines)
+    """Attach every part to the spec of the ground; return it and the name prefixes by kind of part."""
+    spec.copy_during_attach = True
     names: dict[str, list[str]] = {"smartcar": [], "block": [], "flag": [], "slope": [], "wall": []}
     for item in placed:
         index = len(names[item.kind])
         prefix = f"{'car' if item.kind == 'smartcar' else item.kind}{index}/"
         names[item.kind].append(prefix)
-        part = load_part(item.kind, machines, index)
+        part = shared_part(item.kind, machines, index if item.kind == "smartcar" else 0)
         spec.assets.update(part.assets)
         frame = spec.worldbody.add_frame(pos=item.position, quat=item.quaternion)
         frame.attach_body(part.body(item.kind), prefix, "")
-    for i, (x, y, z) in enumerate(goals):
+    for i, goal in enumerate(goals):
         spec.worldbody.add_site(
             name=f"goal{i}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=cell_position(x, y, z) + np.array([0, 0, 0.002]),
+            pos=goal_position(goal),
             size=[0.45 * CELL_PITCH_M, 0.45 * CELL_PITCH_M, 0.001],
             rgba=[0.25, 0.75, 0.40, 0.45],
         )
-    _add_cameras(spec, grid)
-    _configure(spec, grid, config)
+    for name, (position, quaternion) in camera_poses(size).items():
+        spec.worldbody.add_camera(name=name, pos=position, quat=quaternion, fovy=_FIELD_OF_VIEW_DEG)
+    _configure(spec, size, config)
     return spec, names
 
 
-def _configure(spec: mujoco.MjSpec, grid: Grid, config: SimulationConfig) -> None:
+def _configure(spec: mujoco.MjSpec, size: Cell, config: SimulationConfig) -> None:
     spec.modelname = "site"
     spec.option.timestep = config.timestep_s
     spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{config.solver.upper()}")
@@ -61,19 +64,33 @@ def _configure(spec: mujoco.MjSpec, grid: Grid, config: SimulationConfig) -> Non
     spec.option.sleep_tolerance = config.sleep_tolerance_m_s
     if config.sleep:
         spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-    length, width, _ = grid.size
     ground = spec.geom("ground")
-    ground.size = [
+    ground.pos, ground.size = ground_pose_and_size(size)
+
+
+def goal_position(goal: Cell) -> NDArray[np.float64]:
+    """Return (3,), in metres: the centre of a goal's marker."""
+    return cell_position(*goal) + np.array([0, 0, 0.002])
+
+
+def ground_pose_and_size(size: Cell) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return position and half-lengths, (3,) each, in metres, of the floor of an area of this size in cells."""
+    length, width, _ = size
+    half = [
         (0.5 * length + _MARGIN_CELLS) * CELL_PITCH_M,
         (0.5 * width + _MARGIN_CELLS) * CELL_PITCH_M,
         0.05,
     ]
-    ground.pos = [0.5 * length * CELL_PITCH_M, 0.5 * width * CELL_PITCH_M, 0.0]
+    return np.array([0.5 * length * CELL_PITCH_M, 0.5 * width * CELL_PITCH_M, 0.0]), np.array(half)
 
 
-def _add_cameras(spec: mujoco.MjSpec, grid: Grid) -> None:
-    """Add the cameras ``overview`` (from the front right, above) and ``top``, both with the whole area in view."""
-    length, width, height = grid.size
+@lru_cache(maxsize=64)
+def camera_poses(size: Cell) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Return position (3,), in metres, and quaternion (4,) of each camera by its name.
+
+    They are ``overview`` (from the front right, above) and ``top``, both with the whole area in view.
+    """
+    length, width, height = size
     centre = 0.5 * CELL_PITCH_M * np.array([length, width, 0.0])
     centre[2] = 0.5 * LEVEL_HEIGHT_M * min(height, 2)
     span = CELL_PITCH_M * math.hypot(length, width)
@@ -81,9 +98,7 @@ def _add_cameras(spec: mujoco.MjSpec, grid: Grid) -> None:
     towards = np.array([0.55, -0.62, 0.56])
     towards /= np.linalg.norm(towards)
     views = {"overview": centre + distance * towards, "top": centre + np.array([0.0, -1e-3, 1.15 * distance])}
-    for name, position in views.items():
-        quaternion = _looking_at(centre, position)
-        spec.worldbody.add_camera(name=name, pos=position, quat=quaternion, fovy=_FIELD_OF_VIEW_DEG)
+    return {name: (position, _looking_at(centre, position)) for name, position in views.items()}
 
 
 def _looking_at(target: NDArray[np.float64], position: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -52,9 +52,8 @@ class Overlap:
         return f"{self.first} and {self.second} stand {1e3 * self.depth_m:.1f} mm in each other"
 
 
-def overlaps(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Overlap]:
+def overlaps(machines: MachineNames, data: mujoco.MjData) -> Iterator[Overlap]:
     """Yield what stands more than :data:`ALLOWED_M` in something else, each pair once; all must be awake."""
-    machines = MachineNames.of(model)
     contact = data.contact
     pairs = np.sort(machines.of_geom[contact.geom], axis=1)
     deepest: dict[tuple[int, int], float] = {}

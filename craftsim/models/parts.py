@@ -37,11 +37,20 @@ def load_part(name: str, machines: Machines, car: int = 0) -> mujoco.MjSpec:
     whoever attaches it has to hand on to the world. A smartcar has the colour of car number ``car``; it and a slope may
     sleep when idle, unlike other trees with motors.
     """
-    figures = _figures(name, machines, car)
+    return shared_part(name, machines, car).copy()
+
+
+def shared_part(name: str, machines: Machines, car: int = 0) -> mujoco.MjSpec:
+    """Return the same spec as :func:`load_part`, to attach copies of and not to be changed: it is read once."""
+    return _part(name, machines, _figures(name, machines, car), car % len(CAR_COLOURS))
+
+
+@lru_cache(maxsize=64)
+def _part(name: str, machines: Machines, figures: Figures | None, colour: int) -> mujoco.MjSpec:
     meshes = {} if figures is None else mesh_bytes(figures)
     spec = mujoco.MjSpec.from_string(_text(name, machines, figures), assets=meshes)
     if name == "smartcar":
-        spec.geom("chassis_visual").rgba = [*CAR_COLOURS[car % len(CAR_COLOURS)], 1.0]
+        spec.geom("chassis_visual").rgba = [*CAR_COLOURS[colour], 1.0]
     if name in ("smartcar", "slope"):
         spec.body(name).sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
     return spec
@@ -58,7 +67,6 @@ def _figures(name: str, machines: Machines, car: int) -> Figures | None:
     return machines.block
 
 
-@lru_cache(maxsize=64)
 def _text(name: str, machines: Machines, figures: Figures | None) -> str:
     car = figures if isinstance(figures, SmartcarParameters) else None
 

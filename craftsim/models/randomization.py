@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError
+from craftsim.models.overlaps import Overlap
 from craftsim.models.site import Site, SiteState
 
 
@@ -74,25 +78,53 @@ class Nominal:
         return {f.name: getattr(model.opt if f.name == "gravity" else model, f.name) for f in fields(cls)}
 
 
+@dataclass(frozen=True)
+class _Rested:
+    """A start that has come to rest at nominal physics."""
+
+    state: SiteState
+    overlaps: tuple[Overlap, ...]
+
+
+KEPT: Final = 4
+"""Starts at rest that a process keeps, those used last: 1 MB each, and address space for more."""
+
+
+@lru_cache(maxsize=KEPT)
+def _kept(start: Hashable) -> list[_Rested]:
+    """Return where what belongs to a start is kept: an empty list, the first time."""
+    return []
+
+
 class RandomizedSite:
     """A Site whose physics can be drawn anew, again and again, without compiling it again."""
 
-    def __init__(self, site: Site) -> None:
-        """Remember the nominal figures of a Site."""
+    def __init__(self, site: Site, start: Hashable = None) -> None:
+        """Remember the nominal figures of a Site.
+
+        ``start`` is all that decides the world of a Site that is as it was composed: what comes to rest once is then
+        shared by all of that start.
+        """
         self.site = site
         self._nominal = Nominal.of(site.model)
-        self._is_nominal = True
-        self._rested: SiteState | None = None
+        self._material = self._materials()
+        self._is_nominal = False
+        """Whether the physics is nominal, with all that follows from it; the first restore or draw sees to that."""
+        self._rested: list[_Rested] = [] if start is None else _kept(start)
 
     def restore(self) -> None:
         """Go back to the nominal physics and to the start, as a reset leaves it."""
-        if self._rested is not None and self._is_nominal:
-            self.site.restore(self._rested)
-            return
         self._nominal.write(self.site.model)
-        self._is_nominal = True
-        self._refresh()
-        self._rested = self.site.save()
+        if not self._is_nominal:
+            self._follow()
+            self._is_nominal = True
+        if self._rested:
+            rested = self._rested[0]
+            self.site.restore(rested.state)
+            self.site.overlaps = rested.overlaps
+            return
+        self.site.reset()
+        self._rested.append(_Rested(self.site.save(), self.site.overlaps))
 
     def draw(self, randomization: DomainRandomization, rng: np.random.Generator) -> None:
         """Draw new physics around the nominal one and reset the Site; equal generators give equal physics."""
@@ -107,7 +139,7 @@ class RandomizedSite:
         mass = factors(randomization.mass, model.nbody)[tree]
         model.body_mass[:] *= mass
         model.body_inertia[:] *= mass[:, None]
-        model.geom_friction[:, 0] *= self._by_material(factors(randomization.friction, model.ngeom))
+        model.geom_friction[:, 0] *= factors(randomization.friction, model.ngeom)[self._material]
         motor = factors(randomization.motor, model.nu)
         model.actuator_forcerange[:] *= motor[:, None]
         model.actuator_gainprm[:, 0] *= motor
@@ -123,21 +155,19 @@ class RandomizedSite:
             [math.sin(tilt) * math.cos(towards), math.sin(tilt) * math.sin(towards), -math.cos(tilt)]
         )
         model.opt.gravity[:] = float(np.linalg.norm(self._nominal.gravity)) * down
-        self._refresh()
+        self._follow()
+        self.site.reset()
 
-    def _by_material(self, factors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return one factor a geom, the same for all geoms of one machine that had one friction: one material."""
+    def _materials(self) -> NDArray[np.intp]:
+        """Return (n,): for each geom the first one of its material, which one machine and one friction make."""
         model = self.site.model
-        first: dict[tuple[int, float], int] = {}
-        index = [
-            first.setdefault(
-                (int(model.body_rootid[model.geom_bodyid[g]]), float(model.geom_friction[g, 0])), g
-            )
-            for g in range(model.ngeom)
-        ]
-        return factors[index]
+        surfaces = np.column_stack([model.body_rootid[model.geom_bodyid], model.geom_friction[:, 0]])
+        _, first, material = np.unique(surfaces, axis=0, return_index=True, return_inverse=True)
+        found: NDArray[np.intp] = first[material.reshape(-1)]
+        return found
 
-    def _refresh(self) -> None:
+    def _follow(self) -> None:
+        """Work out what follows from the figures."""
         model = self.site.model
         # MuJoCo keeps a pair's friction as it was compiled; as at any contact, the rougher of the two decides.
         sliding = model.geom_friction[:, 0]
@@ -145,4 +175,3 @@ class RandomizedSite:
         model.pair_friction[:, :2] = rougher[:, None]
         mujoco.mj_setConst(self.site.model, self.site.data)
         self.site.take_figures()
-        self.site.reset()

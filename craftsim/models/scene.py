@@ -9,6 +9,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL, Machines
+from craftsim.models.parts import load_part
 from craftsim.models.placement import placements
 from craftsim.storage.writing import write_whole
 
@@ -24,9 +25,9 @@ def write_scene(
 
     Raises InputError where the disk does not take a file.
     """
-    spec, _ = compose(
-        grid, placements(grid, machines), config or SimulationConfig.of(machines.drive), goals, machines
-    )
+    ground, parts = load_part("ground", machines), placements(grid, machines)
+    config = config or SimulationConfig.of(machines.drive)
+    spec, _ = compose(ground, grid.size, parts, config, goals, machines)
     spec.compile()
     files = {**spec.assets, "site.xml": spec.to_xml()}
     for name, content in files.items():

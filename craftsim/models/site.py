@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -15,13 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.errors import InputError
-from craftsim.models.composition import compose
+from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
 from craftsim.models.extent import check_extent
 from craftsim.models.grip import Grip
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.models.parts import Car, FreeBody, Slope, trees_of_motors
+from craftsim.models.parts import FreeBody
 from craftsim.models.placement import placements
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -110,28 +111,22 @@ class Site:
         self._placements = placements(grid, machines)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
-        spec, names = compose(grid, self._placements, self.config, goals, machines)
-        try:
-            self.model: mujoco.MjModel = spec.compile()
-        except ValueError as error:
-            raise InputError(f"MuJoCo makes no world of these figures: {error}") from error
-        self.cars = tuple(
-            Car.find(self.model, name, machines.car(i)) for i, name in enumerate(names["smartcar"])
-        )
-        self.data = mujoco.MjData(self.model)
+        kinds = tuple(placed.kind for placed in self._placements)
+        parts = compiled_parts(kinds, len(goals), self.config, machines)
+        self.model, self.data = parts.placed(self.size, self._placements, goals)
         self._grip: Grip | None = None
         if machines.drive == "reduced":
-            for car in self.cars:
+            for car in parts.cars:
                 car.add_spin(self.model)
             mujoco.mj_setConst(self.model, self.data)
-            self._grip = Grip(self.model, self.cars)
+            self._grip = Grip(self.model, parts.cars)
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""
         """Which motors had a command in the last period; empty where the policies may not fit it."""
-        self._tree_of_motor = trees_of_motors(self.model)
-        self.slopes = tuple(Slope.find(self.model, name) for name in names["slope"])
-        self.blocks = tuple(FreeBody.find(self.model, name + "block") for name in names["block"])
-        self.flags = tuple(FreeBody.find(self.model, name + "flag") for name in names["flag"])
+        self._tree_of_motor = parts.tree_of_motor
+        self.cars, self.slopes, self.blocks, self.flags = parts.cars, parts.slopes, parts.blocks, parts.flags
+        self.machine_names = parts.names
+        """The machines by their geoms."""
         if reset:
             self.reset()
 
@@ -150,9 +145,13 @@ class Site:
             self.data.qpos[drive.qpos] = position
             self.data.act[drive.activation] = position
         mujoco.mj_forward(self.model, self.data)
-        self.overlaps = tuple(overlaps(self.model, self.data))
+        self.overlaps = tuple(overlaps(self.machine_names, self.data))
         self.capped_steps = 0
         self._step(round(self.config.settle_s / self.config.timestep_s))
+
+    @cached_property
+    def _spare(self) -> mujoco.MjData:
+        return mujoco.MjData(self.model)
 
     def take_figures(self) -> None:
         """Take over what somebody has changed in the model, such as motors' limits, before a reset."""
@@ -220,6 +219,18 @@ class Site:
         mujoco.mj_copyData(self.data, self.model, state.data)
         self.capped_steps = state.capped_steps
         self._set_policies(state.policies)
+
+    def awake_copy(self) -> mujoco.MjData:
+        """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show.
+
+        The next call overwrites it.
+        """
+        mujoco.mj_copyData(self._spare, self.model, self.data)
+        flags = self.model.opt.enableflags
+        self.model.opt.enableflags = flags & ~_SLEEP
+        mujoco.mj_forward(self.model, self._spare)
+        self.model.opt.enableflags = flags
+        return self._spare
 
     def free_body_state(self, body: FreeBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return copies of a body's position (3,) in metres and unit quaternion (4,), w first, in the world frame."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from craftsim.discrete.files.blueprint import LOADS, NO_CELL, OBJECT_KEYS, parse_blueprint
+from craftsim.discrete.files.blueprint_checks import check_blueprint
 from craftsim.discrete.files.design import TARGET_KEYS
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
 from craftsim.errors import BlueprintError
@@ -102,16 +104,16 @@ def blueprint_text(grid: Grid, goal: Cell | None = None) -> str:
     listed_blocks = len(_objects(grid, Kind.BLOCK)) + carried[0]
     listed_slopes = sum(len(_objects(grid, kind)) for kind in (Kind.FSLOPE, Kind.BODY)) + carried[1]
     bare_text = _text(grid, goal, listed_blocks, listed_slopes, ["snapshot: {}"])
-    bare = parse_blueprint(bare_text, _UNNAMED).grid(np.random.default_rng(0))
+    blueprint = parse_blueprint(bare_text, _UNNAMED)
+    bare = blueprint.grid(np.random.default_rng(0))
     odd = grid.kind[(grid.kind != bare.kind) | (grid.yaw != bare.yaw)]
     snapshot = _snapshot(grid, bare)
     if not snapshot:
-        plain = _text(grid, goal, listed_blocks, listed_slopes, [])
         try:
-            parse_blueprint(plain, _UNNAMED)
+            check_blueprint(replace(blueprint, snapshot=None))
         except BlueprintError:
             return bare_text
-        return plain
+        return _text(grid, goal, listed_blocks, listed_slopes, [])
     # Counts cover all that is given, also what is both listed and odd, such as a block with a yaw.
     n_blocks = listed_blocks + int((odd == Kind.BLOCK).sum())
     n_slopes = listed_slopes + int(np.isin(odd, (Kind.FSLOPE, Kind.BODY)).sum())

@@ -64,12 +64,22 @@ def try_it(trial: Trial | None) -> Done:
     """Try one action, or one tick, and judge it; nothing for no trial, and nothing in a world that does not stand."""
     if trial is None:
         return Done(agrees=True)
-    world, problems = _site(trial.situation, trial.legal, trial.seed, trial.setup)
+    problems = why_not_standing(trial)
     if problems:
         return Done(agrees=True, extra={"does_not_stand": list(problems)})
     recipe = recipe_of(trial)
-    attempts = do(run_up(recipe, world), recipe.steps[-1])
+    attempts = do(run_up(recipe, site_of(trial)), recipe.steps[-1])
     return Done(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
+
+
+def site_of(trial: Trial) -> RandomizedSite:
+    """Return the Site of a trial's situation, which its other trials use again."""
+    return _site(trial.situation, trial.legal, trial.seed, trial.setup)
+
+
+def why_not_standing(trial: Trial) -> tuple[str, ...]:
+    """Return how the world of a trial, at rest and at nominal physics, differs from what was drawn; or nothing."""
+    return _problems(trial.situation, trial.legal, trial.seed, trial.setup)
 
 
 @lru_cache(maxsize=2)
@@ -91,19 +101,22 @@ def _start(situation: Situation, legal: bool, seed: int, rules: RuleSet) -> tupl
 
 
 @lru_cache(maxsize=1)
-def _site(
-    situation: Situation, legal: bool, seed: int, setup: Setup
-) -> tuple[RandomizedSite, tuple[str, ...]]:
-    """Return a Site of a situation to use again and again, and how it differs from what was drawn."""
+def _site(situation: Situation, legal: bool, seed: int, setup: Setup) -> RandomizedSite:
     grid, _ = _world(situation, legal, seed, setup.rules)
-    world = compile_world(grid, setup)
+    return compile_world(grid, setup)
+
+
+@lru_cache(maxsize=1)
+def _problems(situation: Situation, legal: bool, seed: int, setup: Setup) -> tuple[str, ...]:
+    grid, _ = _world(situation, legal, seed, setup.rules)
+    world = _site(situation, legal, seed, setup)
     try:
         reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
     except StartError as error:
-        return world, (str(error),)
+        return (str(error),)
     if reading.problems or reading.grid.same_visible(grid):
-        return world, reading.problems
-    return world, ("the world reads otherwise than it was drawn",)
+        return reading.problems
+    return ("the world reads otherwise than it was drawn",)
 
 
 def _digest(situation: Situation) -> int:

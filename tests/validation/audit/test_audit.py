@@ -8,6 +8,7 @@ from craftsim import cli
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.settings import setup_of
 from craftsim.errors import InputError
+from craftsim.models.compiled import compiled_parts
 from craftsim.validation.audit.corrections import corrections
 from craftsim.validation.audit.results import Results, bundle_disagreements
 from craftsim.validation.audit.rows import audit_plan
@@ -60,6 +61,14 @@ def test_a_trial_alone_is_the_trial_of_the_campaign(records):
         (recorded,) = [record for record in records[0] if record["key"] == item.key]
         assert recorded["agrees"] == done.agrees
         assert tuple(map(Attempt.of, recorded["attempts"])) == done.attempts
+
+
+def test_what_was_tried_before_changes_no_trial():
+    items = [item for item in _items(audit_plan("published", ("STOP",))[::3]) if item.job][:6]
+    found = {item.key: try_it(item.job) for item in reversed(items)}
+    compiled_parts.cache_clear()
+    for item in items:
+        assert try_it(item.job) == found[item.key]
 
 
 def test_known_unsound_rules_are_found_unsound_with_a_reason(records):

@@ -97,8 +97,16 @@ class _Period:
 
     ctrl: NDArray[np.float64]
     policies: NDArray[np.int32]
+    limits: NDArray[np.float64]
+    """Of the motors' forces: those of the reduced drive depend on its grip."""
     rouse: bool = False
     """Whether its first step ran with sleep switched off, to wake what is commanded."""
+
+    @classmethod
+    def of(cls, site: Site) -> _Period:
+        """Return what stood in the period that has just run."""
+        model = site.model
+        return cls(site.data.ctrl.copy(), model.tree_sleep_policy.copy(), model.actuator_forcerange.copy())
 
 
 def time_physics(
@@ -149,7 +157,7 @@ def _play(
         backend = env.core.backend
         assert isinstance(backend, PhysicsBackend)
         backend.checked.executor.observers.append(
-            lambda site: record.append(_Period(site.data.ctrl.copy(), site.model.tree_sleep_policy.copy()))
+            lambda site: record.append(_Period.of(site))
         )
     seconds, n_steps = 0.0, 0
     while env.agents:
@@ -174,6 +182,7 @@ def _step(site: Site, period: _Period) -> None:
     model, data, n = site.model, site.data, site.config.steps_per_period
     data.ctrl[:] = period.ctrl
     model.tree_sleep_policy[:] = period.policies
+    model.actuator_forcerange[:] = period.limits
     if period.rouse:
         model.opt.enableflags &= ~_SLEEP
         mujoco.mj_step(model, data)

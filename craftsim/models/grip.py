@@ -52,7 +52,8 @@ class Grip:
         self._model.actuator_forcerange[:] = self._limits
 
     def limit(self, data: mujoco.MjData) -> None:
-        """Limit the motors of all cars that are awake, for what their wheels carry now."""
+        """Limit all motors for what their wheels carry now; of cars that sleep, the loads of which MuJoCo leaves out,
+        not at all, so that limits depend on the state alone."""
         contact = data.contact
         _limit(
             self._model.actuator_forcerange,
@@ -98,9 +99,11 @@ def _limit(
             if wheel >= 0:
                 load[wheel] += forces[addresses[contact]]
     for wheel in range(len(motors)):
-        if asleep[trees[wheel]] >= 0:
-            continue
         motor, most = motors[wheel], load[wheel] * nm_per_n[wheel]
+        low, high = limits[motor]
+        if asleep[trees[wheel]] >= 0:
+            forcerange[motor] = low, high
+            continue
         friction, spin = motor_forces[gears[wheel]], 0.0
         for axis in range(2):
             for world in range(3):
@@ -108,6 +111,5 @@ def _limit(
                     inertia[wheel, axis] * xmat[bodies[wheel], 3 * world + axis] * qacc[dofs[wheel] + world]
                 )
         spin += inertia[wheel, 5] * qacc[dofs[wheel] + 5]
-        low, high = limits[motor]
         forcerange[motor, 0] = min(max(-most - friction + min(spin, 0.0), low), high)
         forcerange[motor, 1] = min(max(most - friction + max(spin, 0.0), low), high)

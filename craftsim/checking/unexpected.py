@@ -26,6 +26,8 @@ def unexpected_contacts(
         predicted: the world that the rules predict.
         cars: those that act.
     """
+    if not contacts:
+        return ()
     bearers = _bearers(poses, before)
     known: set[frozenset[str]] = set()
     for car in cars:

@@ -1,9 +1,9 @@
-"""How the rules are compiled: numba in nopython mode, cached on disk only when the cache is safe.
+"""How rules and controllers are compiled: numba in nopython mode, cached on disk only when the cache is safe.
 
 Numba stamps a cached function with the time of the one file that defines it, so a function that calls into
 another of our files would go on using a stale copy after that file changes. The cache of all
-our compiled functions therefore has a version that holds a digest of every source file of the grid world; where numba
-does not let us, nothing is cached.
+our compiled functions therefore has a version that holds a digest of every source file of their room and of the rooms
+below it; where numba does not let us, nothing is cached.
 
 Compiled functions may not make arrays; they work on those they are given. So numba needs no reference counting in
 them, which would otherwise take ten times as long as the rules themselves (``_nrt``), and all of them can be inlined.
@@ -18,18 +18,29 @@ from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numba
+import numpy as np
+from numpy.typing import NDArray
 
+_ROOMS: Final = ("discrete", "models", "skills", "checking")
+"""Those that hold compiled functions; each calls functions of its own and of those before it."""
 _OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
 
 F = TypeVar("F", bound=Callable[..., Any])
+Record = Any
+"""One of :func:`records` in a compiled function: its fields are attributes, and writing to them changes the array."""
 
 
 @cache
-def _source_digest() -> str:
+def _source_digest(room: str) -> str:
+    """Return the digest of the sources of a room and of those before it, all of them for a room that is not listed."""
+    before = _ROOMS[: _ROOMS.index(room)] if room in _ROOMS else _ROOMS
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(path.name.encode())
-        digest.update(path.read_bytes())
+    if before:
+        digest.update(_source_digest(before[-1]).encode())
+    if room in _ROOMS:
+        for path in sorted((Path(__file__).parents[1] / room).rglob("*.py")):
+            digest.update(path.name.encode())
+            digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
@@ -42,7 +53,15 @@ def compiled(function: F) -> F:
         dispatcher.enable_caching()
         cache_file = dispatcher._cache._cache_file
         # Read before anything else of a cache file: what an older craftsim left there may not even unpickle.
-        cache_file._version = f"{cache_file._version} {_source_digest()}"
+        room = function.__module__.partition(".")[2].partition(".")[0]
+        cache_file._version = f"{cache_file._version} {_source_digest(room)}"
     except (AttributeError, RuntimeError):
         dispatcher = numba.njit(function, **_OPTIONS)
     return cast(F, dispatcher)
+
+
+def records(count: int, dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """Return zeroed records for compiled functions, which read and write ``array[i].field``."""
+    array = np.zeros(count, dtype)
+    # Without the compiler, records need a type of their own for that; with it, that type is slow to recognise.
+    return array.view(np.recarray) if numba.config.DISABLE_JIT else array  # type: ignore[attr-defined]

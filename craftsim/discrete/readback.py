@@ -7,7 +7,7 @@ origin on the floor under its centre, z up, a slope's x downhill.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -18,10 +18,10 @@ from craftsim.discrete.geometry import (
     DIRECTIONS,
     INCLINE_RAD,
     LEVEL_HEIGHT_M,
-    cell_position,
     yaw_angle,
 )
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.rotation import Axis, body_axes
 
 PLACE_TOLERANCE_M: Final = 0.025
 """How far from its cell's centre a thing may be and still count as in it: well inside the robot's room to correct."""
@@ -54,6 +54,10 @@ class Poses:
     quaternions: NDArray[np.float64]
     hinges: NDArray[np.float64]
     """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
+
+    def copy(self) -> Poses:
+        """Return a copy whose positions may be written to."""
+        return replace(self, car_positions=self.car_positions.copy(), positions=self.positions.copy())
 
     def name(self, index: int) -> str:
         """Return the name of an object for people, counted by kind: ``block 0``, ``flag 0``, ``slope 1``."""
@@ -102,31 +106,21 @@ def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.intege
     for x, y, z in walls:
         grid.kind[x, y, z] = Kind.WALL
     problems: list[str] = []
-    cars = tuple(_read_car(grid, poses, i, problems) for i in range(grid.n_cars))
-    objects = tuple(_read_object(grid, poses, i, problems) for i in range(len(poses.kinds)))
+    frames = _frames(poses.car_positions, poses.car_quaternions)
+    cars = tuple(_read_car(grid, frame, i, problems) for i, frame in enumerate(frames))
+    things = _frames(poses.positions, poses.quaternions)
+    objects = tuple(_read_object(grid, poses, frames, thing, i, problems) for i, thing in enumerate(things))
     grid.derive_marks()
     return Reading(grid, cars, objects, tuple(problems))
 
 
-def rotation_matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation of a quaternion (w, x, y, z); its columns are the body's axes in the world."""
-    return np.array(body_axes(*quaternion.tolist())).T
+_Frame = tuple[list[float], tuple[Axis, Axis, Axis]]
+"""A position, and the axes (forward, left, up) there."""
 
 
-def body_axes(
-    w: float, x: float, y: float, z: float
-) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    """Return the axes (forward, left, up) of a body of this orientation, in the world frame.
-
-    Plain numbers: this runs for every car in every control period.
-    """
-    norm = math.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / norm, x / norm, y / norm, z / norm
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
+def _frames(positions: NDArray[np.float64], quaternions: NDArray[np.float64]) -> list[_Frame]:
+    turned = (body_axes(*quaternion) for quaternion in quaternions.tolist())
+    return list(zip(positions.tolist(), turned, strict=True))
 
 
 def nearest_yaw(heading: float) -> tuple[int, float]:
@@ -135,16 +129,10 @@ def nearest_yaw(heading: float) -> tuple[int, float]:
     return yaw, math.remainder(heading - yaw_angle(yaw), math.tau)
 
 
-def _column(position: NDArray[np.float64]) -> tuple[int, int]:
-    return math.floor(position[0] / CELL_PITCH_M), math.floor(position[1] / CELL_PITCH_M)
-
-
-def _place(
-    grid: Grid, name: str, position: NDArray[np.float64], problems: list[str]
-) -> tuple[int, int, float]:
+def _place(grid: Grid, name: str, position: list[float], problems: list[str]) -> tuple[int, int, float]:
     """Return the column of a position and its distance from the column's centre, noting what is wrong with it."""
-    x, y = _column(position)
-    offset = float(np.hypot(*(position - cell_position(x, y, 1))[:2]))
+    x, y = math.floor(position[0] / CELL_PITCH_M), math.floor(position[1] / CELL_PITCH_M)
+    offset = math.hypot(position[0] - (x + 0.5) * CELL_PITCH_M, position[1] - (y + 0.5) * CELL_PITCH_M)
     if offset > PLACE_TOLERANCE_M:
         problems.append(f"{name} is {offset * 1e3:.0f} mm from the centre of ({x}, {y})")
     length, width, _ = grid.size
@@ -168,24 +156,23 @@ def _level(name: str, height: float, top: int, problems: list[str]) -> tuple[int
     return min(max(level, 1), top), excess
 
 
-def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Placed:
-    name, position = f"car {car}", poses.car_positions[car]
-    turn = rotation_matrix(poses.car_quaternions[car])
+def _read_car(grid: Grid, frame: _Frame, car: int, problems: list[str]) -> Placed:
+    name, (position, (forward, left, up)) = f"car {car}", frame
     x, y, offset = _place(grid, name, position, problems)
-    yaw, excess = nearest_yaw(math.atan2(turn[1, 0], turn[0, 0]))
+    yaw, excess = nearest_yaw(math.atan2(forward[1], forward[0]))
     if abs(excess) > HEADING_TOLERANCE_RAD:
         problems.append(f"{name} heads {excess:+.2f} rad away from yaw {yaw}")
-    pitch = math.asin(max(-1.0, min(1.0, turn[2, 0])))
-    roll = abs(math.asin(max(-1.0, min(1.0, turn[2, 1]))))
+    pitch = math.asin(max(-1.0, min(1.0, forward[2])))
+    roll = abs(math.asin(max(-1.0, min(1.0, left[2]))))
     on_slope = abs(pitch) > INCLINE_RAD / 2
     if (
         roll > TILT_TOLERANCE_RAD
         or abs(abs(pitch) - on_slope * INCLINE_RAD) > TILT_TOLERANCE_RAD
-        or turn[2, 2] < 0
+        or up[2] < 0
     ):
         problems.append(f"{name} leans: pitch {pitch:+.2f} rad, roll {roll:.2f} rad")
     slope = 0
-    height = float(position[2])
+    height = position[2]
     if on_slope:
         lower = (height / LEVEL_HEIGHT_M) % 1.0 < 0.5
         slope = 1 if lower else 2
@@ -196,33 +183,35 @@ def _read_car(grid: Grid, poses: Poses, car: int, problems: list[str]) -> Placed
     return Placed((x, y, level), offset, excess, height_m=above)
 
 
-def _carrier(poses: Poses, position: NDArray[np.float64]) -> tuple[int, NDArray[np.float64]] | None:
-    """Return the car that carries a thing at this position, and the thing's place (3,) in that car's frame."""
-    for car, (base, quaternion) in enumerate(zip(poses.car_positions, poses.car_quaternions, strict=True)):
-        relative = rotation_matrix(quaternion).T @ (position - base)
-        if LIFT_RANGE_M[0] < relative[2] < LIFT_RANGE_M[1] and np.hypot(*relative[:2]) < CELL_PITCH_M / 4:
-            return car, relative
+def _carrier(cars: list[_Frame], position: list[float]) -> tuple[int, float] | None:
+    """Return the car that carries a thing at this position, and how far that is from the car's centre line."""
+    for car, (base, axes) in enumerate(cars):
+        x, y, z = position[0] - base[0], position[1] - base[1], position[2] - base[2]
+        ahead, aside, above = (axis[0] * x + axis[1] * y + axis[2] * z for axis in axes)
+        offset = math.hypot(ahead, aside)
+        if LIFT_RANGE_M[0] < above < LIFT_RANGE_M[1] and offset < CELL_PITCH_M / 4:
+            return car, offset
     return None
 
 
-def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> Placed:
-    kind, position = poses.kinds[index], poses.positions[index]
-    name = poses.name(index)
-    turn = rotation_matrix(poses.quaternions[index])
-    yaw, excess = nearest_yaw(math.atan2(turn[1, 0], turn[0, 0]))
+def _read_object(
+    grid: Grid, poses: Poses, cars: list[_Frame], thing: _Frame, index: int, problems: list[str]
+) -> Placed:
+    kind, name = poses.kinds[index], poses.name(index)
+    position, (forward, _, up) = thing
+    yaw, excess = nearest_yaw(math.atan2(forward[1], forward[0]))
     folded = kind != Kind.FSLOPE or poses.hinges[index] > math.pi / 2
     if kind == Kind.FSLOPE:
         wrong = poses.hinges[index] - (math.pi if folded else 0.0)
         if abs(wrong) > HINGE_TOLERANCE_RAD:
             problems.append(f"{name} is half open: its hinge stands at {poses.hinges[index]:.2f} rad")
-    carried = _carrier(poses, position)
+    carried = _carrier(cars, position)
     if carried is not None:
-        car, relative = carried
+        car, offset = carried
         if grid.cars[car, CarField.LOAD] != Kind.AIR:
             problems.append(f"{name} is a second load on car {car}")
         grid.cars[car, CarField.LOAD] = kind
         grid.cars[car, CarField.LOAD_YAW] = yaw if kind == Kind.FSLOPE else 0
-        offset = float(np.hypot(*relative[:2]))
         if offset > SEAT_TOLERANCE_M:
             problems.append(f"{name} sits {offset * 1e3:.0f} mm off its seat on car {car}")
         if abs(excess) > HEADING_TOLERANCE_RAD:
@@ -230,8 +219,8 @@ def _read_object(grid: Grid, poses: Poses, index: int, problems: list[str]) -> P
         x, y, z = (int(grid.cars[car, f]) for f in (CarField.X, CarField.Y, CarField.Z))
         return Placed((x, y, z), offset, excess, car)
     x, y, offset = _place(grid, name, position, problems)
-    level, above = _level(name, float(position[2]), grid.size[2], problems)
-    tilt = math.acos(max(-1.0, min(1.0, turn[2, 2])))
+    level, above = _level(name, position[2], grid.size[2], problems)
+    tilt = math.acos(max(-1.0, min(1.0, up[2])))
     if tilt > TILT_TOLERANCE_RAD:
         problems.append(f"{name} leans by {tilt:.2f} rad")
     if abs(excess) > HEADING_TOLERANCE_RAD:

@@ -6,18 +6,16 @@ Skills see the world through :class:`CarMeasurement` alone: exact, or with the n
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Sequence
-from operator import mul
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from craftsim.discrete.compiled import records
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.readback import Poses, body_axes
+from craftsim.discrete.readback import Poses
+from craftsim.models.disturbing import Disturber
+from craftsim.models.measuring import READING, Records, Wiring, read_cars
 from craftsim.models.noise import EXACT, SensorNoise
-from craftsim.models.parts import Drive
 from craftsim.models.site import Site
 
 PerWheel = tuple[float, float, float, float]
@@ -53,43 +51,27 @@ class CarMeasurement(NamedTuple):
     """How unsure the car is of its heading."""
 
 
+_WHEELS, _SLOPE, _HINGE = map(CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad"))
+
+
+def measurement_of(reading: np.void) -> CarMeasurement:
+    """Return a reading, a record of READING, as a measurement."""
+    values: list[Any] = list(reading.tolist())
+    values[_WHEELS] = tuple(values[_WHEELS].tolist())
+    if values[_SLOPE] < 0:
+        values[_SLOPE] = values[_HINGE] = None
+    return CarMeasurement(*values)
+
+
+def write_reading(now: CarMeasurement, reading: Records) -> None:
+    """Write a measurement into a record, shape (1,) of READING."""
+    docked = now.slope is not None and now.hinge_rad is not None
+    reading[0] = tuple(now if docked else now._replace(slope=-1, hinge_rad=0.0))
+
+
 def measure(site: Site, car: int) -> CarMeasurement:
     """Return what car number ``car`` measures now."""
-    handle = site.cars[car]
-    data, start = site.data, handle.base.qpos
-    x, y, z, *quaternion = data.qpos[start : start + 7].tolist()
-    forward, left, up = body_axes(*quaternion)
-    slope = _docked_slope(site, (x, y, z), (forward, left, up)) if site.slopes else None
-    return CarMeasurement(
-        time_s=site.time_s,
-        x=x,
-        y=y,
-        z=z,
-        heading=math.atan2(forward[1], forward[0]),
-        pitch=math.asin(max(-1.0, min(1.0, forward[2]))),
-        roll=math.asin(max(-1.0, min(1.0, left[2]))),
-        wheel_speeds=_per_wheel(handle.wheel_speeds(data)),
-        board_m=data.qpos.item(handle.board.qpos),
-        board_force_n=_drive_force(site, handle.board),
-        slope=slope,
-        hinge_rad=None if slope is None else data.qpos.item(site.slopes[slope].hinge.qpos),
-    )
-
-
-def _per_wheel(values: NDArray[np.float64]) -> PerWheel:
-    fl, fr, rl, rr = values.tolist()
-    return fl, fr, rl, rr
-
-
-def _drive_force(site: Site, drive: Drive) -> float:
-    """Return the force of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps."""
-    model, data, motor = site.model, site.data, drive.actuator
-    gain = model.actuator_gainprm.item(motor, 0)
-    offset, stiffness, damping = model.actuator_biasprm[motor, :3].tolist()
-    force = gain * data.act.item(drive.activation) + offset
-    force += stiffness * data.qpos.item(drive.qpos) + damping * data.qvel.item(drive.dof)
-    low, high = model.actuator_forcerange[motor].tolist()
-    return float(min(max(force, low), high))
+    return Sensors(site).measure(car)
 
 
 class Sensors:
@@ -108,106 +90,53 @@ class Sensors:
         self, site: Site, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None
     ) -> None:
         """Measure on a Site with this noise; ``rng`` draws it and is needed only where there is some."""
-        self.site, self.noise, self._rng = site, noise, rng
-        self._exact = noise.silent
+        self.site, self.noise = site, noise
+        self.wiring = Wiring(site)
         n = len(site.cars)
-        if self._exact:
+        self._true = records(n, READING)
+        self._disturber: Disturber | None = None
+        if noise.silent:
             return
         if rng is None:
             raise ValueError("noisy sensors need a random generator")
-        period = site.config.control_period_s
-        self._delays = rng.uniform(noise.min_delay_s, noise.max_delay_s, n) / period
-        depth = math.ceil(noise.max_delay_s / period) + 1
-        self._past: list[deque[CarMeasurement]] = [deque(maxlen=depth + 1) for _ in range(n)]
-        self._encoder_share = 1.0 if not noise.encoder_lag_s else 1 - math.exp(-period / noise.encoder_lag_s)
-        self._readings: list[CarMeasurement] = []
-        self._speeds: list[PerWheel] = [(0.0, 0.0, 0.0, 0.0)] * n
+        self._disturber = Disturber(noise, n, site.config.control_period_s, rng)
         self.observe()
 
     def observe(self) -> None:
         """Take the readings of this moment; call it once after each control period."""
-        if self._exact:
-            return
-        self._readings = [self._read(car) for car in range(len(self.site.cars))]
+        if self._disturber is not None:
+            self._disturber.disturb(self._read())
+
+    def read(self) -> Records:
+        """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""
+        return self._read() if self._disturber is None else self._disturber.readings
 
     def measure(self, car: int) -> CarMeasurement:
         """Return the newest reading of a car."""
-        return measure(self.site, car) if self._exact else self._readings[car]
+        return measurement_of(self.read()[car])
 
-    def _read(self, car: int) -> CarMeasurement:
-        assert self._rng is not None
-        true = measure(self.site, car)
-        past = self._past[car]
-        past.append(true)
-        back = min(float(self._delays[car]), len(past) - 1)
-        newer, share = math.floor(back), back - math.floor(back)
-        a, b = past[-1 - newer], past[-1 - min(newer + 1, len(past) - 1)]
-        dx, dy, dz, turned = self._rng.normal(size=4).tolist()
-        position_m, heading_rad = self.noise.position_m, self.noise.heading_rad
-        turn = math.remainder(b.heading - a.heading, math.tau)
-        self._speeds[car] = self._lagged(self._speeds[car], true.wheel_speeds)
-        return true._replace(
-            x=a.x + share * (b.x - a.x) + position_m * dx,
-            y=a.y + share * (b.y - a.y) + position_m * dy,
-            z=a.z + share * (b.z - a.z) + position_m * dz,
-            heading=math.remainder(a.heading + share * turn + heading_rad * turned, math.tau),
-            wheel_speeds=self._speeds[car],
-            **self._read_joints(true),
-        )
-
-    def _read_joints(self, true: CarMeasurement) -> dict[str, Any]:
-        """Return what a car measures of its tilt, its board and the slope that it is docked to."""
-        assert self._rng is not None
-        noise = self.noise
-        pitch, roll, height, force, hinge = self._rng.normal(size=5).tolist()
-        undocked = self._rng.random() < noise.undocked_share or true.hinge_rad is None
-        return {
-            "pitch": true.pitch + noise.tilt_rad * pitch,
-            "roll": true.roll + noise.tilt_rad * roll,
-            "board_m": true.board_m + noise.board_m * height,
-            "board_force_n": true.board_force_n + noise.board_force_n * force,
-            "slope": None if undocked else true.slope,
-            "hinge_rad": None if undocked else true.hinge_rad + noise.hinge_rad * hinge,
-        }
-
-    def _lagged(self, before: PerWheel, true: PerWheel) -> PerWheel:
-        fl, fr, rl, rr = (
-            old + self._encoder_share * (new - old) for old, new in zip(before, true, strict=True)
-        )
-        return fl, fr, rl, rr
-
-
-def _docked_slope(site: Site, position: Sequence[float], axes: Sequence[Sequence[float]]) -> int | None:
-    """Return the slope right above a car: its plug reaches a car that is centred below it."""
-    machines = site.machines
-    reach = machines.docking_reach_m
-    for index, slope in enumerate(site.slopes):
-        there = site.data.qpos[slope.base.qpos : slope.base.qpos + 3].tolist()
-        if math.dist(there, position) > reach:
-            continue
-        offset = [a - b for a, b in zip(there, position, strict=True)]
-        forward, left, up = (sum(map(mul, axis, offset)) for axis in axes)
-        if (
-            math.hypot(forward, left) < machines.slope.docking_range_m
-            and abs(up) < machines.block.underside_m / 2
-        ):
-            return index
-    return None
+    def _read(self) -> Records:
+        """Return what exact sensors read now."""
+        read_cars(self.site, self.wiring, self._true)
+        return self._true
 
 
 def read_poses(site: Site) -> Poses:
     """Return the true poses of everything that moves: cars by id; then blocks, flags and slopes."""
-    objects = [(Kind.BLOCK, b, math.nan) for b in site.blocks] + [
-        (Kind.FLAG, f, math.nan) for f in site.flags
-    ]
-    objects += [(Kind.FSLOPE, s.base, float(site.data.qpos[s.hinge.qpos])) for s in site.slopes]
-    cars = [site.free_body_state(car.base) for car in site.cars]
-    states = [site.free_body_state(body) for _, body, _ in objects]
+    loose = [*site.blocks, *site.flags, *(slope.base for slope in site.slopes)]
+    kinds = [Kind.BLOCK] * len(site.blocks) + [Kind.FLAG] * len(site.flags)
+    kinds += [Kind.FSLOPE] * len(site.slopes)
+    n = len(site.cars)
+    starts = [*(car.base.qpos for car in site.cars), *(body.qpos for body in loose)]
+    poses = site.data.qpos[np.array(starts, np.intp)[:, None] + np.arange(7)]
+    hinges = np.full(len(loose), math.nan)
+    if site.slopes:
+        hinges[-len(site.slopes) :] = site.data.qpos[[slope.hinge.qpos for slope in site.slopes]]
     return Poses(
-        car_positions=np.array([p for p, _ in cars]).reshape(-1, 3),
-        car_quaternions=np.array([q for _, q in cars]).reshape(-1, 4),
-        kinds=tuple(kind for kind, _, _ in objects),
-        positions=np.array([p for p, _ in states]).reshape(-1, 3),
-        quaternions=np.array([q for _, q in states]).reshape(-1, 4),
-        hinges=np.array([angle for _, _, angle in objects]),
+        car_positions=poses[:n, :3],
+        car_quaternions=poses[:n, 3:],
+        kinds=tuple(kinds),
+        positions=poses[n:, :3],
+        quaternions=poses[n:, 3:],
+        hinges=hinges,
     )

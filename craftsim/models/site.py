@@ -24,6 +24,7 @@ from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import FreeBody
 from craftsim.models.placement import placements
+from craftsim.models.stepping import UNKNOWN, note_commanded, reaches
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _BROKEN = [
@@ -121,8 +122,8 @@ class Site:
             mujoco.mj_setConst(self.model, self.data)
             self._grip = Grip(self.model, parts.cars)
         self._policies = self.model.tree_sleep_policy.copy()
-        self._commanded = b""
-        """Which motors had a command in the last period; empty where the policies may not fit it."""
+        self._commanded = np.full(self.model.nu, UNKNOWN, np.int8)
+        """Which motors had a command in the last period; UNKNOWN where the policies may not fit it."""
         self._tree_of_motor = parts.tree_of_motor
         self.cars, self.slopes, self.blocks, self.flags = parts.cars, parts.slopes, parts.blocks, parts.flags
         self.machine_names = parts.names
@@ -199,7 +200,7 @@ class Site:
         iterations = data.solver_niter
         for _ in range(count):
             mujoco.mj_step(model, data)
-            self.capped_steps += max(iterations.tolist()) >= cap
+            self.capped_steps += reaches(iterations, cap)
             if observe is not None:
                 observe()
 
@@ -239,15 +240,13 @@ class Site:
 
     def _set_policies(self, policies: NDArray[np.int32]) -> None:
         self.model.tree_sleep_policy[:] = policies
-        self._commanded = b""
+        self._commanded[:] = UNKNOWN
 
     def _rouse(self) -> bool:
         """Keep commanded trees awake, let the others sleep; return whether a commanded one is asleep."""
-        commanded = self.data.ctrl != 0
-        if commanded.tobytes() == self._commanded:
+        if not note_commanded(self.data.ctrl, self._commanded):
             return False
-        self._commanded = commanded.tobytes()
         self.model.tree_sleep_policy[self._tree_of_motor] = _MAY_SLEEP
-        busy = self._tree_of_motor[commanded]
+        busy = self._tree_of_motor[self._commanded == 1]
         self.model.tree_sleep_policy[busy] = _STAY_AWAKE
         return bool((self.data.tree_asleep[busy] >= 0).any())

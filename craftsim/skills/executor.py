@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+
+import numpy as np
 
 from craftsim.discrete.actions import Action
+from craftsim.discrete.compiled import records
+from craftsim.models.measuring import Records
 from craftsim.models.motors import Motors
 from craftsim.models.noise import EXACT, SensorNoise
-from craftsim.models.sensing import CarMeasurement, Sensors
+from craftsim.models.sensing import CarMeasurement, Sensors, measurement_of
 from craftsim.models.site import Site
+from craftsim.skills.control import step_cars
 from craftsim.skills.gains import Gains, load_gains
-from craftsim.skills.holding import Hold, on_incline
+from craftsim.skills.holding import on_incline
 from craftsim.skills.library import make_skill
 from craftsim.skills.localisation import Localiser
 from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.skill import Command, Skill, SkillSetup, Terrain
+from craftsim.skills.skill import CompiledSkill, Skill, SkillSetup, Terrain, n_past
+from craftsim.skills.state import COMMAND, CONSTANTS, HOLD, IDLE, OWN, TASK
 
 Observer = Callable[[Site], None]
 Guard = Callable[[], bool]
@@ -61,21 +66,27 @@ class Executor:
         self.motors = motors or Motors(site)
         period = site.config.control_period_s
         self._setups = [SkillSetup(car.parameters, site.machines, self.gains, period) for car in site.cars]
-        self._localisers = (
-            []
+        self._localiser = (
+            None
             if assumed.exact_pose
-            else [
-                Localiser(assumed, period, Mecanum(car.parameters), self.gains.localisation)
-                for car in site.cars
-            ]
+            else Localiser(
+                assumed, period, [Mecanum(car.parameters) for car in site.cars], self.gains.localisation
+            )
         )
+        n = len(site.cars)
+        self._constants = records(n, CONSTANTS)
+        for car, setup in enumerate(self._setups):
+            self._constants[car] = setup.constants[0]
+        self._tasks, self._commands = records(n, TASK), records(n, COMMAND)
+        self._past = np.zeros((n, n_past(self.gains, period)))
+        self._docked = np.full(n, -1)
+        """The slope that each car commands, -1 for none."""
         self._skills: dict[int, Skill] = {}
-        self._holds: dict[int, Hold] = {}
-        self._docked: dict[int, int] = {}
-        self._views: list[CarMeasurement] = []
+        self._own: list[int] = []
+        """The cars whose skills are in Python."""
         self._look()
-        for car in range(len(site.cars)):
-            self._park(car, self._view(car))
+        for car in range(n):
+            self._park(car, self._readings())
 
     def run(
         self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None
@@ -100,27 +111,26 @@ class Executor:
         """Let an idle car start an action; it runs as :meth:`advance` is called."""
         assert car not in self._skills, f"car {car} is busy"
         setup = self._setups[car]
-        skill = make_skill(action, replace(setup, terrain=terrain) if terrain is not None else setup)
+        skill = make_skill(action, setup if terrain is None else setup.on(terrain))
         skill.start(self._view(car))
         self._skills[car] = skill
-        self._holds.pop(car, None)
+        if isinstance(skill, CompiledSkill) and skill.runs_compiled:
+            skill.move_to(self._tasks[car : car + 1], self._past[car : car + 1])
+        else:
+            self._tasks[car]["law"] = OWN
+            self._own.append(car)
 
     def advance(self) -> dict[int, Outcome]:
         """Step every running skill, let one control period pass, and return the outcomes of those that have ended.
 
         Cars that stand on an incline are held.
         """
-        ended: dict[int, Outcome] = {}
-        for car, hold in self._holds.items():
-            now = self._view(car)
-            self._apply(car, Command(wheels=hold.step(now)), now.slope)
-        for car, skill in list(self._skills.items()):
-            now = self._view(car)
-            self._apply(car, skill.step(now), now.slope)
-            if skill.outcome is not None:
-                ended[car] = skill.outcome
-                del self._skills[car]
-                self._park(car, now)
+        readings = self._readings()
+        for car in self._own:
+            command = self._skills[car].step(measurement_of(readings[car]))
+            self._commands[car] = (command.wheels, command.board, command.hinge)
+        n_ended = self._step(readings)
+        ended = self._end(readings) if self._own or n_ended else {}
         self.site.advance(self.step_observer)
         self.sensors.observe()
         self._look()
@@ -130,33 +140,61 @@ class Executor:
             ended |= self._stop_all()
         return ended
 
+    def _step(self, readings: Records) -> int:
+        """Step the compiled laws, and command all motors; return how many compiled tasks have ended."""
+        wiring, motors = self.sensors.wiring, self.motors
+        return step_cars(
+            readings,
+            self._tasks,
+            self._past,
+            self._constants,
+            self._commands,
+            wiring.cars,
+            wiring.plugs,
+            self._docked,
+            motors.speeds,
+            motors.share,
+            self.site.data.ctrl,
+        )
+
+    def _end(self, readings: Records) -> dict[int, Outcome]:
+        """Let go of the skills that have ended, and return their outcomes."""
+        ended = {}
+        for car, skill in list(self._skills.items()):
+            if car not in self._own:
+                skill.conclude()
+            if skill.outcome is not None:
+                ended[car] = skill.outcome
+                del self._skills[car]
+                self._park(car, readings)
+        return ended
+
     def _stop_all(self) -> dict[int, Outcome]:
         stopped = {car: Outcome(Reason.STOPPED, skill.elapsed_s) for car, skill in self._skills.items()}
         self._skills.clear()
         for car in stopped:
-            self._apply(car, Command(), self._docked.get(car))
-            self._park(car, self._view(car))
+            self.motors.drive(car, (0.0, 0.0, 0.0, 0.0))
+            self.site.move_board(car, 0.0)
+            if self._docked[car] >= 0:
+                self.site.turn_hinge(self._docked[car], 0.0)
+            self._park(car, self._readings())
         return stopped
 
-    def _park(self, car: int, now: CarMeasurement) -> None:
-        if on_incline(now, self.gains.hold):
-            self._holds[car] = Hold(self.gains.hold, self.site.config.control_period_s)
+    def _park(self, car: int, readings: Records) -> None:
+        """Leave a car alone, or hold it where it stands on an incline."""
+        if car in self._own:
+            self._own.remove(car)
+        now = readings[car]
+        self._tasks[car] = np.zeros((), TASK)
+        self._tasks[car]["law"] = HOLD if on_incline(now["pitch"], now["roll"], self.gains.hold) else IDLE
 
     def _look(self) -> None:
-        self._views = [loc.update(self.sensors.measure(car)) for car, loc in enumerate(self._localisers)]
+        if self._localiser is not None:
+            self._localiser.update(self.sensors.read())
+
+    def _readings(self) -> Records:
+        """Return what the cars believe to measure, shape (n,) of READING."""
+        return self.sensors.read() if self._localiser is None else self._localiser.readings
 
     def _view(self, car: int) -> CarMeasurement:
-        return self._views[car] if self._views else self.sensors.measure(car)
-
-    def _apply(self, car: int, command: Command, slope: int | None) -> None:
-        self.motors.drive(car, command.wheels)
-        self.site.move_board(car, command.board)
-        # A slope that loses its car loses the command.
-        last = self._docked.get(car, slope)
-        if last is not None and last != slope:
-            self.site.turn_hinge(last, 0.0)
-        if slope is not None:
-            self._docked[car] = slope
-            self.site.turn_hinge(slope, command.hinge)
-        else:
-            self._docked.pop(car, None)
+        return measurement_of(self._readings()[car])

@@ -2,55 +2,68 @@
 
 from __future__ import annotations
 
-from collections import deque
-
+from craftsim.discrete.compiled import Record, compiled
+from craftsim.models.measuring import Floats, Records
 from craftsim.models.sensing import CarMeasurement
-from craftsim.skills.outcome import Reason
-from craftsim.skills.skill import Command, Skill, SkillSetup
+from craftsim.skills.health import end
+from craftsim.skills.skill import CompiledSkill, SkillSetup
+from craftsim.skills.state import HINGE, HINGE_SHORT, SUCCEEDED, UNDOCKED
 
 
-class TurnHinge(Skill):
+@compiled
+def hinge_law(
+    readings: Records, tasks: Records, past: Floats, constants: Records, commands: Records, car: int
+) -> None:
+    """Command the speed of the hinge of the slope above a car towards its end, or end the task."""
+    now, task, known = readings[car], tasks[car], constants[car]
+    hinge, gains = task.hinge, known.hinge
+    if hinge.slope < 0 and now.slope >= 0:
+        # The first slope that a reading shows.
+        hinge.slope = now.slope
+        travel = abs(hinge.target_rad - now.hinge_rad)
+        hinge.deadline_s = task.elapsed_s + travel / known.car.hinge_speed_rad_s + gains.allowance
+    if now.slope < 0 or now.slope != hinge.slope:
+        # A plug may chatter.
+        hinge.undocked_s += known.period_s
+        if hinge.undocked_s > gains.undocked:
+            end(task, UNDOCKED)
+        return
+    hinge.undocked_s = 0.0
+    still = _still(hinge, past[car], now.hinge_rad, gains.still * gains.still_time)
+    remaining = hinge.target_rad - now.hinge_rad
+    if abs(remaining) < gains.reached and still:
+        end(task, SUCCEEDED)
+    elif task.elapsed_s > hinge.deadline_s:
+        end(task, HINGE_SHORT, remaining)
+    limit = min(known.car.hinge_speed_rad_s, abs(hinge.speed) + gains.acceleration * known.period_s)
+    hinge.speed = max(-limit, min(limit, gains.gain * remaining))
+    commands[car].hinge = hinge.speed
+
+
+@compiled
+def _still(hinge: Record, past: Floats, angle: float, moved: float) -> bool:
+    """Note an angle, and return whether the one noted longest ago is less than ``moved`` away."""
+    n = len(past)
+    newest = hinge.n_past % n
+    past[newest] = angle
+    hinge.n_past += 1
+    oldest = past[(newest + 1) % n]
+    is_still: bool = hinge.n_past >= n and abs(angle - oldest) < moved
+    return is_still
+
+
+class TurnHinge(CompiledSkill):
     """Bring the hinge of the docked slope to one end of its range at no more than its motor's speed."""
 
     def __init__(self, setup: SkillSetup, target_rad: float) -> None:
         """Prepare to turn the hinge to ``target_rad``: 0 unfolds, pi folds."""
-        super().__init__(setup)
-        self.gains = setup.gains.hinge
-        self.max_speed_rad_s = setup.machines.slope.hinge_speed_rad_s
+        super().__init__(setup, hinge_law, HINGE)
         self.target_rad = target_rad
-        self._speed = 0.0
 
     def _begin(self, now: CarMeasurement) -> None:
         """Take the slope that the first reading shows which shows one."""
-        self._slope: int | None = None
-        self._undocked_s = 0.0
-        periods = round(self.gains.still_time / self.period_s)
-        self._past: deque[float] = deque(maxlen=periods + 1)
-
-    def _control(self, now: CarMeasurement) -> Command:
-        gains = self.gains
-        if self._slope is None and now.hinge_rad is not None:
-            self._slope = now.slope
-            travel = abs(self.target_rad - now.hinge_rad)
-            self._deadline_s = self.elapsed_s + travel / self.max_speed_rad_s + gains.allowance
-        if now.hinge_rad is None or now.slope != self._slope:
-            # A plug may chatter.
-            self._undocked_s += self.period_s
-            if self._undocked_s > gains.undocked:
-                self._fail(Reason.MISALIGNED, "the car is not docked to a slope")
-            return Command()
-        self._undocked_s = 0.0
-        self._past.append(now.hinge_rad)
-        remaining = self.target_rad - now.hinge_rad
-        moved = abs(now.hinge_rad - self._past[0])
-        still = len(self._past) == self._past.maxlen and moved < gains.still * gains.still_time
-        if abs(remaining) < gains.reached and still:
-            self._succeed()
-        elif self.elapsed_s > self._deadline_s:
-            self._fail(Reason.TIMEOUT, f"the hinge is {remaining:+.2f} rad from its end")
-        limit = min(self.max_speed_rad_s, abs(self._speed) + gains.acceleration * self.period_s)
-        self._speed = max(-limit, min(limit, gains.gain * remaining))
-        return Command(hinge=self._speed)
+        hinge = self.task[0]["hinge"]
+        hinge["target_rad"], hinge["slope"] = self.target_rad, -1
 
 
 class Fold(TurnHinge):

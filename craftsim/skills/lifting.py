@@ -2,42 +2,51 @@
 
 from __future__ import annotations
 
+from craftsim.discrete.compiled import compiled
+from craftsim.models.measuring import Floats, Records
 from craftsim.models.sensing import CarMeasurement
-from craftsim.skills.outcome import Reason
-from craftsim.skills.skill import Command, Skill, SkillSetup
+from craftsim.skills.health import end, feels_load
+from craftsim.skills.skill import CompiledSkill, SkillSetup
+from craftsim.skills.state import BOARD, BOARD_SHORT, NO_LOAD, SUCCEEDED
 
 
-class MoveBoard(Skill):
+@compiled
+def board_law(
+    readings: Records, tasks: Records, past: Floats, constants: Records, commands: Records, car: int
+) -> None:
+    """Command the speed of a car's board towards its end, or end the task."""
+    now, task, known = readings[car], tasks[car], constants[car]
+    board, gains = task.board, known.board
+    remaining = board.target_m - now.board_m
+    moved = now.board_m - board.last_m
+    board.last_m = now.board_m
+    still = abs(moved) < gains.still * known.period_s
+    if abs(remaining) < gains.reached and still and task.elapsed_s > 0:
+        if board.needs_load and not feels_load(readings, constants, car):
+            end(task, NO_LOAD, now.board_force_n)
+        else:
+            end(task, SUCCEEDED)
+    elif task.elapsed_s > board.deadline_s:
+        end(task, BOARD_SHORT, remaining * 1e3)
+    limit = min(known.car.board_speed_m_s, abs(board.speed) + gains.acceleration * known.period_s)
+    board.speed = max(-limit, min(limit, gains.gain * remaining))
+    commands[car].board = board.speed
+
+
+class MoveBoard(CompiledSkill):
     """Bring the board to one end of its travel at no more than its motor's speed."""
 
     def __init__(self, setup: SkillSetup, target_m: float) -> None:
         """Prepare to bring the board to ``target_m`` above its lower stop."""
-        super().__init__(setup)
-        self.gains = setup.gains.board
-        self.max_speed_m_s = setup.machine.board_speed_m_s
+        super().__init__(setup, board_law, BOARD)
         self.target_m = target_m
-        self._speed = 0.0
 
     def _begin(self, now: CarMeasurement) -> None:
         """Remember where the board is."""
-        self._last_m = now.board_m
+        board = self.task[0]["board"]
+        board["target_m"], board["last_m"] = self.target_m, now.board_m
         travel = abs(self.target_m - now.board_m)
-        self._deadline_s = travel / self.max_speed_m_s + self.gains.allowance
-
-    def _control(self, now: CarMeasurement) -> Command:
-        gains = self.gains
-        remaining = self.target_m - now.board_m
-        moved, self._last_m = now.board_m - self._last_m, now.board_m
-        if abs(remaining) < gains.reached and abs(moved) < gains.still * self.period_s and self.elapsed_s > 0:
-            self._arrived(now)
-        elif self.elapsed_s > self._deadline_s:
-            self._fail(Reason.TIMEOUT, f"the board is {remaining * 1e3:+.1f} mm from its end")
-        limit = min(self.max_speed_m_s, abs(self._speed) + gains.acceleration * self.period_s)
-        self._speed = max(-limit, min(limit, gains.gain * remaining))
-        return Command(board=self._speed)
-
-    def _arrived(self, now: CarMeasurement) -> None:
-        self._succeed()
+        board["deadline_s"] = travel / self.setup.machine.board_speed_m_s + self.setup.gains.board.allowance
 
 
 class Lift(MoveBoard):
@@ -46,12 +55,7 @@ class Lift(MoveBoard):
     def __init__(self, setup: SkillSetup) -> None:
         """Prepare to raise the board to its upper stop."""
         super().__init__(setup, setup.machine.board_travel_m)
-
-    def _arrived(self, now: CarMeasurement) -> None:
-        if self.feels_load(now):
-            self._succeed()
-        else:
-            self._fail(Reason.LOAD_LOST, f"the board is up and feels {now.board_force_n:.1f} N")
+        self.task[0]["board"]["needs_load"] = True
 
 
 class Drop(MoveBoard):

@@ -4,13 +4,14 @@ With wheel radius R and lever l = half wheelbase + half track (rollers at 45 deg
 (vx, vy, omega) needs the wheel speeds R w = (vx - vy - l omega, vx + vy + l omega, vx + vy - l omega,
 vx - vy + l omega) at front left, front right, rear left and rear right.
 
-Plain numbers: this runs for every car in every control period, where small arrays would take several times as long.
+The compiled functions take lever and radius as a record of a car's figures (:mod:`craftsim.skills.state`) has them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
+from craftsim.discrete.compiled import compiled
 from craftsim.models.parameters import SmartcarParameters
 from craftsim.models.sensing import PerWheel
 
@@ -28,30 +29,49 @@ class Mecanum:
 
     def wheel_speeds(self, twist: Iterable[float]) -> PerWheel:
         """Return the four wheel speeds in rad/s of a body twist (vx, vy, omega) in m/s, m/s and rad/s."""
-        x, y, turn = twist
-        radius = self.radius_m
-        along, across, spin = x / radius, y / radius, self.lever_m * turn / radius
-        return along - across - spin, along + across + spin, along + across - spin, along - across + spin
+        return wheel_speeds(self.lever_m, self.radius_m, *map(float, twist))
 
     def wheel_torques(self, wrench: Iterable[float]) -> PerWheel:
         """Return the four wheel torques in Nm that push the body with a wrench (fx, fy, mz) in N, N and Nm.
 
         By equal power, torque . speed = wrench . twist; of all torques that do it these are the smallest.
         """
-        x, y, turn = wrench
-        quarter = self.radius_m / 4
-        along, across, spin = quarter * x, quarter * y, quarter * turn / self.lever_m
-        return along - across - spin, along + across + spin, along + across - spin, along - across + spin
+        return wheel_torques(self.lever_m, self.radius_m, *map(float, wrench))
 
     def wrench(self, torques: Iterable[float]) -> Triple:
         """Return the wrench (fx, fy, mz) in N, N and Nm with which four wheel torques in Nm push the body."""
-        fl, fr, rl, rr = torques
-        turn = self.lever_m / self.radius_m * (fr + rr - fl - rl)
-        return (fl + fr + rl + rr) / self.radius_m, (fr + rl - fl - rr) / self.radius_m, turn
+        return wrench_of(self.lever_m, self.radius_m, *map(float, torques))
 
     def body_twist(self, speeds: Iterable[float]) -> Triple:
         """Return the body twist (vx, vy, omega) that fits four wheel speeds in rad/s best, by least squares."""
-        fl, fr, rl, rr = speeds
-        quarter = self.radius_m / 4
-        turn = quarter / self.lever_m * (fr + rr - fl - rl)
-        return quarter * (fl + fr + rl + rr), quarter * (fr + rl - fl - rr), turn
+        return body_twist(self.lever_m, self.radius_m, *map(float, speeds))
+
+
+@compiled
+def wheel_speeds(lever_m: float, radius_m: float, x: float, y: float, turn: float) -> PerWheel:
+    """Return the wheel speeds of a twist; see :class:`Mecanum`."""
+    along, across, spin = x / radius_m, y / radius_m, lever_m * turn / radius_m
+    return along - across - spin, along + across + spin, along + across - spin, along - across + spin
+
+
+@compiled
+def wheel_torques(lever_m: float, radius_m: float, x: float, y: float, turn: float) -> PerWheel:
+    """Return the wheel torques of a wrench; see :class:`Mecanum`."""
+    quarter = radius_m / 4
+    along, across, spin = quarter * x, quarter * y, quarter * turn / lever_m
+    return along - across - spin, along + across + spin, along + across - spin, along - across + spin
+
+
+@compiled
+def wrench_of(lever_m: float, radius_m: float, fl: float, fr: float, rl: float, rr: float) -> Triple:
+    """Return the wrench of wheel torques; see :class:`Mecanum`."""
+    turn = lever_m / radius_m * (fr + rr - fl - rl)
+    return (fl + fr + rl + rr) / radius_m, (fr + rl - fl - rr) / radius_m, turn
+
+
+@compiled
+def body_twist(lever_m: float, radius_m: float, fl: float, fr: float, rl: float, rr: float) -> Triple:
+    """Return the twist of wheel speeds; see :class:`Mecanum`."""
+    quarter = radius_m / 4
+    turn = quarter / lever_m * (fr + rr - fl - rl)
+    return quarter * (fl + fr + rl + rr), quarter * (fr + rl - fl - rr), turn

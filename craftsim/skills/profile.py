@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from craftsim.discrete.compiled import compiled
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -29,37 +31,58 @@ class Profile:
 
     def distance(self, t: float) -> float:
         """Return the distance covered at time t; it holds the end afterwards."""
-        if self.duration_s == 0:
-            return 0.0
-        t = min(max(t, 0.0), self.duration_s)
-        cruised = max(0.0, min(t, self.duration_s - self.ramp_s) - self.ramp_s)
-        left = self.duration_s - t
-        return (
-            self.cruise_speed * cruised
-            + self._ramp_distance(min(t, self.ramp_s))
-            + self._ramp_distance(self.ramp_s)
-            - self._ramp_distance(min(left, self.ramp_s))
-        )
+        return distance_at(self.cruise_speed, self.ramp_s, self.duration_s, t)
 
     def speed(self, t: float) -> float:
         """Return the speed at time t."""
-        u = self._phase(t)
-        return self.cruise_speed * u * u * (3 - 2 * u)
+        return speed_at(self.cruise_speed, self.ramp_s, self.duration_s, t)
 
     def acceleration(self, t: float) -> float:
         """Return the acceleration at time t."""
-        u = self._phase(t)
-        if not 0 < u < 1:
-            return 0.0
-        rise = 6 * u * (1 - u) * self.cruise_speed / self.ramp_s
-        return rise if t < self.duration_s / 2 else -rise
+        return acceleration_at(self.cruise_speed, self.ramp_s, self.duration_s, t)
 
-    def _phase(self, t: float) -> float:
-        """Return how far the nearer ramp is climbed, 0 at rest and 1 when cruising."""
-        if self.ramp_s == 0:
-            return 0.0
-        return min(max(min(t, self.duration_s - t) / self.ramp_s, 0.0), 1.0)
 
-    def _ramp_distance(self, t: float) -> float:
-        u = t / self.ramp_s
-        return self.cruise_speed * self.ramp_s * (u**3 - u**4 / 2)
+@compiled
+def distance_at(cruise_speed: float, ramp_s: float, duration_s: float, t: float) -> float:
+    """Return the distance covered at time t by :class:`Profile`."""
+    if duration_s == 0:
+        return 0.0
+    t = min(max(t, 0.0), duration_s)
+    cruised = max(0.0, min(t, duration_s - ramp_s) - ramp_s)
+    return (
+        cruise_speed * cruised
+        + _ramp_distance(cruise_speed, ramp_s, min(t, ramp_s))
+        + _ramp_distance(cruise_speed, ramp_s, ramp_s)
+        - _ramp_distance(cruise_speed, ramp_s, min(duration_s - t, ramp_s))
+    )
+
+
+@compiled
+def speed_at(cruise_speed: float, ramp_s: float, duration_s: float, t: float) -> float:
+    """Return the speed at time t of :class:`Profile`."""
+    u = _phase(ramp_s, duration_s, t)
+    return cruise_speed * u * u * (3 - 2 * u)
+
+
+@compiled
+def acceleration_at(cruise_speed: float, ramp_s: float, duration_s: float, t: float) -> float:
+    """Return the acceleration at time t of :class:`Profile`."""
+    u = _phase(ramp_s, duration_s, t)
+    if not 0 < u < 1:
+        return 0.0
+    rise = 6 * u * (1 - u) * cruise_speed / ramp_s
+    return rise if t < duration_s / 2 else -rise
+
+
+@compiled
+def _phase(ramp_s: float, duration_s: float, t: float) -> float:
+    """Return how far the nearer ramp is climbed, 0 at rest and 1 when cruising."""
+    if ramp_s == 0:
+        return 0.0
+    return min(max(min(t, duration_s - t) / ramp_s, 0.0), 1.0)
+
+
+@compiled
+def _ramp_distance(cruise_speed: float, ramp_s: float, t: float) -> float:
+    u = t / ramp_s
+    return cruise_speed * ramp_s * (u**3.0 - u**4.0 / 2)

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-import math
+import copy
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
+import numpy as np
+
+from craftsim.discrete.compiled import records
+from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.parameters import Machines, SmartcarParameters
-from craftsim.models.sensing import CarMeasurement, PerWheel
+from craftsim.models.sensing import CarMeasurement, PerWheel, write_reading
 from craftsim.skills.gains import Gains
+from craftsim.skills.health import check_health, check_load, feels_load
 from craftsim.skills.outcome import Outcome, Reason
+from craftsim.skills.state import COMMAND, OWN, TASK, constants_of, outcome_of
 
-GRAVITY = 9.81
+Law = Callable[[Records, Records, Floats, Records, Records, int], None]
+"""A compiled controller: (readings, tasks, past, constants, commands, car); it reads and writes what is the car's."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +48,18 @@ class SkillSetup:
     """Control period."""
     terrain: Terrain = Terrain()
     """The ground of a move."""
+    constants: Records = field(init=False, repr=False, compare=False)
+    """(1,) CONSTANTS of :mod:`craftsim.skills.state`, not to be written to: all of these for compiled controllers."""
+
+    def __post_init__(self) -> None:
+        constants = constants_of(self.machine, self.machines, self.gains, self.period_s)
+        object.__setattr__(self, "constants", constants)
+
+    def on(self, terrain: Terrain) -> SkillSetup:
+        """Return the same for a move on other ground."""
+        setup = copy.copy(self)
+        object.__setattr__(setup, "terrain", terrain)
+        return setup
 
 
 @dataclass(frozen=True)
@@ -65,13 +85,16 @@ class Skill(ABC):
         """Prepare for this car, world and tuning."""
         self.setup = setup
         self.period_s = setup.period_s
-        self._limits = limits = setup.gains.health
-        self._felt_load_n = (
-            setup.machine.board_mass_kg + setup.machines.lightest_load_kg * limits.load_share
-        ) * GRAVITY
-        self.elapsed_s = 0.0
         self.outcome: Outcome | None = None
-        self._unloaded_s = 0.0
+        self.task = records(1, TASK)
+        """(1,) TASK: what the skill remembers."""
+        self.task[0]["law"] = OWN
+        self._reading = records(1, READING)
+
+    @property
+    def elapsed_s(self) -> float:
+        """Simulated time in which it was stepped."""
+        return float(self.task[0]["elapsed_s"])
 
     def start(self, now: CarMeasurement) -> None:
         """Derive the goal from what the car measures now; a car in no state to act ends the skill at once."""
@@ -89,7 +112,7 @@ class Skill(ABC):
             self._check_health(now)
         if self.outcome is None:
             command = self._control(now)
-            self.elapsed_s += self.period_s
+            self.task[0]["elapsed_s"] += self.period_s
             if self.outcome is None:
                 return command
         return Command()
@@ -100,7 +123,8 @@ class Skill(ABC):
 
     def feels_load(self, now: CarMeasurement) -> bool:
         """Return whether the raised board feels a good share of the lightest load's weight beyond its own."""
-        return now.board_m > self._limits.board_raised and now.board_force_n > self._felt_load_n
+        write_reading(now, self._reading)
+        return feels_load(self._reading, self.setup.constants, 0)
 
     def _succeed(self) -> None:
         self.outcome = Outcome(None, self.elapsed_s)
@@ -109,16 +133,61 @@ class Skill(ABC):
         self.outcome = Outcome(reason, self.elapsed_s, detail)
 
     def _check_health(self, now: CarMeasurement) -> None:
-        # A sum is finite only if all its terms are.
-        pose = now.x + now.y + now.z + now.heading + now.pitch + now.roll
-        joints = now.board_m + now.board_force_n + (now.hinge_rad or 0.0) + sum(now.wheel_speeds)
-        if not math.isfinite(pose + joints):
-            self._fail(Reason.DIVERGED, "a measurement is not finite")
-        elif max(abs(now.pitch), abs(now.roll)) > self._limits.tipped:
-            self._fail(Reason.TIPPED, f"pitch {now.pitch:+.2f} rad, roll {now.roll:+.2f} rad")
+        write_reading(now, self._reading)
+        check_health(self._reading, self.task, self.setup.constants, 0)
+        self.conclude()
 
     def _check_load(self, now: CarMeasurement) -> None:
         """Fail when the board has not felt its load for a while: shorter dips come from bumps and acceleration."""
-        self._unloaded_s = 0.0 if self.feels_load(now) else self._unloaded_s + self.period_s
-        if self._unloaded_s > self._limits.load_lost:
-            self._fail(Reason.LOAD_LOST, f"the board feels {now.board_force_n:.1f} N")
+        write_reading(now, self._reading)
+        check_load(self._reading, self.task, self.setup.constants, 0)
+        self.conclude()
+
+    def conclude(self) -> None:
+        """Take over the outcome of a task that compiled code has ended."""
+        self.outcome = outcome_of(self.task[0]) or self.outcome
+
+
+class CompiledSkill(Skill):
+    """A skill whose controller is compiled: an executor runs it for all cars at once, without this object."""
+
+    def __init__(self, setup: SkillSetup, law: Law, number: int) -> None:
+        """Prepare for this car, world and tuning.
+
+        Args:
+            setup: what it is given.
+            law: its controller.
+            number: by which the executor's compiled loop knows the law (:mod:`craftsim.skills.control`).
+        """
+        super().__init__(setup)
+        self._law = law
+        self.task[0]["law"] = number
+        self.past = np.zeros((1, n_past(setup.gains, setup.period_s)))
+        """(1, :func:`n_past`): what the law remembers of the last periods."""
+        self._command = records(1, COMMAND)
+
+    def _control(self, now: CarMeasurement) -> Command:
+        write_reading(now, self._reading)
+        self._command[0] = ((0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+        self._law(self._reading, self.task, self.past, self.setup.constants, self._command, 0)
+        self.conclude()
+        command = self._command[0]
+        fl, fr, rl, rr = command["wheels"].tolist()
+        return Command((fl, fr, rl, rr), float(command["board"]), float(command["hinge"]))
+
+    @property
+    def runs_compiled(self) -> bool:
+        """Whether nothing of its steps is a subclass's own."""
+        own = type(self)
+        return own._control is CompiledSkill._control and own.step is Skill.step
+
+    def move_to(self, tasks: Records, past: Floats) -> None:
+        """Remember in other arrays of the same shapes from now on."""
+        # Copying an array of records as a whole would take NumPy ten times as long.
+        tasks[0], past[0] = self.task[0], self.past[0]
+        self.task, self.past = tasks, past
+
+
+def n_past(gains: Gains, period_s: float) -> int:
+    """Return over how many control periods laws remember a number: over the time in which a hinge must be still."""
+    return round(gains.hinge.still_time / period_s) + 1

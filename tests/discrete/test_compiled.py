@@ -11,22 +11,36 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.rules.table import legal
+from craftsim.skills.control import step_cars
 
 needs_compiler = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
 
 
 @needs_compiler
 def test_the_cache_is_stamped_with_a_digest_of_every_source(tmp_path, monkeypatch):
-    assert legal._cache._cache_file._version.endswith(compiled._source_digest())
-    (tmp_path / "rules").mkdir()
-    for name in ("rules/moves.py", "grid.py"):
-        (tmp_path / name).write_text("1")
-    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
-    digest = compiled._source_digest.__wrapped__
-    before = digest()
-    assert digest() == before
-    (tmp_path / "grid.py").write_text("2")
-    assert digest() != before
+    assert legal._cache._cache_file._version.endswith(compiled._source_digest("discrete"))
+    assert step_cars._cache._cache_file._version.endswith(compiled._source_digest("skills"))
+    for room in ("discrete", "discrete/rules", "models", "skills"):
+        (tmp_path / room).mkdir()
+        (tmp_path / room / "some.py").write_text("1")
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "discrete" / "compiled.py"))
+
+    def digests():
+        compiled._source_digest.cache_clear()
+        return [compiled._source_digest(room) for room in ("discrete", "models", "skills", "elsewhere")]
+
+    try:
+        before = digests()
+        assert digests() == before
+        assert len(set(before)) == 4
+        for room, changed in (("discrete/rules", 4), ("models", 3), ("skills", 2)):
+            (tmp_path / room / "some.py").write_text("2")
+            after = digests()
+            assert sum(a != b for a, b in zip(after, before, strict=True)) == changed
+            assert after[: 4 - changed] == before[: 4 - changed]
+            before = after
+    finally:
+        compiled._source_digest.cache_clear()
 
 
 @needs_compiler

@@ -38,8 +38,12 @@ ALLOWED = {"craftsim/models/site.py": {"Site.reset", "Site.restore", "Site.awake
 
 def live_view(node: ast.AST) -> bool:
     """Return whether an expression is the state array itself, or a part of it that writes through."""
+    part = isinstance(node, ast.Subscript)
     while isinstance(node, ast.Subscript):
         node = node.value
+    if part and isinstance(node, ast.Name):
+        # Compiled functions are given the arrays under these names.
+        return node.id in STATE
     return isinstance(node, ast.Attribute) and node.attr in STATE
 
 
@@ -139,6 +143,7 @@ PLANTED = [
     "site.data.qvel = x",
     "data.qvel[a:b] += 1",
     "data.qpos[a][b] = 1",
+    "def compiled(qpos, qvel):\n    qpos[0], x = 1, 2",
     "data.joint('x').qpos = 0",
     "a, (data.qpos[0], b) = 1, (2, 3)",
     "for data.qpos[0] in range(3): pass",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.actions import Action
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.readback import rotation_matrix
+from craftsim.discrete.rotation import body_axes
 from craftsim.discrete.terrain import incline_under
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL
@@ -35,7 +35,7 @@ def place(site: Site) -> NDArray[np.float64]:
     """Return the first block's place in the first car's frame, shape (3,), in metres."""
     car, quaternion = site.free_body_state(site.cars[0].base)
     block, _ = site.free_body_state(site.blocks[0])
-    return rotation_matrix(quaternion).T @ (block - car)
+    return np.array(body_axes(*quaternion.tolist())) @ (block - car)
 
 
 def set_board_friction(site: Site, mu: float) -> None:

@@ -17,6 +17,7 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.library import make_skill
 from craftsim.skills.outcome import Outcome, Reason
+from craftsim.skills.profile import Profile
 from craftsim.skills.skill import Command, SkillSetup, Terrain
 
 PERIOD_S = 0.02
@@ -152,7 +153,8 @@ def test_a_car_that_is_close_enough_brakes_while_two_wheels_slip_on_the_spot():
     slipping = CALM._replace(wheel_speeds=(0.08, 0.0, 0.0, 0.08))
     drives = True
     while drives and skill.outcome is None:
-        now = slipping._replace(x=skill._reference(skill.elapsed_s)[0] - 0.0002)
+        way = Profile(*skill.task[0]["drive"]["profile"].tolist()).distance(skill.elapsed_s)
+        now = slipping._replace(x=CALM.x + way - 0.0002)
         drives = any(skill.step(now).wheels)
     assert skill.outcome is None
     assert skill.elapsed_s < 1.8
@@ -285,6 +287,19 @@ def test_an_outcome_reads_as_a_sentence():
     assert str(Outcome(Reason.SLIPPED, 1.0, "far behind")) == "slipped: far behind"
 
 
+def _break_plug(monkeypatch, executor, broken):
+    """Let the cars of an executor feel no slope wherever ``broken()``."""
+    read = executor.sensors.read
+
+    def without():
+        readings = read().copy()
+        if broken():
+            readings["slope"], readings["hinge_rad"] = -1, 0.0
+        return readings
+
+    monkeypatch.setattr(executor.sensors, "read", without)
+
+
 def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):
     site = make_site((3, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)])
     executor = Executor(site)
@@ -293,7 +308,7 @@ def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):
         executor.advance()
     hinge = site.slopes[0].hinge.actuator
     assert site.data.ctrl[hinge] < 0
-    monkeypatch.setattr(executor.sensors, "measure", lambda car: measure(site, car)._replace(slope=None))
+    _break_plug(monkeypatch, executor, lambda: True)
     ended = executor.advance()
     assert site.data.ctrl[hinge] == 0
     while not ended:
@@ -305,10 +320,5 @@ def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):
 def test_a_hinge_outlasts_a_plug_that_chatters(make_site, monkeypatch):
     executor = Executor(make_site((3, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)]))
     felt = iter(range(10**6))
-
-    def chattering(car):
-        now = measure(executor.site, car)
-        return now._replace(slope=None, hinge_rad=None) if next(felt) % 10 == 0 else now
-
-    monkeypatch.setattr(executor.sensors, "measure", chattering)
+    _break_plug(monkeypatch, executor, lambda: next(felt) % 10 == 0)
     assert executor.run({0: Action.UNFOLD})[0].succeeded

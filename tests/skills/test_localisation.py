@@ -9,10 +9,12 @@ import pytest
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import Seed, set_up
 from craftsim.discrete.actions import Action
+from craftsim.discrete.compiled import records
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.measuring import READING
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
 from craftsim.models.parameters import NOMINAL
-from craftsim.models.sensing import CarMeasurement, Sensors, measure
+from craftsim.models.sensing import CarMeasurement, Sensors, measure, measurement_of, write_reading
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
@@ -30,7 +32,14 @@ TURN = np.array([0.0, 0.0, 1.0]), Profile.within(math.pi / 2, 5.0, 22.0)
 
 
 def _localiser(noise: SensorNoise) -> Localiser:
-    return Localiser(noise, PERIOD_S, KINEMATICS, load_gains().localisation)
+    return Localiser(noise, PERIOD_S, [KINEMATICS], load_gains().localisation)
+
+
+def _update(localiser: Localiser, now: CarMeasurement) -> CarMeasurement:
+    """Feed one measurement to a Localiser, and return the view."""
+    reading = records(1, READING)
+    write_reading(now, reading)
+    return measurement_of(localiser.update(reading)[0])
 
 
 def _truth(direction, profile, rest_s, heading=0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +68,7 @@ def _feed(noise, poses, twists, rng, slip=0.02) -> tuple[np.ndarray, np.ndarray]
             heading=math.remainder(located[2], math.tau),
             wheel_speeds=KINEMATICS.wheel_speeds((1 + slip) * twist),
         )
-        view = localiser.update(now)
+        view = _update(localiser, now)
         error = np.array([view.x, view.y, view.heading]) - pose
         error[2] = math.remainder(error[2], math.tau)
         errors.append(error)
@@ -109,7 +118,7 @@ def test_at_rest_every_localisation_counts_once_however_late_it_comes():
     localiser = _localiser(SensorNoise(0.001, 0.003, 0.04, 0.04))
     first = 0.001
     for n in range(1, 17):
-        view = localiser.update(STILL._replace(x=first if n == 1 else 0.0))
+        view = _update(localiser, STILL._replace(x=first if n == 1 else 0.0))
         # The mean of n localisations of which the first alone is off; the filter's unrest forgets a little.
         assert view.x == pytest.approx(first / n, rel=0.10)
 
@@ -173,9 +182,13 @@ def test_with_noisy_sensors_skills_see_the_estimate_and_not_the_truth():
 
 def _parameters(executor: Executor) -> list:
     """Return all that the estimates of an executor know before they have measured anything, to the last bit."""
-    coordinates = [c for loc in executor._localisers for c in (loc._x, loc._y, loc._heading)]
-    names = ("_noise_variance", "_drift_variance", "_late", "_age_std", "_slip")
-    return [[getattr(c, name) for name in names] for c in coordinates] + [c._past.maxlen for c in coordinates]
+    if executor._localiser is None:
+        return []
+    estimates, past = executor._localiser._estimates, executor._localiser._past
+    variances = [estimates[c][v] for c in ("x", "y", "heading") for v in ("noise_variance", "drift_variance")]
+    return [a.tobytes() for a in (*variances, *(estimates[name] for name in ("late", "age_std", "slip")))] + [
+        past.shape
+    ]
 
 
 @pytest.mark.parametrize("world", [EXACT, SensorNoise(0.005, 0.02, 0.06, 0.08, 0.05, 0.05)])

@@ -1,0 +1,160 @@
+"""Measuring all cars of a Site in one compiled call: poses, wheels, boards, and the slopes that they stand under."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.compiled import Record, compiled, records
+from craftsim.discrete.rotation import Axis, body_axes
+from craftsim.models.site import Site
+
+Floats = NDArray[np.float64]
+Records = NDArray[np.void]
+
+READING: Final = np.dtype(
+    [
+        *((name, "f8") for name in ("time_s", "x", "y", "z", "heading", "pitch", "roll")),
+        ("wheel_speeds", "f8", (4,)),
+        ("board_m", "f8"),
+        ("board_force_n", "f8"),
+        ("slope", "i8"),
+        ("hinge_rad", "f8"),
+        ("position_std_m", "f8"),
+        ("heading_std_rad", "f8"),
+    ],
+    align=True,
+)
+"""A :class:`~craftsim.models.sensing.CarMeasurement` as a record; without a slope, -1 and an angle of 0."""
+
+WIRING: Final = np.dtype(
+    [
+        *((name, "i8") for name in ("pose", "board", "board_dof", "board_activation", "board_motor")),
+        ("wheel_speeds", "i8", (4,)),
+        ("wheel_motors", "i8", (4,)),
+    ],
+    align=True,
+)
+"""Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in what :func:`read_cars` hands on."""
+
+PLUG: Final = np.dtype([("pose", "i8"), ("hinge", "i8"), ("motor", "i8")], align=True)
+"""Where a slope's pose and hinge lie in MjData.qpos, and its motor in MjData.ctrl."""
+
+REACH: Final = np.dtype([("any_m", "f8"), ("across_m", "f8"), ("above_m", "f8")], align=True)
+"""How far a slope's plug reaches: in any direction, horizontally and vertically in the car's frame."""
+
+
+class Wiring:
+    """Where the cars and slopes of a Site lie in MuJoCo's arrays, as records."""
+
+    def __init__(self, site: Site) -> None:
+        """Look them up."""
+        self.on_axles = all(len(car.wheel_dofs) for car in site.cars)
+        """Whether wheels turn on axles; the speeds of the reduced drive's are those as the last physics step began."""
+        self.cars = records(len(site.cars), WIRING)
+        """(n,) WIRING."""
+        for row, car in zip(self.cars, site.cars, strict=True):
+            board = car.board
+            row["pose"], row["board"], row["board_dof"] = car.base.qpos, board.qpos, board.dof
+            row["board_activation"], row["board_motor"] = board.activation, board.actuator
+            row["wheel_speeds"] = car.wheel_dofs if self.on_axles else car.wheel_actuators
+            row["wheel_motors"] = car.wheel_actuators
+        self.plugs = records(len(site.slopes), PLUG)
+        """(n,) PLUG, by slope."""
+        for row, slope in zip(self.plugs, site.slopes, strict=True):
+            row["pose"], row["hinge"], row["motor"] = slope.base.qpos, slope.hinge.qpos, slope.hinge.actuator
+        self.reach = records(1, REACH)
+        machines = site.machines
+        self.reach[0]["any_m"] = machines.docking_reach_m
+        self.reach[0]["across_m"] = machines.slope.docking_range_m
+        self.reach[0]["above_m"] = machines.block.underside_m / 2
+
+
+def read_cars(site: Site, wiring: Wiring, out: Records) -> None:
+    """Measure all cars exactly, as they are now; ``out``, shape (n,) of READING, takes it."""
+    model, data = site.model, site.data
+    _read_cars(
+        data.time,
+        data.qpos,
+        data.qvel,
+        data.act,
+        data.qvel if wiring.on_axles else data.actuator_velocity,
+        model.actuator_gainprm,
+        model.actuator_biasprm,
+        model.actuator_forcerange,
+        wiring.cars,
+        wiring.plugs,
+        wiring.reach,
+        out,
+    )
+
+
+@compiled
+def _read_cars(
+    time_s: float,
+    qpos: Floats,
+    qvel: Floats,
+    act: Floats,
+    speeds: Floats,
+    gains: Floats,
+    biases: Floats,
+    ranges: Floats,
+    cars: Records,
+    plugs: Records,
+    reach: Records,
+    out: Records,
+) -> None:
+    for i in range(len(cars)):
+        car, now = cars[i], out[i]
+        at = car.pose
+        now.time_s = time_s
+        now.x, now.y, now.z = qpos[at], qpos[at + 1], qpos[at + 2]
+        forward, left, up = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
+        now.heading = math.atan2(forward[1], forward[0])
+        now.pitch = math.asin(max(-1.0, min(1.0, forward[2])))
+        now.roll = math.asin(max(-1.0, min(1.0, left[2])))
+        for wheel in range(4):
+            now.wheel_speeds[wheel] = speeds[car.wheel_speeds[wheel]]
+        now.board_m = qpos[car.board]
+        now.board_force_n = _board_force(car, qpos, qvel, act, gains, biases, ranges)
+        now.slope = _docked_slope(now, forward, left, up, qpos, plugs, reach[0])
+        now.hinge_rad = qpos[plugs[now.slope].hinge] if now.slope >= 0 else 0.0
+        now.position_std_m = now.heading_std_rad = 0.0
+
+
+@compiled
+def _board_force(
+    car: Record,
+    qpos: Floats,
+    qvel: Floats,
+    act: Floats,
+    gains: Floats,
+    biases: Floats,
+    ranges: Floats,
+) -> float:
+    """Return the force of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps."""
+    motor = car.board_motor
+    force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
+    force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
+    return min(max(force, ranges[motor, 0]), ranges[motor, 1])
+
+
+@compiled
+def _docked_slope(
+    now: Record, forward: Axis, left: Axis, up: Axis, qpos: Floats, plugs: Records, reach: Record
+) -> int:
+    """Return the slope right above a car, or -1: its plug reaches a car that is centred below it."""
+    for i in range(len(plugs)):
+        at = plugs[i].pose
+        x, y, z = qpos[at] - now.x, qpos[at + 1] - now.y, qpos[at + 2] - now.z
+        if math.sqrt(x * x + y * y + z * z) > reach.any_m:
+            continue
+        along = forward[0] * x + forward[1] * y + forward[2] * z
+        across = left[0] * x + left[1] * y + left[2] * z
+        above = up[0] * x + up[1] * y + up[2] * z
+        if math.sqrt(along * along + across * across) < reach.across_m and abs(above) < reach.above_m:
+            return i
+    return -1

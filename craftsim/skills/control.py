@@ -1,0 +1,100 @@
+"""One control period of all cars, compiled: their laws are stepped, and their commands reach the motors."""
+
+from __future__ import annotations
+
+from craftsim.discrete.compiled import Record, compiled
+from craftsim.models.measuring import Floats, Records
+from craftsim.models.motors import drive_wheels
+from craftsim.skills.driving_law import drive_law
+from craftsim.skills.folding import hinge_law
+from craftsim.skills.health import check_health
+from craftsim.skills.holding import hold_law
+from craftsim.skills.lifting import board_law
+from craftsim.skills.state import BOARD, DRIVE, HINGE, HOLD, IDLE, OWN, RUNNING, STOP
+from craftsim.skills.stopping import stop_law
+
+
+@compiled
+def step_cars(
+    readings: Records,
+    tasks: Records,
+    past: Floats,
+    constants: Records,
+    commands: Records,
+    cars: Records,
+    plugs: Records,
+    docked: Records,
+    wheel_speeds: Floats,
+    wheel_share: float,
+    ctrl: Floats,
+) -> int:
+    """Step all cars that are not idle, and command their motors; return how many compiled tasks have ended.
+
+    Args:
+        readings: (n,) READING, what the cars measure.
+        tasks: (n,) TASK.
+        past: (n, m) what laws remember of the last periods.
+        constants: (n,) CONSTANTS.
+        commands: (n,) COMMAND; those of skills in Python are given, the others are written.
+        cars: (n,) WIRING.
+        plugs: PLUG of each slope.
+        docked: (n,) the slope that each car commands, -1 for none.
+        wheel_speeds: (n, 4) commands to the wheels' servos so far.
+        wheel_share: share by which these approach new ones in a period.
+        ctrl: MjData.ctrl.
+    """
+    ended = 0
+    for car in range(len(tasks)):
+        task = tasks[car]
+        if task.law == IDLE:
+            continue
+        if task.law != OWN:
+            _clear(commands[car])
+        if task.law == HOLD:
+            hold_law(readings, tasks, past, constants, commands, car)
+        elif task.law != OWN:
+            _step(readings, tasks, past, constants, commands, car)
+            ended += task.status != RUNNING
+        drive_wheels(commands[car].wheels, wheel_speeds[car], wheel_share, cars[car], ctrl)
+        ctrl[cars[car].board_motor] = commands[car].board
+        docked[car] = _turn_hinge(commands[car].hinge, readings[car].slope, docked[car], plugs, ctrl)
+    return ended
+
+
+@compiled
+def _clear(command: Record) -> None:
+    for wheel in range(4):
+        command.wheels[wheel] = 0.0
+    command.board = command.hinge = 0.0
+
+
+@compiled
+def _step(
+    readings: Records, tasks: Records, past: Floats, constants: Records, commands: Records, car: int
+) -> None:
+    """Step the law of one car as :meth:`craftsim.skills.skill.Skill.step` does; a task that has ended stops all."""
+    task = tasks[car]
+    if task.status == RUNNING:
+        check_health(readings, tasks, constants, car)
+    if task.status == RUNNING:
+        if task.law == DRIVE:
+            drive_law(readings, tasks, past, constants, commands, car)
+        elif task.law == BOARD:
+            board_law(readings, tasks, past, constants, commands, car)
+        elif task.law == HINGE:
+            hinge_law(readings, tasks, past, constants, commands, car)
+        elif task.law == STOP:
+            stop_law(readings, tasks, past, constants, commands, car)
+        task.elapsed_s += constants[car].period_s
+        if task.status != RUNNING:
+            _clear(commands[car])
+
+
+@compiled
+def _turn_hinge(speed: float, slope: int, last: int, plugs: Records, ctrl: Floats) -> int:
+    """Command the hinge of the slope that a car is docked to; one that loses its car loses the command."""
+    if last >= 0 and last != slope:
+        ctrl[plugs[last].motor] = 0.0
+    if slope >= 0:
+        ctrl[plugs[slope].motor] = speed
+    return slope

@@ -1,0 +1,164 @@
+"""The control law of driving, compiled: follow a smooth path of poses, and come to rest at its end.
+
+The wheels get the path's speed (feed-forward), a correction proportional to the pose error with integral action near
+the goal, and on top what the velocity servos need to overcome the gears' dry friction, gravity on an incline, and
+inertia.
+"""
+
+from __future__ import annotations
+
+import math
+
+from craftsim.discrete.compiled import Record, compiled
+from craftsim.discrete.rotation import wrap
+from craftsim.models.measuring import Floats, Records
+from craftsim.models.sensing import PerWheel
+from craftsim.skills.health import check_load, end
+from craftsim.skills.mecanum import Triple, body_twist, wheel_speeds, wheel_torques
+from craftsim.skills.profile import acceleration_at, distance_at, speed_at
+from craftsim.skills.progress import length, progress
+from craftsim.skills.state import GRAVITY, MOVES_OFF_TARGET, RESTS_OFF_TARGET, RUNNING, SUCCEEDED
+
+
+@compiled
+def drive_law(
+    readings: Records, tasks: Records, past: Floats, constants: Records, commands: Records, car: int
+) -> None:
+    """Command the wheels of a car on its path, or end its task."""
+    now, task, known = readings[car], tasks[car], constants[car]
+    drive, gains = task.drive, known.drive
+    if drive.loaded:
+        check_load(readings, tasks, constants, car)
+    error = _error(now, drive, task.elapsed_s)
+    _check_progress(now, task, known, error)
+    if task.elapsed_s >= drive.profile.duration_s:
+        _check_arrival(now, task, known, error)
+    wheels = 0.0, 0.0, 0.0, 0.0
+    if task.status == RUNNING and drive.there_periods <= gains.brake_periods:
+        wheels = _wheels(now, drive, known, error, task.elapsed_s)
+    commanded, told = drive.commanded, commands[car].wheels
+    commanded[0], commanded[1], commanded[2], commanded[3] = wheels
+    told[0], told[1], told[2], told[3] = wheels
+
+
+@compiled
+def _error(now: Record, drive: Record, t: float) -> Triple:
+    """Return the way from a car's pose to that of its path at time t."""
+    profile, start, step = drive.profile, drive.origin, drive.direction
+    way = distance_at(profile.cruise_speed, profile.ramp_s, profile.duration_s, t)
+    x, y, heading = start.x + step.x * way, start.y + step.y * way, start.heading + step.heading * way
+    return x - now.x, y - now.y, wrap(heading - now.heading)
+
+
+@compiled
+def _wheels(now: Record, drive: Record, known: Record, error: Triple, elapsed_s: float) -> PerWheel:
+    gains, car, step, integral = known.drive, known.car, drive.direction, drive.integral
+    profile, period_s = drive.profile, known.period_s
+    # The command holds for one period, so the path's motion in the middle of that period is fed forward.
+    t = elapsed_s + period_s / 2
+    if elapsed_s > profile.duration_s:
+        integral.x += gains.integral_gain * error[0] * period_s
+        integral.y += gains.integral_gain * error[1] * period_s
+        integral.heading += gains.integral_gain * error[2] * period_s
+    speed = speed_at(profile.cruise_speed, profile.ramp_s, profile.duration_s, t)
+    velocity = (
+        step.x * speed + gains.position_gain * error[0] + integral.x,
+        step.y * speed + gains.position_gain * error[1] + integral.y,
+        step.heading * speed + gains.heading_gain * error[2] + integral.heading,
+    )
+    forward, left, turn = _to_body(velocity, now)
+    left, turn = gains.sideways_slip * left, gains.turn_slip * turn
+    speeds = wheel_speeds(car.lever_m, car.radius_m, forward, left, turn)
+    front, rear = _stretch(now, drive, car)
+    load_kg = max(0.0, now.board_force_n) / GRAVITY if drive.loaded else 0.0
+    mass = car.mass_kg + load_kg
+    weight, inertia = mass * GRAVITY, mass + car.spin_mass_kg
+    pull = acceleration_at(profile.cruise_speed, profile.ramp_s, profile.duration_s, t)
+    forward, left, turn = _to_body((step.x * pull, step.y * pull, step.heading * pull), now)
+    torques = wheel_torques(
+        car.lever_m,
+        car.radius_m,
+        inertia * forward + weight * math.sin(now.pitch),
+        inertia * left + weight * math.sin(now.roll),
+        car.turn_inertia_kgm2 * turn,
+    )
+    return (
+        _command(speeds[0] * front, torques[0], known),
+        _command(speeds[1] * front, torques[1], known),
+        _command(speeds[2] * rear, torques[2], known),
+        _command(speeds[3] * rear, torques[3], known),
+    )
+
+
+@compiled
+def _command(speed: float, torque: float, known: Record) -> float:
+    """Return the speed to command to a wheel's servo for a speed in rad/s and a torque in Nm beyond friction's."""
+    torque += known.car.gear_friction_nm * math.tanh(speed / known.drive.friction_speed)
+    # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
+    return speed + torque / known.car.wheel_gain_nms_rad
+
+
+@compiled
+def _stretch(now: Record, drive: Record, car: Record) -> tuple[float, float]:
+    """Return by what factors the front and the rear wheels must outrun the body's forward speed.
+
+    Where the ground bends, at the cell border, the axles roll on different inclines, but the stiff body gives both the
+    same speed along itself: an axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
+    """
+    if not drive.sloping:
+        return 1.0, 1.0
+    origin, delta = drive.origin, drive.delta
+    past_x, past_y = now.x - origin.x - delta.x / 2, now.y - origin.y - delta.y / 2
+    past_border = past_x * drive.step_x + past_y * drive.step_y
+    forward = math.cos(now.heading) * drive.step_x + math.sin(now.heading) * drive.step_y
+    reach = car.wheel_x_m * forward * math.cos(now.pitch)
+    front = drive.end_rad if past_border + reach > 0 else drive.start_rad
+    rear = drive.end_rad if past_border - reach > 0 else drive.start_rad
+    return 1 / math.cos(front - now.pitch), 1 / math.cos(rear - now.pitch)
+
+
+@compiled
+def _check_progress(now: Record, task: Record, known: Record, error: Triple) -> None:
+    drive, gains, car = task.drive, known.drive, known.car
+    fl, fr, rl, rr = now.wheel_speeds[0], now.wheel_speeds[1], now.wheel_speeds[2], now.wheel_speeds[3]
+    # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
+    # Localisations jitter, so they do not tell.
+    rolled = length(car.lever_m, body_twist(car.lever_m, car.radius_m, fl, fr, rl, rr))
+    third = _second_of(abs(fl), abs(fr), abs(rl), abs(rr))
+    drive.at_rest = rolled < gains.speed_at_rest or third < gains.wheels_at_rest
+    status = progress(now, drive, known, _to_body(error, now), car.mass_kg + drive.load_kg)
+    before = drive.before
+    before.x, before.y, before.heading = now.x, now.y, now.heading
+    for wheel in range(4):
+        drive.wheels_before[wheel] = now.wheel_speeds[wheel]
+    if status != RUNNING:
+        behind = math.hypot(error[0], error[1]) + car.lever_m * abs(error[2])
+        end(task, status, behind * 1e3)
+
+
+@compiled
+def _second_of(a: float, b: float, c: float, d: float) -> float:
+    """Return the second largest of four numbers."""
+    return max(min(max(a, b), max(c, d)), min(a, b), min(c, d))
+
+
+@compiled
+def _check_arrival(now: Record, task: Record, known: Record, error: Triple) -> None:
+    drive, gains = task.drive, known.drive
+    offset, turn = math.hypot(error[0], error[1]), abs(error[2])
+    there = offset < gains.position_tolerance and turn < gains.heading_tolerance
+    sure = now.position_std_m < gains.position_certainty and now.heading_std_rad < gains.heading_certainty
+    drive.there_periods = drive.there_periods + 1 if there and sure else 0
+    drive.rest_periods = drive.rest_periods + 1 if drive.there_periods and drive.at_rest else 0
+    if drive.rest_periods >= gains.rest_periods:
+        end(task, SUCCEEDED)
+    elif task.elapsed_s > drive.profile.duration_s + gains.settle_allowance:
+        end(task, RESTS_OFF_TARGET if drive.at_rest else MOVES_OFF_TARGET, offset * 1e3, turn * 1e3)
+
+
+@compiled
+def _to_body(vector: Triple, now: Record) -> Triple:
+    """Turn a horizontal world vector (x, y, rotation) into the body frame; on an incline forward is longer."""
+    c, s = math.cos(now.heading), math.sin(now.heading)
+    forward, left = c * vector[0] + s * vector[1], -s * vector[0] + c * vector[1]
+    return forward / math.cos(now.pitch), left / math.cos(now.roll), vector[2]

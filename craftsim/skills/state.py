@@ -1,0 +1,154 @@
+"""What compiled controllers work on: records of a car's constants, of its task and of its command."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, fields
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.compiled import records
+from craftsim.models.measuring import Records
+from craftsim.models.parameters import Machines, SmartcarParameters
+from craftsim.skills.gains import SECTIONS, Gains
+from craftsim.skills.outcome import Outcome, Reason
+
+GRAVITY: Final = 9.81
+
+IDLE, HOLD, OWN, DRIVE, BOARD, HINGE, STOP = range(7)
+"""What a car is controlled by: nothing, the hold of a parked car, a skill in Python, or one of the compiled laws."""
+
+(
+    RUNNING,
+    SUCCEEDED,
+    NOT_FINITE,
+    LEANS,
+    LOAD_MISSED,
+    BLOCKED,
+    SLIPPED,
+    RESTS_OFF_TARGET,
+    MOVES_OFF_TARGET,
+    BOARD_SHORT,
+    NO_LOAD,
+    UNDOCKED,
+    HINGE_SHORT,
+    WHEELS_TURN,
+) = range(14)
+"""The status of a task."""
+
+_ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
+    SUCCEEDED: (None, ""),
+    NOT_FINITE: (Reason.DIVERGED, "a measurement is not finite"),
+    LEANS: (Reason.TIPPED, "pitch {:+.2f} rad, roll {:+.2f} rad"),
+    LOAD_MISSED: (Reason.LOAD_LOST, "the board feels {:.1f} N"),
+    BLOCKED: (Reason.BLOCKED, "{:.0f} mm behind the path"),
+    SLIPPED: (Reason.SLIPPED, "{:.0f} mm behind the path"),
+    RESTS_OFF_TARGET: (Reason.MISALIGNED, "{:.2f} mm and {:.1f} mrad from the target"),
+    MOVES_OFF_TARGET: (Reason.TIMEOUT, "{:.2f} mm and {:.1f} mrad from the target"),
+    BOARD_SHORT: (Reason.TIMEOUT, "the board is {:+.1f} mm from its end"),
+    NO_LOAD: (Reason.LOAD_LOST, "the board is up and feels {:.1f} N"),
+    UNDOCKED: (Reason.MISALIGNED, "the car is not docked to a slope"),
+    HINGE_SHORT: (Reason.TIMEOUT, "the hinge is {:+.2f} rad from its end"),
+    WHEELS_TURN: (Reason.TIMEOUT, "the wheels still turn"),
+}
+"""Of each status that ends a task: why it failed, and how the task's two details are told."""
+
+
+def _floats(*names: str) -> list[tuple[str, str]]:
+    return [(name, "f8") for name in names]
+
+
+_CAR: Final = _floats(
+    *("lever_m", "radius_m", "mass_kg", "spin_mass_kg", "turn_inertia_kgm2", "wheel_inertia_kgm2"),
+    *("wheel_x_m", "wheel_gain_nms_rad", "gear_friction_nm", "wheel_speed_rad_s", "wheel_torque_nm"),
+    *("board_speed_m_s", "hinge_speed_rad_s", "felt_load_n"),
+)
+
+CONSTANTS: Final = np.dtype(
+    [
+        ("period_s", "f8"),
+        ("car", np.dtype(_CAR)),
+        *((name, np.dtype(_floats(*(f.name for f in fields(kind))))) for name, kind in SECTIONS.items()),
+    ],
+    align=True,
+)
+"""A car's figures, those of the hinge that it may turn, and the gains by section."""
+
+_POSE: Final = np.dtype(_floats("x", "y", "heading"))
+_PROFILE: Final = np.dtype(_floats("cruise_speed", "ramp_s", "duration_s"))
+_BEHIND: Final = np.dtype(_floats("stuck_s", "rolled_m", "moved_m", "free_m_s", "free_m"))
+
+DRIVE_TASK: Final = np.dtype(
+    [
+        ("origin", _POSE),
+        ("delta", _POSE),
+        ("direction", _POSE),
+        ("integral", _POSE),
+        ("profile", _PROFILE),
+        *_floats("load_kg", "step_x", "step_y", "start_rad", "end_rad"),
+        ("before", _POSE),
+        ("wheels_before", "f8", (4,)),
+        ("commanded", "f8", (4,)),
+        ("behind", _BEHIND),
+        *((name, "i8") for name in ("loaded", "sloping", "there_periods", "rest_periods", "at_rest")),
+    ],
+    align=True,
+)
+BOARD_TASK: Final = np.dtype(
+    [*_floats("target_m", "speed", "last_m", "deadline_s"), ("needs_load", "i8")], align=True
+)
+HINGE_TASK: Final = np.dtype(
+    [*_floats("target_rad", "speed", "deadline_s", "undocked_s"), ("slope", "i8"), ("n_past", "i8")],
+    align=True,
+)
+
+TASK: Final = np.dtype(
+    [
+        ("law", "i8"),
+        ("status", "i8"),
+        *_floats("elapsed_s", "ended_s", "detail", "second_detail", "unloaded_s"),
+        ("turned", "f8", (4,)),
+        ("drive", DRIVE_TASK),
+        ("board", BOARD_TASK),
+        ("hinge", HINGE_TASK),
+    ],
+    align=True,
+)
+"""What one car is about: the law that controls it, how that stands, and what it remembers."""
+
+COMMAND: Final = np.dtype([("wheels", "f8", (4,)), ("board", "f8"), ("hinge", "f8")], align=True)
+"""A :class:`~craftsim.skills.skill.Command` as a record."""
+
+
+@lru_cache(maxsize=64)
+def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, period_s: float) -> Records:
+    """Return the constants of a car, shape (1,) of CONSTANTS; not to be written to."""
+    # What the spin of the four wheels and their motors adds to the car's inertia, as a mass.
+    wheel_inertia_kgm2 = car.wheel_spin_inertia_kgm2 + car.wheel_armature_kgm2
+    spin_mass_kg = 4 * wheel_inertia_kgm2 / car.wheel_radius_m**2
+    # About the vertical axis, the spin of the wheels included.
+    turn_inertia_kgm2 = (
+        car.chassis_mass_kg * (car.chassis_length_m**2 + car.chassis_width_m**2) / 12
+        + 4 * car.wheel_mass_kg * (car.wheel_x_m**2 + car.wheel_y_m**2)
+        + spin_mass_kg * car.turn_radius_m**2
+    )
+    felt_load_n = (car.board_mass_kg + machines.lightest_load_kg * gains.health.load_share) * GRAVITY
+    figures = (
+        *(car.turn_radius_m, car.wheel_radius_m, car.mass_kg, spin_mass_kg, turn_inertia_kgm2),
+        *(wheel_inertia_kgm2, car.wheel_x_m, car.wheel_gain_nms_rad, car.gear_friction_nm),
+        *(car.wheel_speed_rad_s, car.wheel_torque_nm, car.board_speed_m_s),
+        *(machines.slope.hinge_speed_rad_s, felt_load_n),
+    )
+    constants = records(1, CONSTANTS)
+    constants[0] = (period_s, figures, *(astuple(getattr(gains, name)) for name in SECTIONS))
+    return constants
+
+
+def outcome_of(task: np.void) -> Outcome | None:
+    """Return how a task has ended; None while it runs."""
+    status = int(task["status"])
+    if status == RUNNING:
+        return None
+    reason, text = _ENDINGS[status]
+    return Outcome(reason, float(task["ended_s"]), text.format(task["detail"], task["second_detail"]))

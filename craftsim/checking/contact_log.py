@@ -13,8 +13,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from craftsim.checking.contact_forces import note_contacts, note_motion
 from craftsim.checking.forces import PossibleForce, impact_limit_n
 from craftsim.models.site import Site
 from craftsim.storage.writing import whole
@@ -46,15 +46,11 @@ class ContactLog:
         self.site = site
         model = site.model
         machines = site.machine_names
-        self.names, machine = machines.names, machines.of_geom
+        self.names, self._machine = machines.names, machines.of_geom
         """Of all machines: what is fixed first, then those that move in the order of their bodies."""
-        low, high = np.minimum.outer(machine, machine), np.maximum.outer(machine, machine)
-        self._pair = np.where(low == high, -1, low * len(self.names) + high)
-        """By two geoms: the pair of their machines, -1 inside one machine."""
-        self._sign = np.where(machine[:, None] < machine, 1.0, -1.0)
-        """By two geoms: whether a contact's normal, which points at the second geom, points at the second machine."""
         self._possible = PossibleForce(site, machines.roots)
-        self._limit_n = impact_limit_n(site.machines)
+        self.limit_n = impact_limit_n(site.machines)
+        """What counts as a blow."""
         joints = [int(model.body_jntadr[body]) for body in machines.roots]
         self._pose_address = np.array([model.jnt_qposadr[j] for j in joints], np.intp)
         self._velocity_address = np.array([model.jnt_dofadr[j] for j in joints], np.intp)
@@ -63,26 +59,40 @@ class ContactLog:
     def begin(self) -> None:
         """Forget everything, and note what touches now."""
         n = len(self.names)
+        # Two machines are a pair; its number is n times the first's place in ``names`` plus the second's.
         self._since = np.full(n * n, math.inf)
         self._peak = np.zeros(n * n)
+        self._net = np.zeros((n * n, 4))
+        self._touched, self._blows = np.zeros((2, n * n), np.int64)
+        self._hardest_n = 0.0
         self._impossible: dict[int, tuple[float, float]] = {}
-        self._fall = np.zeros(n - 2)
-        self._upright = np.ones(n - 2)
-        self._start_s = self.site.time_s
+        self._fall, self._upright = np.zeros(n - 2), np.ones(n - 2)
+        self._worst = np.array([0.0, 1.0])
+        """The least of each of the two."""
         self._note(self.site.awake_copy())
+        self._looked_s = math.nan
         self._at_start = np.isfinite(self._since)
 
     def look(self) -> None:
         """Note what touches and how hard; call it after each physics step, such as by being an executor's observer."""
-        self._note(self.site.data)
+        data = self.site.data
+        self._looked_s = data.time
+        self._note(data)
 
     def sample(self, _: Site | None = None) -> None:
         """Note contacts and motion; call it after each control period, such as by being an executor's observer."""
         data = self.site.data
-        self._note(data)
-        np.minimum(self._fall, data.qvel[self._velocity_address + 2], out=self._fall)
-        tilt_x, tilt_y = data.qpos[self._pose_address + 4], data.qpos[self._pose_address + 5]
-        np.minimum(self._upright, 1 - 2 * (tilt_x * tilt_x + tilt_y * tilt_y), out=self._upright)
+        if self._looked_s != data.time:
+            self.look()
+        note_motion(
+            data.qpos,
+            data.qvel,
+            self._pose_address,
+            self._velocity_address,
+            self._fall,
+            self._upright,
+            self._worst,
+        )
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -103,7 +113,7 @@ class ContactLog:
     @property
     def peak_n(self) -> float:
         """The largest force between any two machines, the ground included; 0 where nothing touched."""
-        return float(self._peak.max())
+        return self._hardest_n
 
     @property
     def impossible(self) -> tuple[str, ...]:
@@ -118,12 +128,12 @@ class ContactLog:
     @property
     def fall_m_s(self) -> float:
         """The fastest that any machine moved down."""
-        return -float(self._fall.min(initial=0.0))
+        return -float(self._worst[0])
 
     @property
     def tilt_rad(self) -> float:
         """The furthest that any machine leaned."""
-        return math.acos(max(-1.0, float(self._upright.min(initial=1.0))))
+        return math.acos(max(-1.0, float(self._worst[1])))
 
     @property
     def falls_m_s(self) -> dict[str, float]:
@@ -144,39 +154,32 @@ class ContactLog:
             writer.writerows(astuple(contact) for contact in self.contacts)
 
     def _note(self, data: mujoco.MjData) -> None:
-        """Note the machines of all contacts, and the net force of each two.
-
-        Normal forces are summed as vectors. A boss that is wedged between pads presses on them with forces that cancel
-        out: they squeeze the two machines, and move neither.
-        """
+        """Note what touches, and how hard; look closer at forces as hard as a hazard that are new peaks."""
+        if not data.ncon:
+            return
         contact = data.contact
-        address = contact.efc_address
-        if not len(address):
-            return
-        pairs = self._pair[contact.geom1, contact.geom2]
-        counts = np.flatnonzero((pairs >= 0) & (address >= 0))
-        if not len(counts):
-            return
-        pairs = pairs[counts]
-        # With elliptic friction cones the first row of a contact is its normal force, and the first three numbers of
-        # its frame are the normal (MuJoCo, mj_contactForce).
-        pushes = data.efc_force[address[counts]] * self._sign[contact.geom1[counts], contact.geom2[counts]]
-        vectors = pushes * contact.frame[counts, :3].T
-        net = [np.bincount(pairs, part, minlength=len(self._peak)) for part in vectors]
-        forces = np.sqrt(net[0] ** 2 + net[1] ** 2 + net[2] ** 2)
-        if (forces > self._peak).any():
-            self._check(forces)
-            np.maximum(self._peak, forces, out=self._peak)
-        if np.isinf(self._since[pairs]).any():
-            self._since[pairs] = np.minimum(self._since[pairs], self.site.time_s)
-
-    def _check(self, forces: NDArray[np.float64]) -> None:
-        """Note which of the forces that are new peaks, and as hard as a hazard, nothing could have produced."""
-        for pair in np.flatnonzero((forces > self._peak) & (forces > self._limit_n)).tolist():
+        n_blows, hardest = note_contacts(
+            contact.geom1,
+            contact.geom2,
+            contact.frame,
+            contact.efc_address,
+            data.efc_force,
+            data.time,
+            self._machine,
+            len(self.names),
+            self.limit_n,
+            self._net,
+            self._touched,
+            self._since,
+            self._peak,
+            self._blows,
+        )
+        self._hardest_n = max(self._hardest_n, hardest)
+        for pair in self._blows[:n_blows].tolist():
             machines = [machine - 2 for machine in divmod(pair, len(self.names)) if machine >= 2]
             possible = self._possible.newtons(machines)
-            if forces[pair] > possible:
-                self._impossible[pair] = float(forces[pair]), possible
+            if self._peak[pair] > possible:
+                self._impossible[pair] = float(self._peak[pair]), possible
 
 
 def speed_m_s(site: Site) -> float:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from craftsim.checking.contact_log import ContactLog
-from craftsim.checking.forces import impact_limit_n
 
 TIPPED_RAD: Final = 0.5
 """How far anything may lean: the incline is 0.28 rad, and a car on it slides before it leans further."""
@@ -25,17 +24,14 @@ class Hazard:
 
 def is_unsafe(log: ContactLog) -> bool:
     """Return whether anything was unsafe since the log began; quicker than asking for all that was."""
-    return (
-        log.tilt_rad > TIPPED_RAD or log.fall_m_s > FALL_M_S or log.peak_n > impact_limit_n(log.site.machines)
-    )
+    return log.tilt_rad > TIPPED_RAD or log.fall_m_s > FALL_M_S or log.peak_n > log.limit_n
 
 
 def hazards(log: ContactLog) -> tuple[Hazard, ...]:
     """Return all that was unsafe since the log began."""
-    limit = impact_limit_n(log.site.machines)
     tipped = {name: tilt for name, tilt in log.tilts_rad.items() if tilt > TIPPED_RAD}
     fallen = {name: speed for name, speed in log.falls_m_s.items() if speed > FALL_M_S}
-    hits = [(c.first, c.second, c.peak_n) for c in log.contacts if c.peak_n > limit]
+    hits = [(c.first, c.second, c.peak_n) for c in log.contacts if c.peak_n > log.limit_n]
     return (
         *(Hazard((name,), f"{name} tipped ({tilt:.1f} rad)") for name, tilt in tipped.items()),
         *(Hazard((name,), f"{name} fell ({speed:.1f} m/s)") for name, speed in fallen.items()),

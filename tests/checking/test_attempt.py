@@ -9,7 +9,8 @@ import pytest
 from craftsim.checking import checked_site
 from craftsim.checking.attempt import Attempt, Result, judge, result_of
 from craftsim.checking.contact_log import Contact
-from craftsim.checking.safety import Hazard, impact_limit_n
+from craftsim.checking.forces import impact_limit_n
+from craftsim.checking.safety import Hazard
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action

@@ -13,7 +13,7 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
-from craftsim.skills.skill import GRAVITY
+from craftsim.skills.state import GRAVITY
 
 BLOCK, SMARTCAR = NOMINAL.block, NOMINAL.cars[0]
 

@@ -71,7 +71,7 @@ class Options:
     """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and else
     ``reduced``, which is several times as fast (docs/drives.md says how far it can be trusted). Physics only."""
     check_contacts: bool = False
-    """Whether the judge logs contacts, 8 % of the time; what is unsafe then ends at once. Physics only."""
+    """Whether the judge logs contacts, 3 % of the time; what is unsafe then ends at once. Physics only."""
     observers: tuple[Callable[[Site], None], ...] = ()
     """Called with the Site after every control period; they may look, but not change it. Physics only."""
     observe: Observe | None = None

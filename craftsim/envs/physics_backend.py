@@ -43,7 +43,7 @@ class PhysicsBackend:
             helper_depth: search depth of the action helper; None is without it.
             goals: cells to mark.
             observers: called with the Site after every control period.
-            watch_contacts: whether the judge logs contacts, 8 % of the time; unsafe actions then end at once.
+            watch_contacts: whether the judge logs contacts, 3 % of the time; unsafe actions then end at once.
             pictures: shows the world to people.
         """
         self.setup, self.goals = setup, tuple(goals)

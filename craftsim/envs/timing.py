@@ -156,9 +156,7 @@ def _play(
     if record is not None:
         backend = env.core.backend
         assert isinstance(backend, PhysicsBackend)
-        backend.checked.executor.observers.append(
-            lambda site: record.append(_Period.of(site))
-        )
+        backend.checked.executor.observers.append(lambda site: record.append(_Period.of(site)))
     seconds, n_steps = 0.0, 0
     while env.agents:
         actions = play(n_steps, rng, observations)

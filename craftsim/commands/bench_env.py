@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from craftsim.commands.bench_calibration import Rate
 
-BAR: Final = 1.15
+BAR: Final = 1.25
 """How much longer a step in physics may take than MuJoCo's own steps."""
 
 

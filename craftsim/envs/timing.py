@@ -60,7 +60,7 @@ def vector_step(envs: GridVectorEnv, seed: int) -> Callable[[], None]:
 
 
 Play = Callable[[int, np.random.Generator, dict[str, dict[str, NDArray[Any]]]], dict[str, int]]
-"""Chooses the actions of a tick, of which it is told the number, by what the agents observe."""
+"""Chooses the actions of a tick from its number, a generator and what the agents observe."""
 
 
 def random_play(

@@ -163,12 +163,6 @@ class Car:
         """
         model.dof_armature[self.base.dof : self.base.dof + 6] = WholeCar.of(self.parameters).armature
 
-    def wheel_speeds(self, data: mujoco.MjData) -> NDArray[np.float64]:
-        """Return the speeds (4,) of the wheels in rad/s; those of the reduced drive as the last physics step began."""
-        if len(self.wheel_dofs):
-            return data.qvel[self.wheel_dofs]
-        return data.actuator_velocity[self.wheel_actuators]
-
 
 @dataclass(frozen=True)
 class Slope:

@@ -1,4 +1,4 @@
-"""What every compiled controller checks: that it senses plausible things, and that the load is there."""
+"""What every compiled controller checks: that measurements are plausible, and that the load is there."""
 
 from __future__ import annotations
 

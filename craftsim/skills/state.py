@@ -52,7 +52,7 @@ _ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
     HINGE_SHORT: (Reason.TIMEOUT, "the hinge is {:+.2f} rad from its end"),
     WHEELS_TURN: (Reason.TIMEOUT, "the wheels still turn"),
 }
-"""Of each status that ends a task: why it failed, and how the task's two details are told."""
+"""Of each status that ends a task: why it failed, and how its message gives the task's two details."""
 
 
 def _floats(*names: str) -> list[tuple[str, str]]:

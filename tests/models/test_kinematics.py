@@ -4,22 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from directions import DIRECTIONS, SPEED_RAD_S
 
 from craftsim.models.parameters import NOMINAL
 from craftsim.skills.mecanum import Mecanum
 
 SMARTCAR = NOMINAL.cars[0]
-
-SPEED_RAD_S = 10.0
-"""A normal driving speed: 0.5 m/s."""
-DIRECTIONS = {
-    "forward": ((1, 1, 1, 1), 0),
-    "backward": ((-1, -1, -1, -1), 0),
-    "left": ((-1, 1, 1, -1), 1),
-    "right": ((1, -1, -1, 1), 1),
-    "turning left": ((-1, 1, -1, 1), 2),
-    "turning right": ((1, -1, 1, -1), 2),
-}
 
 
 def drive_steadily(car, signs) -> tuple[np.ndarray, np.ndarray, float]:

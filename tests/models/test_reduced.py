@@ -6,11 +6,14 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from directions import DIRECTIONS, SPEED_RAD_S
 
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL
+from craftsim.models.randomization import DomainRandomization, RandomizedSite
+from craftsim.models.sensing import measure
 from craftsim.models.site import Site
 from craftsim.skills.mecanum import Mecanum
 
@@ -18,15 +21,6 @@ GRAVITY = 9.81
 CAR = NOMINAL.cars[0]
 REDUCED = replace(NOMINAL, drive="reduced")
 AWAKE = SimulationConfig(sleep=False)
-SPEED_RAD_S = 10.0
-DIRECTIONS = {
-    "forward": ((1, 1, 1, 1), 0),
-    "backward": ((-1, -1, -1, -1), 0),
-    "left": ((-1, 1, 1, -1), 1),
-    "right": ((1, -1, -1, 1), 1),
-    "turning left": ((-1, 1, -1, 1), 2),
-    "turning right": ((1, -1, 1, -1), 2),
-}
 
 
 class Car:
@@ -94,7 +88,7 @@ def test_the_car_reaches_97_percent_of_the_commanded_speed(car, name):
     assert 0.97 <= twist[axis] / ideal[axis] <= 1.0
     others = [i for i in range(3) if i != axis]
     assert np.abs(twist[others]).max() < 1e-3 * abs(twist[axis])
-    measured = Mecanum(CAR).body_twist(car.site.cars[0].wheel_speeds(car.data))
+    measured = Mecanum(CAR).body_twist(measure(car.site, 0).wheel_speeds)
     assert measured[axis] == pytest.approx(twist[axis], rel=1e-3)
 
 
@@ -220,3 +214,29 @@ def test_a_car_is_one_body_and_a_board(car):
     assert car.model.nv == 7
     assert car.model.body_mass.sum() == pytest.approx(CAR.mass_kg)
     assert car.model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
+
+
+def test_randomization_draws_the_friction_of_gears_and_of_the_grip():
+    site = Site(Grid.empty((12, 12, 1), 1), machines=REDUCED)
+    gears = site.model.actuator_biastype == mujoco.mjtBias.mjBIAS_DCMOTOR
+    before = site.model.actuator_biasprm[gears].copy()
+    world = RandomizedSite(site)
+
+    def steepest_push(friction: float) -> float:
+        world.draw(DomainRandomization(friction=friction, mass=0, motor=0, joint_friction=0, tilt_rad=0), rng)
+        site.drive(0, [20.0] * 4)
+        for _ in range(10):
+            site.advance()
+        return float(site.data.qacc[site.cars[0].base.dof])
+
+    rng = np.random.default_rng(1)
+    world.draw(DomainRandomization(), rng)
+    after = site.model.actuator_biasprm[gears]
+    ratios = after[:, 3] / before[:, 3]
+    assert len(set(ratios.tolist())) == 4
+    assert (np.abs(ratios - 1) <= 0.5).all()
+    np.testing.assert_array_equal(after[:, 3], after[:, 4])
+    np.testing.assert_array_equal(np.delete(after, (3, 4), 1), np.delete(before, (3, 4), 1))
+    pushes = {round(steepest_push(0.3), 3) for _ in range(4)}
+    assert len(pushes) == 4, "each draw has a grip of its own"
+    assert len({round(steepest_push(0.0), 3) for _ in range(2)}) == 1

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Final
 
+from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import AttemptRecord, Record, as_predicted, carried_out, grouped
 
 _SHOWN: Final = 6
@@ -31,6 +32,8 @@ class Alike:
     actions: int
     as_predicted_alike: int
     """How many went as predicted in both runs or in neither."""
+    legal: Proportion
+    """The same among the actions that the rules allow."""
     duration_ratio: float | None
     """Of the second run by the first, the median over the actions as predicted in both; None where there are none."""
     error_ratio: float | None
@@ -56,7 +59,8 @@ class Alike:
             if ratio is not None
         ]
         lines = [
-            f"Of {self.actions:,} actions {self.share:.2%} went as predicted in both or in neither"
+            f"Of {self.actions:,} actions {self.share:.2%} went as predicted in both or in neither, and "
+            f"{self.legal.successes:,} of the {self.legal.trials:,} that the rules allow"
             + (f"; at the median {', '.join(ratios)}." if ratios else ".")
         ]
         lines += [f"  {one.actions} {one.kind}: such as {one.example}" for one in self.differences[:_SHOWN]]
@@ -72,12 +76,14 @@ def alike(first: Iterable[Record], second: Iterable[Record]) -> Alike:
         for record in carried_out(second)
         for a, b in _paired(earlier.get(record["key"], []), map(_Action.of, record["attempts"]))
     ]
+    legal = [(a, b) for _, a, b in pairs if a.legal and b.legal]
     both = [(a, b) for _, a, b in pairs if a.good and b.good]
     kinds = grouped([(a.kind(b), key) for key, a, b in pairs if a.good != b.good], key=lambda one: one[0])
     differences = [Difference(kind, len(found), found[0][1]) for kind, found in kinds.items()]
     return Alike(
         actions=len(pairs),
         as_predicted_alike=sum(a.good == b.good for _, a, b in pairs),
+        legal=Proportion.of(sum(a.good == b.good for a, b in legal), len(legal)),
         duration_ratio=_ratio((a.duration_s, b.duration_s) for a, b in both),
         error_ratio=_ratio((a.error_m, b.error_m) for a, b in both),
         peak_force_ratio=_ratio((a.force_n, b.force_n) for a, b in both),
@@ -91,6 +97,7 @@ class _Action:
 
     what: tuple[int, int, str]
     name: str
+    legal: bool
     result: str
     good: bool
     duration_s: float
@@ -104,6 +111,7 @@ class _Action:
         return cls(
             (attempt["tick"], attempt["car"], attempt["action"]),
             f"{attempt['verb']}{load}{slope}{'' if attempt['legal'] else ', forbidden'}",
+            attempt["legal"],
             attempt["result"],
             as_predicted(attempt),
             attempt["duration_s"],

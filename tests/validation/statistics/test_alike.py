@@ -29,6 +29,17 @@ def test_what_differs_is_told_by_kind_with_an_example():
     assert "2 MOVE on a slope" in str(found)
 
 
+def test_what_the_rules_allow_is_counted_by_itself():
+    first = [record("a", attempt(), attempt(legal=False, tick=1), attempt(tick=2))]
+    second = [
+        record("a", attempt(), attempt(Result.FAILED, legal=False, tick=1), attempt(Result.FAILED, tick=2))
+    ]
+    found = alike(first, second)
+    assert (found.actions, found.as_predicted_alike) == (3, 1)
+    assert (found.legal.successes, found.legal.trials) == (1, 2)
+    assert "and 1 of the 2 that the rules allow" in str(found)
+
+
 def test_ratios_are_medians_over_actions_as_predicted_in_both():
     first = [
         record("a", attempt(duration_s=1.0), attempt(tick=1, duration_s=2.0), attempt(tick=2, duration_s=4.0))

@@ -14,7 +14,7 @@ from craftsim.errors import InputError
 from craftsim.validation.campaign.distribute import Worker, WorkerDiedError
 from craftsim.validation.campaign.items import Answer, Item, Work, perform
 
-_HINT: Final = "--resume continues with what was finished"
+_HINT: Final = "--resume goes on with what was finished"
 
 
 def ray_workers(work: Work, n: int) -> list[Worker]:

@@ -20,6 +20,7 @@ ALLOWED = {
     "validation": {
         "storage",
         "checking",
+        "rendering",
         "envs",
         "skills",
         "models",
@@ -29,7 +30,7 @@ ALLOWED = {
     },
     "envs": {"storage", "checking", "skills", "models", "discrete", "rendering"},
     "training": {"storage", "discrete", "envs", "report"},
-    "rendering": {"storage", "checking", "skills", "models", "discrete"},
+    "rendering": {"storage", "checking", "skills", "models", "discrete", "report"},
     "testing": {"envs", "discrete"},
     "report": {"storage"},
     "cli": {"commands", "discrete", "storage"},

@@ -52,7 +52,7 @@ def note_contacts(
         blows: (n_machines ** 2,) takes the pairs of blows that are new peaks.
 
     Returns:
-        How many blows there are, and the hardest of all new peaks.
+        How many blows there are, and the hardest of all forces.
     """
     n_touched = 0
     for i in range(len(geom1)):
@@ -75,9 +75,9 @@ def note_contacts(
         for k in range(4):
             net[pair, k] = 0.0
         since[pair] = min(since[pair], time_s)
+        hardest = max(hardest, force)
         if force > peak[pair]:
             peak[pair] = force
-            hardest = max(hardest, force)
             if force > limit_n:
                 blows[n_blows] = pair
                 n_blows += 1

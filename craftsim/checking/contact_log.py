@@ -54,6 +54,8 @@ class ContactLog:
         joints = [int(model.body_jntadr[body]) for body in machines.roots]
         self._pose_address = np.array([model.jnt_qposadr[j] for j in joints], np.intp)
         self._velocity_address = np.array([model.jnt_dofadr[j] for j in joints], np.intp)
+        self.period_n = 0.0
+        """The largest force between any two machines in the last control period."""
         self.begin()
 
     def begin(self) -> None:
@@ -64,7 +66,7 @@ class ContactLog:
         self._peak = np.zeros(n * n)
         self._net = np.zeros((n * n, 4))
         self._touched, self._blows = np.zeros((2, n * n), np.int64)
-        self._hardest_n = 0.0
+        self._hardest_n = self._hardest_since_n = 0.0
         self._impossible: dict[int, tuple[float, float]] = {}
         self._fall, self._upright = np.zeros(n - 2), np.ones(n - 2)
         self._worst = np.array([0.0, 1.0])
@@ -84,6 +86,7 @@ class ContactLog:
         data = self.site.data
         if self._looked_s != data.time:
             self.look()
+        self.period_n, self._hardest_since_n = self._hardest_since_n, 0.0
         note_motion(
             data.qpos,
             data.qvel,
@@ -175,6 +178,7 @@ class ContactLog:
             self._blows,
         )
         self._hardest_n = max(self._hardest_n, hardest)
+        self._hardest_since_n = max(self._hardest_since_n, hardest)
         for pair in self._blows[:n_blows].tolist():
             machines = [machine - 2 for machine in divmod(pair, len(self.names)) if machine >= 2]
             possible = self._possible.newtons(machines)

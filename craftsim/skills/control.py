@@ -5,7 +5,7 @@ from __future__ import annotations
 from craftsim.discrete.compiled import Record, compiled
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.motors import drive_wheels
-from craftsim.skills.driving_law import drive_law
+from craftsim.skills.driving_law import drive_law, path_pose
 from craftsim.skills.folding import hinge_law
 from craftsim.skills.health import check_health
 from craftsim.skills.holding import hold_law
@@ -88,6 +88,15 @@ def _step(
         task.elapsed_s += constants[car].period_s
         if task.status != RUNNING:
             _clear(commands[car])
+
+
+@compiled
+def read_paths(tasks: Records, out: Floats) -> None:
+    """Write where on its path each car that drives should be now into ``out``, (n, 3); of others it stays as it is."""
+    for car in range(len(tasks)):
+        task = tasks[car]
+        if task.law == DRIVE and task.status == RUNNING:
+            out[car, 0], out[car, 1], out[car, 2] = path_pose(task.drive, task.elapsed_s)
 
 
 @compiled

@@ -42,11 +42,17 @@ def drive_law(
 
 
 @compiled
-def _error(now: Record, drive: Record, t: float) -> Triple:
-    """Return the way from a car's pose to that of its path at time t."""
+def path_pose(drive: Record, t: float) -> Triple:
+    """Return where on its path a car should be at time t: x and y in metres, and heading."""
     profile, start, step = drive.profile, drive.origin, drive.direction
     way = distance_at(profile.cruise_speed, profile.ramp_s, profile.duration_s, t)
-    x, y, heading = start.x + step.x * way, start.y + step.y * way, start.heading + step.heading * way
+    return start.x + step.x * way, start.y + step.y * way, start.heading + step.heading * way
+
+
+@compiled
+def _error(now: Record, drive: Record, t: float) -> Triple:
+    """Return the way from a car's pose to that of its path at time t."""
+    x, y, heading = path_pose(drive, t)
     return x - now.x, y - now.y, wrap(heading - now.heading)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.compiled import records
@@ -13,7 +14,7 @@ from craftsim.models.motors import Motors
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.sensing import CarMeasurement, Sensors, measurement_of
 from craftsim.models.site import Site
-from craftsim.skills.control import step_cars
+from craftsim.skills.control import read_paths, step_cars
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.holding import on_incline
 from craftsim.skills.library import make_skill
@@ -106,6 +107,17 @@ class Executor:
     def busy(self) -> frozenset[int]:
         """The cars whose actions have not ended."""
         return frozenset(self._skills)
+
+    def measured(self) -> NDArray[np.float64]:
+        """Return the pose that each car believes to have, (n, 3): x and y in metres, and heading in radians."""
+        readings = self._readings()
+        return np.stack([readings["x"], readings["y"], readings["heading"]], axis=1)
+
+    def paths(self) -> NDArray[np.float64]:
+        """Return where on its path each car should be now, (n, 3) as :meth:`measured`; nan for those not driving."""
+        poses = np.full((len(self._tasks), 3), np.nan)
+        read_paths(self._tasks, poses)
+        return poses
 
     def begin(self, car: int, action: Action, terrain: Terrain | None = None) -> None:
         """Let an idle car start an action; it runs as :meth:`advance` is called."""

@@ -39,6 +39,7 @@ YAML: Final = _plain("YAML file", 256 * KIB)
 TEXT: Final = _plain("plan or list of actions", 256 * KIB)
 BUNDLE: Final = _plain("bundle.json", 8 * MIB)
 ARRAYS: Final = Limits("archive of arrays", 16 * MIB, 64 * MIB)
+TRAJECTORY: Final = Limits("trajectory", 256 * MIB, 1024 * MIB)
 STARTS: Final = Limits("file of starts", 32 * MIB, 64 * MIB)
 RECORDING: Final = Limits("recording", 64 * MIB, 256 * MIB, line_bytes=MIB)
 HEADER: Final = _plain("campaign.json", 4 * MIB)
@@ -97,7 +98,21 @@ RECORDED_DEPTH: Final = 64
 RECORDED_TICKS: Final = 1_000_000
 """Of an episode."""
 
-ALL: Final = (YAML, TEXT, BUNDLE, ARRAYS, STARTS, RECORDING, HEADER, TRIALS, POLICY, RUN, REPORT, TABLE)
+ALL: Final = (
+    YAML,
+    TEXT,
+    BUNDLE,
+    ARRAYS,
+    TRAJECTORY,
+    STARTS,
+    RECORDING,
+    HEADER,
+    TRIALS,
+    POLICY,
+    RUN,
+    REPORT,
+    TABLE,
+)
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,7 @@ def validate(
     observers: Iterable[Observer] = (),
     progress: Progress = lambda total: nullcontext(lambda record: None),
     shrink: ShrinkProgress | None = None,
+    record: bool = False,
 ) -> Validation:
     """Run plans, lists of actions or policies in physics and judge every action on the poses that it ends with.
 
@@ -178,6 +179,7 @@ def validate(
         observers: functions that are called with a run's Site after every control period; they may look, not touch.
         progress: shows what is done.
         shrink: shows how the first failure of each kind is shrunk to its smallest world; unless given, none is.
+        record: write a trajectory of each run into the folder ``trajectories`` of ``out``.
 
     Raises:
         InputError: an argument, or a file that it names, is not as it should be.
@@ -196,8 +198,10 @@ def validate(
         raise InputError(f"{given[0]} and {given[1]} exclude each other")
     if given and given[0] != "policy" and len(several) != 1:
         raise InputError(f"{given[0]} needs the one world that it is for")
-    if out is None and (workers > 1 or engine != "local" or resume or against or shrink):
-        raise InputError("several workers, an engine, resume, against and shrink need the folder 'out'")
+    if out is None and (workers > 1 or engine != "local" or resume or against or shrink or record):
+        raise InputError(
+            "several workers, an engine, resume, against, shrink and record need the folder 'out'"
+        )
     subjects = subjects_of(several, n_cars, n_blocks, max_steps)
     if plan is not None:
         pilots = [plan_pilot(plan if isinstance(plan, Plan) else Path(plan), subjects[0], order)]
@@ -221,7 +225,7 @@ def validate(
         "digests": setup.digests,
     }
     check_starts(subjects, setup, seed)
-    terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers))
+    terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers), record)
     items = list(items_of(subjects, pilots, trials, terms))
     earlier = None if against is None else read_earlier(Path(against), COMMAND, folder, seed, items, RUNS)
     with progress(len(items)) as on_record:

@@ -24,6 +24,8 @@ from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.errors import StartError
+from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES
 from craftsim.skills.executor import Observer
 from craftsim.validation.campaign import Done
 from craftsim.validation.play.coverage import covered
@@ -48,6 +50,8 @@ class Terms:
     """Folder of the campaign, where bundles go."""
     observers: tuple[Observer, ...] = ()
     """Called with each run's Site after every control period."""
+    record: bool = False
+    """Whether to write a trajectory of each run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,13 +110,16 @@ class _Drawn:
 def do_run(run: Run) -> Done:
     """Run in physics, and by the rules alone; write the bundle of the first disagreement, if there is one."""
     drawn = _Drawn.of(run)
+    recorder = Recorder() if run.terms.record else None
     try:
-        episode = _run(run, drawn, UNWATCHED)
+        episode = _run(run, drawn, UNWATCHED if recorder is None else Watch(recorder.begin))
     except StartError as error:
         if drawn.played is None:
             raise
         nothing = {"ticks": 0, "forbidden": 0, "makespan_s": 0.0}
         return Done(agrees=True, extra=nothing | {"does_not_stand": str(error)})
+    if recorder is not None:
+        _save_trajectory(run, drawn.task, episode, recorder)
     extra: dict[str, Any] = {
         "ticks": episode.n_ticks,
         "forbidden": len(episode.forbidden),
@@ -221,6 +228,14 @@ def _bundle(run: Run, episode: Episode) -> str | None:
     folder = f"{BUNDLES}/{run.file_name}"
     write_bundle(run.terms.out / folder, run.key, episode.until(number), episode.steps[number])
     return folder
+
+
+def _save_trajectory(run: Run, task: Task, episode: Episode, recorder: Recorder) -> None:
+    assert run.terms.out is not None, "a campaign that records has a folder"
+    folder = run.terms.out / TRAJECTORIES
+    folder.mkdir(exist_ok=True)
+    trajectory = recorder.trajectory(run.key, episode.recipe, episode.attempts, task.design)
+    trajectory.write(folder / f"{run.file_name}{SUFFIX}")
 
 
 def _save_world(run: Run, grid: Grid, played: Play) -> None:

@@ -1,0 +1,95 @@
+"""Recording a run as a trajectory while it goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.recipe import Recipe
+from craftsim.discrete.files.design import Design
+from craftsim.models.site import Site
+from craftsim.rendering.trajectory import SCHEMA_VERSION, Story, GoalCell, Trajectory, motors_of, poses_of
+from craftsim.report import versions
+
+_Samples = list[NDArray[np.float64]]
+
+MOST_SAMPLES: Final = 180_000
+"""An hour of simulated time at the usual control period; what comes later is left out."""
+
+
+class Recorder:
+    """Takes a sample of a world after every control period, and makes a trajectory of them."""
+
+    def __init__(self) -> None:
+        """Record nothing yet."""
+        self._time: list[float] = []
+        self._contact: list[float] = []
+
+    def begin(self, checked: CheckedSite) -> None:
+        """Record a world from now on; what was recorded before is dropped."""
+        self._checked, self._executor, self._log = checked, checked.executor, checked.log
+        self._time, self._contact = [], []
+        self._qpos: _Samples = []
+        self._ctrl: _Samples = []
+        self._force: _Samples = []
+        self._measured: _Samples = []
+        self._path: _Samples = []
+        self._look(checked.site)
+        checked.executor.observers.append(self._look)
+
+    def _look(self, site: Site) -> None:
+        data = site.data
+        # A simulation that breaks down starts its time over: what it does then is no part of the run.
+        if (self._time and not self._time[-1] < data.time) or len(self._time) == MOST_SAMPLES:
+            return
+        self._time.append(data.time)
+        self._qpos.append(data.qpos.copy())
+        self._ctrl.append(data.ctrl.copy())
+        self._force.append(data.actuator_force.copy())
+        self._measured.append(self._executor.measured())
+        self._path.append(self._executor.paths())
+        self._contact.append(np.nan if self._log is None else self._log.period_n)
+
+    def trajectory(
+        self, title: str, recipe: Recipe, attempts: Iterable[Attempt], design: Design | None = None
+    ) -> Trajectory:
+        """Return what was recorded so far.
+
+        Args:
+            title: what it is of.
+            recipe: what was done, from the world's start.
+            attempts: what was tried since the recording began.
+            design: the building that is to be put up.
+        """
+        site = self._checked.site
+        story = Story(
+            SCHEMA_VERSION,
+            title,
+            versions(),
+            recipe,
+            tuple(attempts),
+            poses_of(site),
+            motors_of(site),
+            () if design is None else tuple(_targets(design)),
+        )
+        kept = len(self._time)
+        return Trajectory(
+            story,
+            np.array(self._time),
+            np.array(self._qpos),
+            np.array(self._ctrl, np.float32).reshape(kept, len(story.motors)),
+            np.array(self._force, np.float32).reshape(kept, len(story.motors)),
+            np.array(self._measured, np.float32),
+            np.array(self._path, np.float32),
+            np.array(self._contact, np.float32),
+        )
+
+
+def _targets(design: Design) -> Iterator[GoalCell]:
+    for target in design.targets:
+        yield GoalCell(target.kind.name.lower(), target.cell, design.yaw(target))

@@ -1,0 +1,243 @@
+"""Trajectories: what moved in a run, sample by sample, and what was asked for and found, in one file.
+
+Films, plots and the viewer are made from trajectories, while or long after the physics ran. A trajectory file is a
+NumPy archive without pickles; docs/films.md describes its arrays.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.recipe import Recipe, check_recipe
+from craftsim.discrete.grid import Cell
+from craftsim.errors import InputError
+from craftsim.models.site import Site
+from craftsim.report import versions
+from craftsim.storage import limits
+from craftsim.storage.reading import Arrays, read_arrays
+from craftsim.storage.schema import Schema
+from craftsim.storage.writing import write_whole
+
+SCHEMA_VERSION: Final = 1
+"""Raised whenever something in a trajectory file changes its meaning or goes away."""
+SUFFIX: Final = ".npz"
+TRAJECTORIES: Final = "trajectories"
+"""The folder of a run's trajectories."""
+_TEXT: Final = "story"
+
+
+@dataclass(frozen=True)
+class GoalCell:
+    """A cell of a design, and what it must hold."""
+
+    kind: str
+    """block, fslope, body or foot."""
+    cell: Cell
+    yaw: int
+    """Of a slope, -1 where any will do."""
+
+
+@dataclass(frozen=True)
+class Story:
+    """What the numbers of a trajectory are of: how it came about, and what was found."""
+
+    schema_version: int
+    title: str
+    versions: dict[str, str]
+    recipe: Recipe
+    """What was done, from its start; a trajectory may begin later."""
+    attempts: tuple[Attempt, ...]
+    """All that was tried from its first sample on."""
+    poses: dict[str, int]
+    """Of each machine that moves, by its name (``car 0``, ``block 3``): the column of ``qpos`` at which its x, y, z and
+    unit quaternion (w first) begin."""
+    motors: tuple[str, ...]
+    """Names of the columns of ``ctrl`` and ``force``."""
+    design: tuple[GoalCell, ...] = ()
+    """The building that is to be put up, where there is one."""
+
+
+_SCHEMA: Final = Schema(Story)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A run, sampled at its start and after every control period.
+
+    Example:
+        >>> import craftsim
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as out:
+        ...     _ = craftsim.validate("strip", policy="random", out=out, record=True)
+        ...     trajectory = craftsim.Trajectory.read(next(Path(out).glob("trajectories/*.npz")))
+        >>> trajectory.qpos.shape[0] == len(trajectory.time)
+        True
+        >>> trajectory.pose("car 0").shape[1]
+        7
+    """
+
+    story: Story
+    time: NDArray[np.float64]
+    """(n,) simulated time in seconds, increasing."""
+    qpos: NDArray[np.float64]
+    """(n, nq) MuJoCo's positions of everything, bit for bit."""
+    ctrl: NDArray[np.float32]
+    """(n, nu) commands to the motors: rad/s of wheels and hinges, m/s of boards."""
+    force: NDArray[np.float32]
+    """(n, nu) what the motors gave: Nm of wheels and hinges, N of boards."""
+    measured: NDArray[np.float32]
+    """(n, n_cars, 3) the pose that each car believed to have: x and y in metres, and heading in radians."""
+    path: NDArray[np.float32]
+    """(n, n_cars, 3) where it should have been on the path that it drove; nan where it did not drive."""
+    contact: NDArray[np.float32]
+    """(n,) the largest net force in newtons between any two machines since the sample before; nan where no contacts
+    were looked at."""
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Return the trajectory in a file.
+
+        Raises InputError, naming the file, for one that is missing, damaged, too large or contradicts itself.
+        """
+        arrays = read_arrays(Path(path), limits.TRAJECTORY)
+        try:
+            return cls._of(arrays)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+
+    @classmethod
+    def _of(cls, arrays: dict[str, Any]) -> Self:
+        names = [_TEXT, *(field.name for field in fields(cls) if field.name != "story")]
+        if sorted(arrays) != sorted(names):
+            raise InputError(f"not a trajectory: it holds {', '.join(sorted(arrays)[:12]) or 'nothing'}")
+        text = arrays.pop(_TEXT)
+        if text.dtype != np.uint8 or text.ndim != 1:
+            raise InputError(f"'{_TEXT}' is no text; allowed: the bytes of a JSON document")
+        data = text.tobytes()
+        _check_version(data)
+        trajectory = cls(_SCHEMA.parse(data, _TEXT), **arrays)
+        trajectory._check()
+        return trajectory
+
+    def write(self, path: str | Path) -> Path:
+        """Write the trajectory into a file, whole or not at all; return its path.
+
+        Raises InputError where the disk does not take it.
+        """
+        arrays: Arrays = {_TEXT: np.frombuffer(_SCHEMA.text(self.story), np.uint8)}
+        for field in fields(self):
+            if field.name != "story":
+                # Column by column: what rests, and what moves a little, packs well.
+                arrays[field.name] = np.asfortranarray(getattr(self, field.name))
+        archive = io.BytesIO()
+        np.savez_compressed(archive, allow_pickle=False, **arrays)
+        return write_whole(path, archive.getvalue())
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def duration_s(self) -> float:
+        """Simulated time from the first sample to the last."""
+        return float(self.time[-1] - self.time[0])
+
+    def pose(self, machine: str) -> NDArray[np.float64]:
+        """Return the poses (n, 7) of a machine, such as ``car 0``: x, y, z in metres and a unit quaternion, w first."""
+        if machine not in self.story.poses:
+            raise InputError(f"there is no machine '{machine}'; there are {', '.join(self.story.poses)}")
+        column = self.story.poses[machine]
+        return self.qpos[:, column : column + 7]
+
+    def at(self, time_s: float) -> int:
+        """Return the number of the last sample that is not later than a time; the first where all are."""
+        return max(0, int(np.searchsorted(self.time, time_s + 1e-9, side="right")) - 1)
+
+    @cached_property
+    def site(self) -> Site:
+        """The world as its parts are compiled: to look at its model, not to be moved. Raises InputError where this
+        version of craftsim makes another world of it."""
+        recipe = self.story.recipe
+        setup = recipe.setup
+        site = Site(recipe.grid, setup.simulation, recipe.goals, reset=False, machines=setup.machines)
+        _check_columns(site, self)
+        return site
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """Of MuJoCo, in which ``qpos`` are positions."""
+        return self.site.model
+
+    def _check(self) -> None:
+        recipe, n = self.story.recipe, len(self.time) if self.time.ndim else 0
+        grid = check_recipe(recipe)
+        n_cars, n_motors = grid.n_cars, len(self.story.motors)
+        shapes = {
+            "time": (n,),
+            "qpos": (n, *self.qpos.shape[1:2]),
+            "ctrl": (n, n_motors),
+            "force": (n, n_motors),
+            "measured": (n, n_cars, 3),
+            "path": (n, n_cars, 3),
+            "contact": (n,),
+        }
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            kind = np.float64 if name in ("time", "qpos") else np.float32
+            if array.shape != shape or array.dtype != kind:
+                raise InputError(
+                    f"'{name}' is {array.dtype} of shape {array.shape}; allowed: {np.dtype(kind)} of {shape}"
+                )
+        if n == 0 or not np.isfinite(self.time).all() or not (np.diff(self.time) > 0).all():
+            raise InputError("'time' must be one or more finite and increasing numbers")
+        if not np.isfinite(self.qpos).all():
+            raise InputError("'qpos' holds what is no number")
+        if any(not 0 <= column <= self.qpos.shape[1] - 7 for column in self.story.poses.values()):
+            raise InputError("story.poses points outside of 'qpos'")
+        if any(not 0 <= attempt.car < n_cars for attempt in self.story.attempts):
+            raise InputError(f"story.attempts names a car that there is not; the world has {n_cars}")
+
+
+def _check_version(data: bytes) -> None:
+    """Raise InputError for the text of another version, before its keys are looked at."""
+    try:
+        version = json.loads(data).get("schema_version")
+    except (ValueError, AttributeError, RecursionError):
+        return  # what is wrong is found by the schema
+    if version != SCHEMA_VERSION:
+        raise InputError(f"schema_version is {version}; this craftsim reads version {SCHEMA_VERSION}")
+
+
+def poses_of(site: Site) -> dict[str, int]:
+    """Return where in ``qpos`` the pose of each machine that moves begins, by its name."""
+    model, names = site.model, site.machine_names
+    joints = (int(model.body_jntadr[body]) for body in names.roots)
+    moving = names.names[len(names.names) - len(names.roots) :]
+    return {name: int(model.jnt_qposadr[j]) for name, j in zip(moving, joints, strict=True)}
+
+
+def motors_of(site: Site) -> tuple[str, ...]:
+    """Return the names of all motors."""
+    return tuple(site.model.actuator(i).name for i in range(site.model.nu))
+
+
+def _check_columns(site: Site, trajectory: Trajectory) -> None:
+    """Raise InputError where a Site's columns are not those of a trajectory."""
+    story = trajectory.story
+    same = poses_of(site) == story.poses and motors_of(site) == story.motors
+    if not same or site.model.nq != trajectory.qpos.shape[1]:
+        was, now = story.versions.get("craftsim"), versions()["craftsim"]
+        raise InputError(
+            f"the trajectory '{story.title}' was recorded with other machines than these "
+            f"(craftsim {was}, this is {now}); record it again, or read it with that version"
+        )

@@ -1,0 +1,130 @@
+"""What a run writes down is what was simulated, and a file that is not whole is refused."""
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from craftsim import Trajectory
+from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.discrete.actions import Action
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.errors import InputError
+from craftsim.rendering.recorder import Recorder
+
+
+def _recipe() -> Recipe:
+    grid = Grid.empty((3, 2, 1), n_cars=1)
+    grid.kind[2, 0, 1] = Kind.BLOCK
+    step = Step.single(0, 0, Action.MOVE_RIGHT)
+    return Recipe(blueprint_text(grid), (step,))
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Trajectory:
+    recipe, recorder = _recipe(), Recorder()
+    checked = start(recipe)
+    recorder.begin(checked)
+    attempts = do(checked, recipe.steps[0])
+    return recorder.trajectory("a move", recipe, attempts)
+
+
+@pytest.fixture
+def file(recorded: Trajectory, tmp_path: Path) -> Path:
+    return recorded.write(tmp_path / "move.npz")
+
+
+def _changed(file: Path, **arrays: np.ndarray) -> Path:
+    with np.load(file) as kept:
+        np.savez_compressed(file, **{**kept, **arrays})
+    return file
+
+
+def _retold(file: Path, **keys: object) -> Path:
+    with np.load(file) as kept:
+        story = json.loads(kept["story"].tobytes()) | keys
+    return _changed(file, story=np.frombuffer(json.dumps(story).encode(), np.uint8))
+
+
+def test_samples_are_the_physics_bit_for_bit(recorded: Trajectory) -> None:
+    checked = start(_recipe())
+    seen = [checked.site.data.qpos.copy()]
+    checked.executor.observers.append(lambda site: seen.append(site.data.qpos.copy()))
+    do(checked, _recipe().steps[0])
+    assert np.array_equal(recorded.qpos, np.array(seen))
+
+
+def test_a_file_gives_back_what_was_written(recorded: Trajectory, file: Path) -> None:
+    again = Trajectory.read(file)
+    assert again.story == recorded.story
+    for name in ("time", "qpos", "ctrl", "force", "measured", "path", "contact"):
+        assert np.array_equal(getattr(again, name), getattr(recorded, name), equal_nan=True), name
+
+
+def test_numpy_alone_reads_it(file: Path, recorded: Trajectory) -> None:
+    arrays = np.load(file)
+    column = json.loads(arrays["story"].tobytes())["poses"]["car 0"]
+    assert np.array_equal(arrays["qpos"][:, column : column + 3], recorded.pose("car 0")[:, :3])
+
+
+def test_a_driving_car_is_near_its_path(recorded: Trajectory) -> None:
+    driving = np.isfinite(recorded.path[:, 0, 0])
+    off = np.linalg.norm((recorded.path - recorded.measured)[driving, 0, :2], axis=1)
+    assert driving.sum() > 20
+    assert off.max() < 0.01
+
+
+def test_the_largest_contact_force_is_what_the_judge_found(recorded: Trajectory) -> None:
+    assert recorded.contact.max() == pytest.approx(recorded.story.attempts[0].peak_force_n, rel=1e-6)
+
+
+def test_recording_changes_nothing(recorded: Trajectory) -> None:
+    attempts = do(start(_recipe()), _recipe().steps[0])
+    assert attempts == recorded.story.attempts
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"time": np.zeros(3)}, "'qpos' is float64"),
+        ({"more": np.zeros(3)}, "not a trajectory"),
+        ({"story": np.zeros(3)}, "is no text"),
+        ({"story": np.frombuffer(b'{"schema_version": 99}', np.uint8)}, "schema_version is 99"),
+        ({"story": np.frombuffer(b"[1]", np.uint8)}, "story"),
+    ],
+)
+def test_a_file_that_contradicts_itself_is_refused(
+    file: Path, change: dict[str, np.ndarray], words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        Trajectory.read(_changed(file, **change))
+
+
+def test_poses_beyond_the_columns_are_refused(file: Path) -> None:
+    with pytest.raises(InputError, match="points outside"):
+        Trajectory.read(_retold(file, poses={"car 0": 10_000}))
+
+
+def test_a_damaged_file_is_refused(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(InputError, match="damaged"):
+        Trajectory.read(file)
+
+
+def test_machines_of_another_version_are_refused(recorded: Trajectory) -> None:
+    other = replace(recorded, story=replace(recorded.story, motors=recorded.story.motors[::-1]))
+    with pytest.raises(InputError, match="record it again"):
+        _ = other.model
+
+
+def test_an_unknown_machine_is_named(recorded: Trajectory) -> None:
+    with pytest.raises(InputError, match="no machine 'car 7'; there are car 0, block 0"):
+        recorded.pose("car 7")
+
+
+def test_the_archive_has_no_pickles(file: Path) -> None:
+    assert np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)["qpos"].size

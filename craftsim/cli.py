@@ -27,6 +27,7 @@ COMMANDS: Final[dict[str, str]] = {
     "audit": "Try in physics what the rules allow, and what they forbid.",
     "clearance": "Compare what each action sweeps with what the rules forbid.",
     "replay": "Re-run a recorded failure bit for bit, and compare the two.",
+    "render": "Make films and pictures of what happened in physics.",
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",
     "bench": "Measure how fast rules, environments and workers are.",
@@ -122,9 +123,10 @@ def _with_checked_numbers(function: Callable[..., int]) -> Callable[..., int]:
         given = inspect.signature(function).bind(*arguments, **options).arguments
         for group in (given, *filter(dataclasses.is_dataclass, given.values())):
             for name, allowed in ranges_of(function if group is given else type(group)).items():
-                number = given.get(name) if group is given else getattr(group, name)
-                if number is not None:
-                    allowed.check(f"--{name.replace('_', '-')}", number)
+                value = given.get(name) if group is given else getattr(group, name)
+                for number in value if isinstance(value, tuple) else (value,):
+                    if number is not None:
+                        allowed.check(f"--{name.replace('_', '-')}", number)
         return function(*arguments, **options)
 
     return checked

@@ -13,7 +13,7 @@ except RenderingUnavailable as error:
     _WHY_NOT = str(error)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def rendering() -> None:
     """Skip the test where nothing renders."""
     if _WHY_NOT:

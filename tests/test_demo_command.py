@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.rendering.frames import Frames, Look
+from craftsim.rendering.trajectory import Trajectory
 from craftsim.report import SCHEMA_VERSION
 
 NAME = "simple_two_story"
@@ -80,9 +82,9 @@ def test_the_table_has_a_row_for_each_action(shipped):
     assert {row[1] for row in rows} == {"0", "1"}
 
 
-def test_without_a_film_nothing_but_the_report_is_written(shipped):
+def test_without_a_film_the_report_and_the_trajectory_are_written(shipped):
     _, out = shipped
-    assert [path.name for path in out.iterdir()] == ["report.json"]
+    assert sorted(path.name for path in out.iterdir()) == ["report.json", "simple_two_story.npz"]
 
 
 def test_the_report_says_what_ran_and_what_came_out(shipped):
@@ -124,9 +126,9 @@ def test_the_film_plays_in_a_browser(tmp_path):
         stream = film.streams.video[0]
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
         frames = sum(1 for _ in film.decode(stream))
-        assert frames / float(stream.average_rate) * 3.0 == pytest.approx(
-            _report(tmp_path)["figures"]["simulated_s"], abs=0.5
-        ), "the film runs at three times the speed of the simulation"
+    trajectory = Trajectory.read(tmp_path / "own.npz")
+    assert frames == Frames.count(trajectory, Look())
+    assert trajectory.time[-1] == pytest.approx(_report(tmp_path)["figures"]["simulated_s"])
     assert not list(tmp_path.glob(".*"))
 
 

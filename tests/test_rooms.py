@@ -138,7 +138,7 @@ def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
         ("craftsim.discrete.grid", "from craftsim import models"),
         ("craftsim.discrete.grid", "from ..models import site"),
         ("craftsim.models.site", "import craftsim.skills.move"),
-        ("craftsim.skills.move", "from craftsim.rendering.film import Film"),
+        ("craftsim.skills.move", "from craftsim.rendering.frames import Frames"),
         ("craftsim.report", "from craftsim.discrete.grid import Grid"),
     ],
 )

@@ -81,6 +81,11 @@ class Step:
         """All actions."""
         return tuple(act for tick in self.ticks for act in tick)
 
+    @property
+    def intended_grid(self) -> Grid | None:
+        """The intended world, where there is one. Raises BlueprintError for one that is none."""
+        return None if self.intended is None else _grid(self.intended)
+
     @classmethod
     def single(cls, tick: int, car: int, action: Action, intended: Grid | None = None) -> Step:
         """Return the step of one action; ``intended`` is what a forbidden one should lead to."""
@@ -155,12 +160,9 @@ def check_recipe(recipe: Recipe) -> Grid:
         if not 0 <= act.car < grid.n_cars:
             raise InputError(f"there is no car {act.car}: the world has {grid.n_cars}, counted from 0")
     for step in recipe.steps:
-        if step.intended is not None:
-            intended = _grid(step.intended)
-            if (intended.size, intended.n_cars) != (grid.size, grid.n_cars):
-                raise InputError(
-                    "the intended world of a step has another size, or other cars, than the start"
-                )
+        intended = step.intended_grid or grid
+        if (intended.size, intended.n_cars) != (grid.size, grid.n_cars):
+            raise InputError("the intended world of a step has another size, or other cars, than the start")
     return grid
 
 
@@ -168,8 +170,7 @@ def do(checked: CheckedSite, step: Step) -> tuple[Attempt, ...]:
     """Do one step and return an attempt for each of its actions."""
     if step.order is None:
         act = step.acts[0]
-        intended = None if step.intended is None else _grid(step.intended)
-        return (checked.perform(act.car, Action[act.action], intended, step.number),)
+        return (checked.perform(act.car, Action[act.action], step.intended_grid, step.number),)
     ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
     attempts = checked.perform_plan(ticks, step.order)
     return tuple(replace(attempt, tick=attempt.tick + step.number) for attempt in attempts)

@@ -29,6 +29,7 @@ def audit(
     quick: bool = False,
     campaign: tyro.conf.OmitArgPrefixes[CampaignOptions] = OPTIONS,
     video: bool = False,
+    record: bool = False,
     shrink: bool = False,
     out: Dir = Path("out/audit"),
 ) -> int:
@@ -44,11 +45,12 @@ def audit(
         only: where the rules allow the action, where they forbid it, or both.
         quick: try the rows that tell most about the rules, once each, instead of all: two minutes on two cores.
         video: films of the disagreements, a few seconds of work each.
+        record: write the trajectories of the disagreements, for 'craftsim render', 'plot' and 'view'.
         shrink: find the smallest world in which the first failure of each kind still happens.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
     from craftsim.commands.audit_text import conclude, print_results
-    from craftsim.commands.films import film_failures, rendering_works
+    from craftsim.commands.films import record_failures, rendering_works
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
     from craftsim.commands.solver_text import print_capped
@@ -88,8 +90,8 @@ def audit(
         progress=lambda total: counting(console, "trials", total, lambda record: record["error"] is None),
         shrink=shrinking(console) if shrink else None,
     )
-    if filming:
-        film_failures(console, out, result.records)
+    if filming or record:
+        record_failures(console, out, result.records, campaign.workers, filming)
     page = write_html(
         out, audit_page(result, shlex.join(_words(actions, contexts, only, quick, shrink, campaign)))
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -41,14 +41,14 @@ def demo(
         plan: plan file of your own, one 'tick car ACTION' a line.
         goal: goal file of your own; a blueprint of your own needs none.
         video: make a film of each task; without a rendering backend the demo goes on without.
-        out: folder for report.json and the films.
+        out: folder for report.json, the films, and the trajectories that they show.
     """
-    from craftsim.checking.episode import UNWATCHED
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
     from craftsim.commands.progress import counting
     from craftsim.commands.solver_text import print_capped
-    from craftsim.rendering.episode_film import EpisodeFilm
+    from craftsim.rendering.render import render
+    from craftsim.rendering.trajectory import SUFFIX
     from craftsim.report import output_directory, write_report
     from craftsim.validation.building import Building, read_building
 
@@ -64,15 +64,15 @@ def demo(
     films: list[str] = []
     done: list[Building] = []
     for building in buildings:
-        path = out / f"{building.name}.mp4"
-        with (
-            counting(console, building.name, building.n_actions, bool) as on_action,
-            EpisodeFilm(path) if filming else nullcontext() as film,
-        ):
-            begin = UNWATCHED.begin if film is None else film.begin
-            done.append(building.run(setup, physics.seed, order, begin, on_action))
-        if film is not None:
-            films.append(f"{path} ({film.frames} frames)")
+        with counting(console, building.name, building.n_actions, bool) as on_action:
+            one = building.run(setup, physics.seed, order, on_action)
+        assert one.trajectory is not None
+        one.trajectory.write(out / f"{one.name}{SUFFIX}")
+        if filming:
+            path = out / f"{one.name}.mp4"
+            render(one.trajectory, path, progress=lambda total: counting(console, "frames", total, bool))
+            films.append(str(path))
+        done.append(replace(one, trajectory=None))
     config: dict[str, Any] = {"setup": setup, "order": order, "rules": physics.rules}
     config |= {"randomize": physics.randomize, "digests": setup.digests}
     if task == "all":

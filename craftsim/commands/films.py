@@ -1,34 +1,28 @@
-"""Films of replay bundles and of whole runs, where they can be made."""
+"""Films of replay bundles and of recorded runs, where they can be made."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Iterable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 from rich.console import Console
 
-from craftsim.checking.episode import Watch
 from craftsim.commands.progress import counting
-from craftsim.discrete.actions import Action
-from craftsim.discrete.rules.table import ACTIONS
-from craftsim.models.site import Site
 from craftsim.rendering.backend import RenderingUnavailable, choose_backend
-from craftsim.rendering.clip import clip
-from craftsim.rendering.episode_film import EpisodeFilm
+from craftsim.rendering.frames import Look
+from craftsim.rendering.processes import spread
+from craftsim.rendering.render import render
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.report import output_directory
-from craftsim.skills.executor import Observer
-from craftsim.validation.campaign import Item, TrialRecord
-from craftsim.validation.replays.bundle import FILM, Recorded, read_bundle
-from craftsim.validation.replays.replay import Replay, replay
-from craftsim.validation.runs.run import run_episode
+from craftsim.validation.campaign import TrialRecord
+from craftsim.validation.replays.bundle import FILM, TRAJECTORY, Recorded, read_bundle
+from craftsim.validation.replays.recording import CLIP_S, record_bundle
+from craftsim.validation.replays.replay import Replay
 
 FILMS: Final = "films"
-_SPEED: Final = 4.0
-_LINE: Final = 66
-"""Characters that fit into a line of a clip's caption."""
+SIZE: Final = (640, 360)
+"""Of the films of a campaign, in pixels."""
 
 
 def rendering_works(console: Console) -> bool:
@@ -43,35 +37,46 @@ def rendering_works(console: Console) -> bool:
 
 def film_bundle(recorded: Recorded, path: Path) -> Replay:
     """Replay a bundle, film its last step, and return the replay; :func:`rendering_works` must have said yes."""
-    bundle = recorded.bundle
-    attempt = bundle.attempts[0]
-    result = ", ".join(f"car {a.car} {ACTIONS[Action[a.action]].words}: {a.result}" for a in bundle.attempts)
-    lines = [*textwrap.wrap(result, _LINE, max_lines=2), *textwrap.wrap(attempt.reason, _LINE, max_lines=2)]
-
-    def watch(site: Site) -> AbstractContextManager[Observer]:
-        return clip(path, site, attempt.car, bundle.end_s - bundle.start_s, lines)
-
-    return replay(recorded, watch)
+    result, trajectory = record_bundle(recorded)
+    render(trajectory, path, _clip(trajectory))
+    return result
 
 
-def film_failures(console: Console, out: Path, records: Iterable[TrialRecord]) -> None:
-    """Film the bundles that have no film yet."""
+def _clip(trajectory: Trajectory) -> Look:
+    """Return how a film of one failure looks: close to the car that acts first."""
+    car = trajectory.story.attempts[0].car
+    return Look(SIZE, cameras=(f"follow:{car}",), length_s=CLIP_S, cards=False)
+
+
+def record_failures(
+    console: Console, out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True
+) -> None:
+    """Write the trajectories of the bundles that have none yet, and films of them unless none are wanted."""
     folders = (out / record["bundle"] for record in records if record["bundle"])
-    missing = [folder for folder in folders if not (folder / FILM).exists()]
-    with counting(console, "films", len(missing), bool) as tell:
-        for folder in missing:
-            film_bundle(read_bundle(folder), folder / FILM)
+    last = FILM if films else TRAJECTORY
+    missing = [(folder, films) for folder in folders if not (folder / last).exists()]
+    with counting(console, "films" if films else "trajectories", len(missing), bool) as tell:
+        for _ in spread(_record_folder, missing, workers):
             tell(True)
 
 
-def film_runs(console: Console, out: Path, items: Sequence[Item], records: Iterable[TrialRecord]) -> None:
-    """Film runs from their start to their end, those that came to one and have no film yet."""
+def film_runs(console: Console, out: Path, workers: int = 1) -> None:
+    """Film the recorded runs that have no film yet, from their start to their end."""
     folder = output_directory(out / FILMS)
-    ended = (item for item, record in zip(items, records, strict=True) if record["error"] is None)
-    paths = ((item, folder / f"{item.key.replace('/', '-')}.mp4") for item in ended)
-    missing = [(item, path) for item, path in paths if not path.exists()]
+    paths = [(path, folder / f"{path.stem}.mp4") for path in sorted((out / TRAJECTORIES).glob(f"*{SUFFIX}"))]
+    missing = [pair for pair in paths if not pair[1].exists()]
     with counting(console, "films", len(missing), bool) as tell:
-        for item, path in missing:
-            with EpisodeFilm(path, item.key, size=(640, 360), speed=_SPEED) as film:
-                run_episode(item.job, Watch(film.begin))
+        for _ in spread(_film_trajectory, missing, workers):
             tell(True)
+
+
+def _record_folder(job: tuple[Path, bool]) -> None:
+    folder, filmed = job
+    _, trajectory = record_bundle(read_bundle(folder))
+    trajectory.write(folder / TRAJECTORY)
+    if filmed:
+        render(trajectory, folder / FILM, _clip(trajectory))
+
+
+def _film_trajectory(pair: tuple[Path, Path]) -> None:
+    render(Trajectory.read(pair[0]), pair[1], Look(SIZE))

@@ -17,6 +17,7 @@ from craftsim.errors import InputError
 from craftsim.report import output_directory, versions, write_report
 
 if TYPE_CHECKING:
+    from craftsim.checking.checked_site import CheckedSite
     from craftsim.models.site import Site
     from craftsim.skills.executor import Observer
     from craftsim.validation.replays.bundle import Recorded
@@ -126,12 +127,13 @@ def _print(recorded: Recorded, result: Replay) -> None:
 
 
 @contextmanager
-def _viewer(site: Site) -> Iterator[Observer]:
-    """Show a Site in MuJoCo's viewer at the speed at which things happen, until the window is closed."""
+def _viewer(checked: CheckedSite) -> Iterator[Observer]:
+    """Show a world in MuJoCo's viewer at the speed at which things happen, until the window is closed."""
     import time
 
     import mujoco.viewer
 
+    site = checked.site
     with mujoco.viewer.launch_passive(site.model, site.data) as viewer:
         ahead_s = time.monotonic() - site.time_s
 

@@ -31,6 +31,7 @@ def validate(
     max_steps: Annotated[int, EPISODE_TICKS] = 14,
     timeout: Annotated[float, TIMEOUT_S] = 600.0,
     video: Literal["none", "failures", "all"] = "failures",
+    record: bool = False,
     shrink: bool = False,
     out: Dir = Path("out/validate"),
 ) -> int:
@@ -56,11 +57,12 @@ def validate(
         max_steps: length of an episode in random worlds, less two ticks.
         timeout: seconds after which a run counts as hanging.
         video: films of the failures, or besides of every run from its start to its end.
+        record: write the trajectory of every run, for 'craftsim render', 'plot' and 'view'.
         shrink: find the smallest world in which the first failure of each kind still happens.
         out: folder for report.html, report.json, trials.jsonl, durations.csv, the bundles of the disagreements, and
             of random play the worlds and plans.
     """
-    from craftsim.commands.films import film_failures, film_runs, rendering_works
+    from craftsim.commands.films import film_runs, record_failures, rendering_works
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
     from craftsim.commands.solver_text import print_capped
@@ -105,16 +107,17 @@ def validate(
         max_steps=max_steps,
         progress=lambda total: counting(console, "runs", total),
         shrink=shrinking(console) if shrink else None,
+        record=record or video == "all",
     )
-    if filming:
-        film_failures(console, out, result.records)
-        if video == "all":
-            film_runs(console, out, result.items, result.records)
+    if filming or record:
+        record_failures(console, out, result.records, campaign.workers, filming)
+    if filming and video == "all":
+        film_runs(console, out, campaign.workers)
     words = ["craftsim", "validate", *worlds, "--order", order, *campaign.words()]
     for name, value in (("plan", plan), ("actions", actions), ("cars", cars), ("blocks", blocks)):
         words += [f"--{name}", str(value)] if value is not None else []
     words += ["--policy", *policy] if policy else []
-    words += ["--shrink"] if shrink else []
+    words += [*(["--record"] if record else []), *(["--shrink"] if shrink else [])]
     page = write_html(out, validate_page(result, shlex.join(words)))
     console.print(runs_table(result.records))
     if result.coverage is not None:

@@ -1,11 +1,7 @@
-"""Write H.264 films that play in a browser, and draw captions on their frames.
-
-OpenCV draws but ships no H.264 encoder; PyAV ships libx264 but does not draw. Hence both.
-"""
+"""Write films that play in a browser: H.264 in MP4, or VP9 in WebM. PyAV ships both encoders."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from fractions import Fraction
 from pathlib import Path
@@ -13,7 +9,6 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 import av
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,16 +18,13 @@ from craftsim.storage.writing import unwritten, whole
 Frame = NDArray[np.uint8]
 """A picture, shape (height, width, 3), red green blue."""
 
-_ENCODER_OPTIONS: Final = {
-    "crf": "23",
-    "preset": "veryfast",
-    # x264 is deterministic at a given number of threads, so the number must not depend on the machine.
-    "threads": "2",
+_ENCODERS: Final = {
+    ".mp4": ("mp4", "libx264", {"crf": "23", "preset": "veryfast"}, {"movflags": "+faststart"}),
+    ".webm": ("webm", "libvpx-vp9", {"crf": "34", "b": "0", "deadline": "realtime", "cpu-used": "6"}, {}),
 }
-
-_FONT: Final = cv2.FONT_HERSHEY_DUPLEX
-_TEXT_HEIGHT: Final = 1 / 36
-"""Height of a capital letter over the height of the frame: 20 pixels in a 720-pixel film."""
+"""By the ending of the file's name: the container, the encoder, its options, and those of the container."""
+_THREADS: Final = {"threads": "2"}
+"""Encoders are deterministic at a given number of threads, so the number must not depend on the machine."""
 
 
 class _Abandoned(Exception):
@@ -40,7 +32,8 @@ class _Abandoned(Exception):
 
 
 class VideoWriter:
-    """Context manager that encodes frames into an MP4 file (H.264, yuv420p, index before the pictures).
+    """Context manager that encodes frames into an MP4 file (H.264, index before the pictures) or a WebM file (VP9), as
+    the ending of its name says; yuv420p both.
 
     The film is written under a temporary name and gets its own only when the block ends without an error, so
     a file with the final name is always complete. Raises InputError where the disk does not take it.
@@ -58,7 +51,8 @@ class VideoWriter:
     def __enter__(self) -> Self:
         with ExitStack() as file:
             partial = file.enter_context(whole(self.path))
-            self._container = av.open(str(partial), "w", format="mp4", options={"movflags": "+faststart"})
+            form, self._encoder, self._options, options = _ENCODERS[self.path.suffix]
+            self._container = av.open(str(partial), "w", format=form, options=options)
             self._file = file.pop_all()
         return self
 
@@ -78,8 +72,10 @@ class VideoWriter:
         height, width = frame.shape[:2]
         if self._stream is None:
             if height % 2 or width % 2:
-                raise ValueError(f"H.264 with yuv420p needs even sizes, not {width} x {height}")
-            self._stream = self._container.add_stream("libx264", rate=self.fps, options=_ENCODER_OPTIONS)
+                raise ValueError(f"yuv420p needs even sizes, not {width} x {height}")
+            self._stream = self._container.add_stream(
+                self._encoder, rate=self.fps, options=self._options | _THREADS
+            )
             self._stream.width, self._stream.height = width, height
             self._stream.pix_fmt = "yuv420p"
             self._stream.codec_context.time_base = Fraction(1, self.fps)
@@ -107,29 +103,3 @@ class VideoWriter:
                 raise _Abandoned
             if self._stream is None:
                 raise ValueError("a film needs at least one frame")
-
-
-def caption(frame: Frame, lines: Sequence[str]) -> Frame:
-    """Return a copy of a frame with lines of text in a dark bar along its lower edge.
-
-    Args:
-        frame: shape (height, width, 3), uint8, RGB.
-        lines: from top to bottom; a line that is too wide is drawn smaller. OpenCV's fonts know ASCII only,
-            other characters become question marks.
-    """
-    picture = frame.copy()
-    if not lines:
-        return picture
-    height, width = frame.shape[:2]
-    capital = max(8, round(height * _TEXT_HEIGHT))
-    margin, pitch = capital, round(capital * 1.9)
-    scale = cv2.getFontScaleFromHeight(_FONT, capital)
-    top = max(0, height - pitch * len(lines) - margin)
-    picture[top:] = picture[top:] // 4
-    for number, line in enumerate(lines):
-        text = line.encode("ascii", "replace").decode()
-        (text_width, _), _ = cv2.getTextSize(text, _FONT, scale, 1)
-        fitted = scale * min(1.0, (width - 2 * margin) / max(text_width, 1))
-        base = top + margin // 2 + pitch * number + round((pitch + capital) / 2)
-        cv2.putText(picture, text, (margin, base), _FONT, fitted, (255, 255, 255), 1, cv2.LINE_AA)
-    return picture

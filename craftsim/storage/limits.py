@@ -162,6 +162,14 @@ BONUS: Final = Range(0, 1000)
 """Of novelty."""
 NETWORK_WIDTH: Final = Range(1, 4096)
 
+FRAME_RATE: Final = Range(1, 120)
+"""Of a film, in frames a second."""
+FILM_SPEED: Final = Range(0.01, 1000)
+"""Simulated seconds in a second of film."""
+MOMENT_S: Final = Range(0, 1_000_000)
+"""Of simulated time."""
+FRAME_PIXELS: Final = 4096 * 2304
+
 
 def size_text(n_bytes: int) -> str:
     """Return a size as people say it.

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.episode import Episode, Watch
 from craftsim.checking.settings import Setup
 from craftsim.discrete.files.blueprint import read_blueprint
@@ -17,17 +16,19 @@ from craftsim.discrete.files.plan import Plan, read_plan, shipped_plan
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.discrete.tasks.measures import Finished
 from craftsim.errors import InputError
-from craftsim.validation.runs.run import Run, Terms, run_episode
+from craftsim.rendering.trajectory import Trajectory
+from craftsim.validation.runs.run import Run, Terms, record_episode
 from craftsim.validation.runs.steps import PlanOrder, steps_of
 
 
 @dataclass(frozen=True)
 class Building:
-    """A task with its plan, and the episode in which it was carried out, if it was."""
+    """A task with its plan, and the episode in which it was carried out, if it was, with what moved in it."""
 
     task: Task
     plan: Plan
     episode: Episode | None = None
+    trajectory: Trajectory | None = None
 
     @property
     def name(self) -> str:
@@ -64,8 +65,7 @@ class Building:
         setup: Setup,
         seed: int,
         order: PlanOrder,
-        begin: Callable[[CheckedSite], None],
-        on_action: Callable[[bool], None],
+        on_action: Callable[[bool], None] = lambda agrees: None,
     ) -> Building:
         """Carry out the plan and return the building with its episode.
 
@@ -73,7 +73,6 @@ class Building:
             setup: configuration of the physics.
             seed: decides what is drawn.
             order: how the plan is carried out.
-            begin: called with the world at its start.
             on_action: called for each action that has ended: whether it agrees.
         """
 
@@ -82,7 +81,8 @@ class Building:
                 on_action(attempt.agrees)
 
         run = Run(self.name, self.task, steps_of(self.plan.ticks, order), "", 0, Terms(seed, setup))
-        return replace(self, episode=run_episode(run, Watch(begin, count)))
+        episode, trajectory = record_episode(run, Watch(on_attempts=count))
+        return replace(self, episode=episode, trajectory=trajectory)
 
     @property
     def figures(self) -> dict[str, Any]:

@@ -221,6 +221,7 @@ def validate(
         "randomize": randomize,
         "rules": rules,
         "order": order,
+        "record": record,
         "setup": setup,
         "digests": setup.digests,
     }

@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from craftsim.rendering.video import VideoWriter, caption
+from craftsim.rendering.video import VideoWriter
 
 
 def _frames(count: int, height: int = 48, width: int = 64) -> list[np.ndarray]:
@@ -101,28 +101,3 @@ def test_frames_that_cannot_be_encoded_are_refused(tmp_path, frame, message):
 def test_a_frame_of_another_size_is_refused(tmp_path):
     with pytest.raises(ValueError, match="this film is 64 x 48"):
         _write(tmp_path / "film.mp4", [_frames(1)[0], _frames(1, 32, 32)[0]])
-
-
-def test_a_caption_is_legible_and_leaves_the_rest_alone():
-    frame = np.full((360, 640, 3), 128, np.uint8)
-    captioned = caption(frame, ["car 0: lift", "t = 1.0 s"])
-    assert captioned.shape == frame.shape
-    changed = np.flatnonzero((captioned != frame).any(axis=(1, 2)))
-    assert changed.min() > 240, "the bar covers more than the lower third"
-    assert changed.max() == 359
-    bar = captioned[changed.min() :]
-    assert np.median(bar) < 64, "the bar is dark"
-    assert bar.max() > 240, "the letters are bright"
-    assert (frame == 128).all(), "the frame that was given is not drawn on"
-
-
-def test_a_caption_that_is_too_wide_still_fits():
-    frame = np.zeros((360, 640, 3), np.uint8)
-    captioned = caption(frame, ["car 0: move forward left   " * 10])
-    assert captioned.max() > 128
-    assert captioned[:, 630:].max() == 0, "text runs into the margin"
-
-
-def test_no_lines_means_no_bar():
-    frame = np.full((36, 64, 3), 128, np.uint8)
-    assert np.array_equal(caption(frame, []), frame)

@@ -29,7 +29,7 @@ from craftsim.validation.campaign.schema import ANY, Form
 
 TRIALS: Final = "trials.jsonl"
 _FILES: Final = ("report.json", "report.html", "durations.csv")
-_FOLDERS: Final = ("bundles", "films", "worlds", "smallest")
+_FOLDERS: Final = ("bundles", "films", "trajectories", "worlds", "smallest")
 """What a campaign leaves besides; it goes when another one begins in its folder."""
 
 

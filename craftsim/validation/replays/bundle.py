@@ -38,6 +38,8 @@ AFTER: Final = "after.npz"
 CONTACTS: Final = "contacts.csv"
 SCENE: Final = "scene"
 FILM: Final = "film.mp4"
+TRAJECTORY: Final = "trajectory.npz"
+"""Of the last step and what follows, where one was recorded; the film shows it."""
 
 _LATE: Final = 1.25
 _LATE_S: Final = 4.0
@@ -137,7 +139,7 @@ class ReplayError(RuntimeError):
 
 
 def _write(folder: Path, bundle: Bundle, checked: CheckedSite, before: Arrays) -> None:
-    for name in (TEXT, FILM):
+    for name in (TEXT, FILM, TRAJECTORY):
         (folder / name).unlink(missing_ok=True)
     for name, arrays in (
         (PHYSICS, physics_of(checked.site)),

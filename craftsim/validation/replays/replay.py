@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
+from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import do, start
 from craftsim.checking.timekeeper import Timekeeper
 from craftsim.errors import InputError
-from craftsim.models.site import Site
 from craftsim.report import versions
 from craftsim.skills.executor import Observer
 from craftsim.storage.reading import Arrays
@@ -36,8 +36,8 @@ POSITION_M: Final = 0.002
 """How far poses may be apart with other versions: what a finer time step changes at most."""
 ANGLE_RAD: Final = 0.01
 
-Watch = Callable[[Site], AbstractContextManager[Observer | None]]
-"""Opens what watches the last step, such as a film, on the Site that stands before it."""
+Watch = Callable[[CheckedSite], AbstractContextManager[Observer | None]]
+"""Opens what watches the last step, on the world that stands before it."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Replay:
         return self.same_results and self.position_m <= POSITION_M and self.angle_rad <= ANGLE_RAD
 
 
-def unwatched(site: Site) -> AbstractContextManager[None]:
+def unwatched(checked: CheckedSite) -> AbstractContextManager[None]:
     """Watch nothing."""
     return nullcontext()
 
@@ -93,11 +93,11 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
     for step in bundle.recipe.steps[:-1]:
         do(checked, step)
     before = state_of(site)
-    with watch(site) as observer:
+    with watch(checked) as observer:
         if observer is not None:
             checked.executor.observers.append(observer)
         attempts = do(checked, bundle.recipe.steps[-1])
-        after = state_of(site)  # a film goes on
+        after = state_of(site)  # who watches may let it go on
     differing: list[str] = []
     for name, was, now in (
         (PHYSICS, recorded.physics, physics),

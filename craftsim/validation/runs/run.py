@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.episode import UNWATCHED, Episode, Watch
 from craftsim.checking.recipe import Recipe, Step, do
 from craftsim.checking.settings import Setup
@@ -25,7 +26,7 @@ from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.errors import StartError
 from craftsim.rendering.recorder import Recorder
-from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.validation.campaign import Done
 from craftsim.validation.play.coverage import covered
@@ -110,16 +111,17 @@ class _Drawn:
 def do_run(run: Run) -> Done:
     """Run in physics, and by the rules alone; write the bundle of the first disagreement, if there is one."""
     drawn = _Drawn.of(run)
-    recorder = Recorder() if run.terms.record else None
     try:
-        episode = _run(run, drawn, UNWATCHED if recorder is None else Watch(recorder.begin))
+        if run.terms.record:
+            episode, trajectory = _record(run, drawn, UNWATCHED)
+            _save_trajectory(run, trajectory)
+        else:
+            episode = _run(run, drawn, UNWATCHED)
     except StartError as error:
         if drawn.played is None:
             raise
         nothing = {"ticks": 0, "forbidden": 0, "makespan_s": 0.0}
         return Done(agrees=True, extra=nothing | {"does_not_stand": str(error)})
-    if recorder is not None:
-        _save_trajectory(run, drawn.task, episode, recorder)
     extra: dict[str, Any] = {
         "ticks": episode.n_ticks,
         "forbidden": len(episode.forbidden),
@@ -141,9 +143,20 @@ def do_run(run: Run) -> Done:
     )
 
 
-def run_episode(run: Run, watch: Watch = UNWATCHED) -> Episode:
-    """Run in physics, and by the rules alone."""
-    return _run(run, _Drawn.of(run), watch)
+def record_episode(run: Run, watch: Watch = UNWATCHED) -> tuple[Episode, Trajectory]:
+    """Run in physics, and by the rules alone, and return the episode with what moved in it."""
+    return _record(run, _Drawn.of(run), watch)
+
+
+def _record(run: Run, drawn: _Drawn, watch: Watch) -> tuple[Episode, Trajectory]:
+    recorder = Recorder()
+
+    def begin(checked: CheckedSite) -> None:
+        recorder.begin(checked)
+        watch.begin(checked)
+
+    episode = _run(run, drawn, replace(watch, begin=begin))
+    return episode, recorder.trajectory(run.key, episode.recipe, episode.attempts, drawn.task.design)
 
 
 def _run(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
@@ -230,11 +243,10 @@ def _bundle(run: Run, episode: Episode) -> str | None:
     return folder
 
 
-def _save_trajectory(run: Run, task: Task, episode: Episode, recorder: Recorder) -> None:
+def _save_trajectory(run: Run, trajectory: Trajectory) -> None:
     assert run.terms.out is not None, "a campaign that records has a folder"
     folder = run.terms.out / TRAJECTORIES
     folder.mkdir(exist_ok=True)
-    trajectory = recorder.trajectory(run.key, episode.recipe, episode.attempts, task.design)
     trajectory.write(folder / f"{run.file_name}{SUFFIX}")
 
 

@@ -1,0 +1,209 @@
+"""The frames of a film: pictures of a trajectory, captions beside them, and cards at the start and the end.
+
+Each frame is made from the trajectory and its number alone, so that any process can make any of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import cv2
+import mujoco
+import numpy as np
+
+from craftsim.discrete.drawing import world_image
+from craftsim.errors import InputError
+from craftsim.rendering.cameras import View, make_view
+from craftsim.rendering.captions import Captions
+from craftsim.rendering.cards import end_card, title_card
+from craftsim.rendering.layout import Box, Layout, arrange
+from craftsim.rendering.pacing import Pace, adapted_pace, even_pace, fitted_pace
+from craftsim.rendering.panel import PAPER, Frame, Panel
+from craftsim.rendering.prediction import Prediction
+from craftsim.rendering.renderer import make_renderer
+from craftsim.rendering.stage import Quality, stage
+from craftsim.rendering.trajectory import Trajectory
+from craftsim.storage.limits import FILM_SPEED, FRAME_PIXELS, FRAME_RATE
+
+GRID: Final = "grid"
+"""The view that is not physics: what the rules predict."""
+TITLE_S: Final = 1.5
+END_S: Final = 2.5
+"""How long the cards stay."""
+LEAST_PIXELS: Final = 64
+"""Of a side of a frame, and of a view."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a film looks. Raises InputError for a size or a number that no film has."""
+
+    size: tuple[int, int] = (1280, 720)
+    """Width and height in pixels, even."""
+    fps: int = 30
+    cameras: tuple[str, ...] = ("overview",)
+    """The views, as of :func:`craftsim.rendering.cameras.make_view`, or ``grid`` for what the rules predict."""
+    layout: Layout = "side"
+    quality: Quality = "draft"
+    speed: float | None = None
+    """Simulated seconds in a second of film; it follows what the cars do if None."""
+    length_s: float | None = None
+    """Length of the film without its cards, in place of a speed."""
+    captions: bool = True
+    cards: bool = True
+    title: str | None = None
+    """That of the trajectory unless given."""
+
+    def __post_init__(self) -> None:
+        width, height = self.size
+        if width % 2 or height % 2 or min(width, height) < LEAST_PIXELS or width * height > FRAME_PIXELS:
+            raise InputError(
+                f"a frame of {width} x {height} pixels; allowed: even numbers of {LEAST_PIXELS} or more, and "
+                "4096 x 2304 pixels at most"
+            )
+        FRAME_RATE.check("fps", self.fps)
+        if self.speed is not None:
+            FILM_SPEED.check("speed", self.speed)
+        if not self.cameras:
+            raise InputError("no camera; give one or more")
+
+    @property
+    def n_cards(self) -> tuple[int, int]:
+        """Frames of the card at the start, and of the one at the end."""
+        return (round(self.fps * TITLE_S), round(self.fps * END_S)) if self.cards else (0, 0)
+
+
+class _Picture(Protocol):
+    def draw(self, sample: int, time_s: float) -> Frame: ...
+
+    def close(self) -> None: ...
+
+
+class Frames:
+    """The frames of a film, by their number; a context manager that closes its renderers."""
+
+    def __init__(self, trajectory: Trajectory, look: Look) -> None:
+        """Prepare; raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders."""
+        self.trajectory, self.look = trajectory, look
+        self.pace = _pace(trajectory, look)
+        self._n_title, self._n_end = look.n_cards
+        boxes, panel = arrange(look.size, len(look.cameras), look.layout, look.captions)
+        if any(min(box.size) < LEAST_PIXELS for box in boxes):
+            raise InputError(f"{len(boxes)} views do not fit into {look.size[0]} x {look.size[1]} pixels")
+        self._captions = Captions(trajectory, look.title)
+        self._panel = None if panel is None else (panel, Panel(panel.size, look.size[1]))
+        self._world = _World(trajectory, look)
+        self._views: list[tuple[Box, _Picture]] = []
+        for box, camera in zip(boxes, look.cameras, strict=True):
+            picture = _Predicted(trajectory, box) if camera == GRID else self._world.view(camera, box)
+            self._views.append((box, picture))
+
+    def __len__(self) -> int:
+        return self._n_title + len(self.pace.times) + self._n_end
+
+    @staticmethod
+    def count(trajectory: Trajectory, look: Look) -> int:
+        """Return how many frames a film has, without preparing one."""
+        return len(_pace(trajectory, look).times) + sum(look.n_cards)
+
+    def __getitem__(self, number: int) -> Frame:
+        """Return a frame, shape (height, width, 3), uint8, RGB."""
+        if number < self._n_title:
+            return title_card(self.trajectory, self.look.size, self._captions.title)
+        number -= self._n_title
+        if number >= len(self.pace.times):
+            return end_card(self.trajectory, self.look.size)
+        return self.at(float(self.pace.times[number]), float(self.pace.factors[number]))
+
+    def at(self, time_s: float, factor: float = 1.0) -> Frame:
+        """Return the picture of a moment, with its captions."""
+        width, height = self.look.size
+        frame = np.full((height, width, 3), PAPER, np.uint8)
+        sample = self.trajectory.at(time_s)
+        for box, view in self._views:
+            frame[box.rows, box.columns] = view.draw(sample, time_s)
+        if self._panel is not None:
+            box, panel = self._panel
+            frame[box.rows, box.columns] = panel.draw(self._captions.at(time_s, factor))
+        return frame
+
+    def close(self) -> None:
+        """Close the renderers."""
+        for _, view in self._views:
+            view.close()
+
+
+class _World:
+    """The model that pictures are taken of, and its state at the sample that was shown last."""
+
+    def __init__(self, trajectory: Trajectory, look: Look) -> None:
+        self._trajectory = trajectory
+        self.model = stage(trajectory, look.quality, look.size)
+        self.data = mujoco.MjData(self.model)
+        self._sample = -1
+
+    def view(self, camera: str, box: Box) -> _Seen:
+        return _Seen(self, make_view(camera, self._trajectory, box.width / box.height), box)
+
+    def show(self, sample: int) -> None:
+        if sample == self._sample:
+            return
+        self._sample = sample
+        self.data.qpos[:] = self._trajectory.qpos[sample]
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+
+class _Seen:
+    """What a camera sees of the world."""
+
+    def __init__(self, world: _World, view: View, box: Box) -> None:
+        self._world, self._view = world, view
+        self._renderer = make_renderer(world.model, box.size)
+
+    def draw(self, sample: int, time_s: float) -> Frame:
+        self._world.show(sample)
+        self._renderer.update_scene(self._world.data, self._view.camera(self._world.data, time_s))
+        picture: Frame = self._renderer.render()
+        return picture
+
+    def close(self) -> None:
+        self._renderer.close()
+
+
+class _Predicted:
+    """The world that the rules predict, drawn level by level."""
+
+    def __init__(self, trajectory: Trajectory, box: Box) -> None:
+        self._prediction, self._box = Prediction(trajectory), box
+        self._drawn: tuple[int, Frame] | None = None
+
+    def draw(self, sample: int, time_s: float) -> Frame:
+        grid = self._prediction.at(time_s)
+        if self._drawn is None or self._drawn[0] != id(grid):
+            self._drawn = id(grid), _fit(world_image(grid), self._box.size)
+        return self._drawn[1]
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def _pace(trajectory: Trajectory, look: Look) -> Pace:
+    if look.length_s is not None:
+        return fitted_pace(trajectory, look.fps, look.length_s)
+    if look.speed is not None:
+        return even_pace(trajectory, look.fps, look.speed)
+    return adapted_pace(trajectory, look.fps)
+
+
+def _fit(picture: Frame, size: tuple[int, int]) -> Frame:
+    """Return a picture in the middle of a box of ``size`` (width, height), as large as fits."""
+    width, height = size
+    scale = min(0.96 * width / picture.shape[1], 0.96 * height / picture.shape[0])
+    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    found = np.full((height, width, 3), PAPER, np.uint8)
+    top, left = (height - small.shape[0]) // 2, (width - small.shape[1]) // 2
+    found[top : top + small.shape[0], left : left + small.shape[1]] = small
+    return found

@@ -1,0 +1,90 @@
+"""Where on a frame each view, and the captions beside them, have their place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+Layout = Literal["side", "main"]
+"""Views of the same size side by side, or the first one large and the others in a column beside it."""
+
+_PANEL: Final = 0.23
+"""Share of a wide frame's width for the captions; of a tall frame's height it is a little more."""
+_COLUMN: Final = 0.34
+"""Share of the width for the smaller views."""
+_GAP: Final = 4
+"""Pixels between views."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle of a frame, in pixels from its upper left corner."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.width, self.height
+
+    @property
+    def rows(self) -> slice:
+        """Of a frame."""
+        return slice(self.top, self.top + self.height)
+
+    @property
+    def columns(self) -> slice:
+        """Of a frame."""
+        return slice(self.left, self.left + self.width)
+
+
+def arrange(
+    size: tuple[int, int], n_views: int, layout: Layout, captions: bool
+) -> tuple[list[Box], Box | None]:
+    """Return the boxes of the views and of the captions in a frame of ``size`` (width, height), without overlap."""
+    width, height = size
+    panel = None
+    if captions and width >= height:
+        taken = round(_PANEL * width)
+        panel = Box(width - taken, 0, taken, height)
+        width -= taken
+    elif captions:
+        taken = round(1.2 * _PANEL * height)
+        panel = Box(0, height - taken, width, taken)
+        height -= taken
+    area = Box(0, 0, width, height)
+    if layout == "main" and n_views > 1:
+        column = round(_COLUMN * width)
+        first = Box(0, 0, width - column - _GAP, height)
+        rest = Box(width - column, 0, column, height)
+        return [first, *_tiles(rest, n_views - 1, 1)], panel
+    return _tiles(area, n_views, _columns(area, n_views)), panel
+
+
+def _columns(area: Box, n: int) -> int:
+    """Return in how many columns n tiles of an area are nearest to pictures of 4:3."""
+
+    def off(columns: int) -> float:
+        rows = math.ceil(n / columns)
+        return abs(math.log(area.width / columns / (area.height / rows) / (4 / 3)))
+
+    return min(range(1, n + 1), key=off)
+
+
+def _tiles(area: Box, n: int, columns: int) -> list[Box]:
+    rows = math.ceil(n / columns)
+    width = (area.width - _GAP * (columns - 1)) // columns
+    height = (area.height - _GAP * (rows - 1)) // rows
+    return [
+        Box(
+            area.left + (i % columns) * (width + _GAP),
+            area.top + (i // columns) * (height + _GAP),
+            width,
+            height,
+        )
+        for i in range(n)
+    ]

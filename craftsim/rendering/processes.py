@@ -1,0 +1,88 @@
+"""Frames of a film from several processes, in their order."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import closing
+from dataclasses import replace
+from typing import Final, TypeVar
+
+from craftsim.rendering.frames import Frames, Look
+from craftsim.rendering.trajectory import Trajectory
+from craftsim.rendering.video import Frame
+
+Job = TypeVar("Job")
+
+_BATCH: Final = 8
+"""Frames that a process makes at once."""
+_AHEAD: Final = 2
+"""Batches that each process may be ahead: frames wait in memory until the film has come to them."""
+
+_frames: Frames | None = None
+"""Of a worker process."""
+
+
+def render_frames(
+    trajectory: Trajectory, look: Look, workers: int = 1, numbers: Sequence[int] | None = None
+) -> Iterator[Frame]:
+    """Yield the frames of a film, all of them unless their numbers are given, the same for any number of workers."""
+    if workers == 1:
+        with closing(Frames(trajectory, look)) as frames:
+            yield from map(frames.__getitem__, range(len(frames)) if numbers is None else numbers)
+        return
+    wanted = range(Frames.count(trajectory, look)) if numbers is None else numbers
+    batches = deque(wanted[i : i + _BATCH] for i in range(0, len(wanted), _BATCH))
+    # A copy has no compiled model, which would be sent along.
+    pool = _pool(min(workers, len(batches)), _begin, (replace(trajectory), look, _threads(workers)))
+    try:
+        running: deque[Future[list[Frame]]] = deque()
+        while batches or running:
+            while batches and len(running) < _AHEAD * workers:
+                running.append(pool.submit(_render, list(batches.popleft())))
+            yield from running.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def spread(function: Callable[[Job], None], jobs: Sequence[Job], workers: int = 1) -> Iterator[None]:
+    """Call a function, one that other processes can import, for each job; yield as each is done, in no order."""
+    if workers == 1 or len(jobs) < 2:
+        yield from map(function, jobs)
+        return
+    pool = _pool(min(workers, len(jobs)), _alone, (_threads(workers),))
+    try:
+        for done in as_completed([pool.submit(function, job) for job in jobs]):
+            yield done.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _pool(workers: int, begin: Callable[..., None], arguments: tuple[object, ...]) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), begin, arguments)
+
+
+def _threads(workers: int) -> int:
+    """Return how many threads each process may render in."""
+    return max(1, (os.cpu_count() or 1) // workers)
+
+
+def _alone(threads: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that asked ends its workers
+    # Mesa's software renderer takes all processors otherwise, and the processes would be in each other's way.
+    os.environ.setdefault("LP_NUM_THREADS", str(threads))
+
+
+def _begin(trajectory: Trajectory, look: Look, threads: int) -> None:
+    global _frames
+    _alone(threads)
+    _frames = Frames(trajectory, look)
+
+
+def _render(numbers: list[int]) -> list[Frame]:
+    assert _frames is not None, "a worker begins with its frames"
+    return [_frames[number] for number in numbers]

@@ -1,0 +1,134 @@
+"""Rendering a trajectory: films, animations, stills and contact sheets, by the ending of the file's name."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
+from pathlib import Path
+from typing import Final, Protocol
+
+import cv2
+import numpy as np
+
+from craftsim.errors import InputError
+from craftsim.rendering.animation import AnimationWriter
+from craftsim.rendering.frames import Frames, Look
+from craftsim.rendering.processes import render_frames
+from craftsim.rendering.trajectory import Trajectory
+from craftsim.rendering.video import Frame, VideoWriter
+from craftsim.storage.writing import write_whole
+
+FORMATS: Final = (".mp4", ".webm", ".webp", ".gif", ".png")
+SHEET: Final = 12
+"""Moments on a contact sheet."""
+_WAITING: Final = 16
+"""Frames that wait for the encoder at most."""
+
+OnFrame = Callable[[bool], None]
+Progress = Callable[[int], AbstractContextManager[OnFrame]]
+"""Given the number of frames, opens what is called after each one."""
+
+
+class _Writer(Protocol):
+    def write(self, frame: Frame) -> None: ...
+
+
+def render(
+    trajectory: Trajectory,
+    path: str | Path,
+    look: Look | None = None,
+    *,
+    workers: int = 1,
+    at: Sequence[float] = (),
+    progress: Progress = lambda total: nullcontext(lambda done: None),
+) -> list[Path]:
+    """Render a trajectory into a file, and return the files that were written.
+
+    Args:
+        trajectory: what is shown.
+        path: a film (``.mp4``, ``.webm``), an animation (``.webp``, ``.gif``), or a picture (``.png``); its folder
+            must exist. It is written whole or not at all.
+        look: how it looks.
+        workers: processes to share the work; the pictures do not depend on it.
+        at: simulated times of which a picture is to be made, one file each; without any, a ``.png`` is a contact sheet.
+        progress: shows what is done.
+
+    Raises:
+        InputError: an argument is not as it should be, or the disk does not take the file.
+        RenderingUnavailable: nothing renders on this machine.
+    """
+    path, look = Path(path), look or Look()
+    check_format(path, at)
+    if path.suffix == ".png":
+        return _stills(trajectory, path, look, at) if at else [_sheet(trajectory, path, look)]
+    writer = (VideoWriter if path.suffix in (".mp4", ".webm") else AnimationWriter)(path, look.fps)
+    with progress(Frames.count(trajectory, look)) as tell, writer:
+        _encode(writer, render_frames(trajectory, look, workers), tell)
+    return [path]
+
+
+def check_format(path: Path, at: Sequence[float] = ()) -> None:
+    """Raise InputError for a file of no format, and for moments in one that is no picture."""
+    if path.suffix not in FORMATS:
+        raise InputError(f"{path}: no format ends in '{path.suffix}'; there are {', '.join(FORMATS)}")
+    if at and path.suffix != ".png":
+        raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
+
+
+def _encode(writer: _Writer, frames: Iterable[Frame], tell: OnFrame) -> None:
+    """Write frames while the next ones are being made: encoders let go of the interpreter."""
+    waiting: queue.Queue[Frame | None] = queue.Queue(_WAITING)
+    wrong: list[BaseException] = []
+
+    def write() -> None:
+        while (frame := waiting.get()) is not None:
+            if not wrong:
+                try:
+                    writer.write(frame)
+                except BaseException as error:
+                    wrong.append(error)
+
+    thread = threading.Thread(target=write, name="encoder")
+    thread.start()
+    try:
+        for frame in frames:
+            if wrong:
+                break
+            waiting.put(frame)
+            tell(True)
+    finally:
+        waiting.put(None)
+        thread.join()
+    if wrong:
+        raise wrong[0]
+
+
+def _stills(trajectory: Trajectory, path: Path, look: Look, at: Sequence[float]) -> list[Path]:
+    first, last = float(trajectory.time[0]), float(trajectory.time[-1])
+    written = []
+    with closing(Frames(trajectory, look)) as frames:
+        for moment in at:
+            if not first <= moment <= last:
+                raise InputError(f"there is no moment {moment:g} s; allowed: {first:.2f} to {last:.2f} s")
+            name = path if len(at) == 1 else path.with_stem(f"{path.stem}-{moment:g}")
+            written.append(_write_png(name, frames.at(moment)))
+    return written
+
+
+def _sheet(trajectory: Trajectory, path: Path, look: Look) -> Path:
+    """Write moments of the film, at equal distances, as one picture of the look's size."""
+    with closing(Frames(trajectory, look)) as frames:
+        moments = np.linspace(0, len(frames.pace.times) - 1, SHEET).round().astype(int)
+        pictures = [frames.at(float(frames.pace.times[i])) for i in moments]
+    columns = 3 if look.size[0] >= look.size[1] else 4
+    width, height = look.size[0] // columns, look.size[1] // columns
+    small = [cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA) for picture in pictures]
+    rows = [np.hstack(small[i : i + columns]) for i in range(0, SHEET, columns)]
+    return _write_png(path, np.vstack(rows))
+
+
+def _write_png(path: Path, picture: Frame) -> Path:
+    _, data = cv2.imencode(".png", picture[:, :, ::-1])
+    return write_whole(path, data.tobytes())

@@ -1,0 +1,216 @@
+"""Films show all of a trajectory, say what happened beside the picture, and do not depend on who renders them."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from craftsim import Trajectory
+from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.discrete.actions import Action
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.errors import InputError
+from craftsim.rendering.captions import Captions
+from craftsim.rendering.frames import Frames, Look
+from craftsim.rendering.layout import arrange
+from craftsim.rendering.pacing import IDLE, SPEEDS, adapted_pace, even_pace, fitted_pace
+from craftsim.rendering.panel import PAPER
+from craftsim.rendering.prediction import Prediction
+from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.render import render
+
+SMALL = Look((192, 128), 5, captions=True)
+
+
+@pytest.fixture(scope="module")
+def trajectory() -> Trajectory:
+    """Of a car that drives under a block, lifts it, and then rests for a while."""
+    grid = Grid.empty((3, 2, 1), n_cars=1)
+    grid.kind[1, 0, 1] = Kind.BLOCK
+    steps = tuple(
+        Step.single(tick, 0, action) for tick, action in enumerate((Action.MOVE_RIGHT, Action.LIFT))
+    )
+    recipe, recorder = Recipe(blueprint_text(grid), steps), Recorder()
+    checked = start(recipe)
+    recorder.begin(checked)
+    attempts = [attempt for step in steps for attempt in do(checked, step)]
+    for _ in range(100):
+        checked.executor.advance()
+    return recorder.trajectory("lifting", recipe, attempts)
+
+
+@pytest.mark.parametrize("fps", [1, 5, 30])
+def test_a_film_begins_with_the_first_sample_and_ends_with_the_last(trajectory: Trajectory, fps: int) -> None:
+    for pace in (even_pace(trajectory, fps, 2.0), adapted_pace(trajectory, fps)):
+        assert pace.times[0] == trajectory.time[0]
+        assert pace.times[-1] == pytest.approx(trajectory.time[-1])
+        assert (np.diff(pace.times) >= 0).all()
+
+
+def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody_acts(
+    trajectory: Trajectory,
+) -> None:
+    pace = adapted_pace(trajectory, 30)
+    _, lift = trajectory.story.attempts
+    lifting = (pace.times > lift.start_s + 0.5) & (pace.times < lift.start_s + lift.duration_s - 0.5)
+    resting = pace.times > lift.start_s + lift.duration_s + 0.5
+    assert pace.factors[lifting] == pytest.approx(SPEEDS["LIFT"])
+    assert pace.factors[resting] == pytest.approx(IDLE)
+    film_s = 2 * np.diff(pace.times) / (pace.factors[:-1] + pace.factors[1:])
+    assert film_s[:-1].mean() == pytest.approx(1 / 30, rel=0.02), "the factor is the one that is shown"
+
+
+def test_a_fitted_film_has_its_length_and_is_never_slower_than_life(trajectory: Trajectory) -> None:
+    assert len(fitted_pace(trajectory, 30, 2.0).times) == 60
+    assert fitted_pace(trajectory, 30, 2.0).times[-1] < trajectory.time[-1] + 1e-9
+    assert fitted_pace(trajectory, 30, 100.0).factors[0] == 1.0
+
+
+def test_captions_say_what_a_car_does_and_then_what_came_of_it(trajectory: Trajectory) -> None:
+    captions = Captions(trajectory)
+    move, lift = trajectory.story.attempts
+    during = captions.at(move.start_s + 0.1, 4.0)
+    assert (during.step, during.n_steps, during.cars[0].action) == (1, 2, "move right")
+    assert during.cars[0].verdict == ""
+    after = captions.at(lift.start_s + 0.1, 2.0).cars[0]
+    assert (after.action, after.verdict, after.agrees) == ("lift", "move right: as predicted", True)
+    assert captions.at(float(trajectory.time[-1]), 12.0).cars[0].action == "waits"
+
+
+def test_a_failure_stays_on_screen_with_its_reason(trajectory: Trajectory) -> None:
+    move, _ = trajectory.story.attempts
+    failed = replace(move, result="failed", reason="the board is short")
+    story = replace(trajectory.story, attempts=(failed,))
+    caption = Captions(replace(trajectory, story=story)).at(float(trajectory.time[-1]), 1.0).cars[0]
+    assert (caption.verdict, caption.agrees) == ("move right: failed - the board is short", False)
+
+
+def test_the_prediction_changes_at_the_end_of_each_action(trajectory: Trajectory) -> None:
+    prediction = Prediction(trajectory)
+    move, lift = trajectory.story.attempts
+    assert prediction.at(move.start_s + 0.1).cars[0, 0] == 0
+    assert prediction.at(lift.start_s + 0.1).cars[0, 0] == 1
+    assert prediction.at(lift.start_s + 0.1).kind[1, 0, 1] == Kind.BLOCK
+    assert prediction.at(float(trajectory.time[-1])).kind[1, 0, 1] == Kind.AIR
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (720, 1280), (640, 480), (3840, 2160)])
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+@pytest.mark.parametrize("layout", ["side", "main"])
+def test_views_and_captions_do_not_overlap(size: tuple[int, int], n: int, layout) -> None:
+    boxes, panel = arrange(size, n, layout, captions=True)
+    covered = np.zeros(size[::-1], int)
+    for box in (*boxes, panel):
+        covered[box.rows, box.columns] += 1
+        assert covered[box.rows, box.columns].size == box.width * box.height, "inside of the frame"
+    assert covered.max() == 1
+    assert len(boxes) == n
+
+
+def test_the_captions_leave_the_picture_alone(trajectory: Trajectory, rendering: None) -> None:
+    frames = Frames(trajectory, SMALL)
+    (box,), panel = arrange(SMALL.size, 1, "side", captions=True)
+    picture, words = frames.at(1.0), frames.at(1.0, 3.0)
+    frames.close()
+    assert np.array_equal(picture[box.rows, box.columns], words[box.rows, box.columns])
+    assert (picture[panel.rows, panel.columns] != PAPER).any()
+
+
+@pytest.fixture(scope="module")
+def film(trajectory: Trajectory, tmp_path_factory: pytest.TempPathFactory, rendering: None) -> Path:
+    return render(trajectory, tmp_path_factory.mktemp("film") / "film.mp4", SMALL)[0]
+
+
+def _decoded(path: Path) -> Iterator[av.VideoFrame]:
+    with av.open(str(path)) as container:
+        yield from container.decode(video=0)
+
+
+def test_a_film_has_the_frames_that_were_promised(trajectory: Trajectory, film: Path) -> None:
+    decoded = list(_decoded(film))
+    assert len(decoded) == Frames.count(trajectory, SMALL)
+    assert (decoded[0].width, decoded[0].height, decoded[0].format.name) == (192, 128, "yuv420p")
+
+
+def test_two_processes_render_the_same_bytes(trajectory: Trajectory, film: Path, tmp_path: Path) -> None:
+    again = render(trajectory, tmp_path / "film.mp4", SMALL, workers=2)[0]
+    assert again.read_bytes() == film.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["film.webm", "film.webp", "film.gif"])
+def test_other_formats_hold_as_many_frames(
+    trajectory: Trajectory, name: str, tmp_path: Path, rendering: None
+) -> None:
+    look = replace(SMALL, fps=2, cameras=("grid",))
+    path = render(trajectory, tmp_path / name, look)[0]
+    if name == "film.webm":
+        assert len(list(_decoded(path))) == Frames.count(trajectory, look)
+    else:
+        from PIL import Image
+
+        with Image.open(path) as picture:
+            # Equal frames in a row may be one that stays longer.
+            assert 2 <= getattr(picture, "n_frames", 1) <= Frames.count(trajectory, look)
+            assert picture.size == SMALL.size
+
+
+def test_pictures_of_moments_and_a_contact_sheet(
+    trajectory: Trajectory, tmp_path: Path, rendering: None
+) -> None:
+    look = replace(SMALL, cameras=("grid",))
+    stills = render(trajectory, tmp_path / "still.png", look, at=(0.5, 1.5))
+    assert [path.name for path in stills] == ["still-0.5.png", "still-1.5.png"]
+    assert render(trajectory, tmp_path / "sheet.png", look)[0].stat().st_size > 1000
+    with pytest.raises(InputError, match="no moment 99 s"):
+        render(trajectory, tmp_path / "still.png", look, at=(99.0,))
+
+
+def test_a_film_that_breaks_off_leaves_nothing(
+    trajectory: Trajectory, tmp_path: Path, rendering: None
+) -> None:
+    class Stop(Exception):
+        pass
+
+    def stop(done: bool) -> None:
+        raise Stop
+
+    from contextlib import nullcontext
+
+    with pytest.raises(Stop):
+        render(
+            trajectory,
+            tmp_path / "film.mp4",
+            replace(SMALL, cameras=("grid",)),
+            progress=lambda n: nullcontext(stop),
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"size": (641, 480)}, "641 x 480 pixels; allowed: even"),
+        ({"size": (8192, 8192)}, "pixels at most"),
+        ({"fps": 0}, "fps is 0"),
+        ({"speed": 0.0}, "speed is 0.0"),
+        ({"cameras": ()}, "no camera"),
+    ],
+)
+def test_a_look_that_no_film_has_is_refused(changes: dict, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        Look(**changes)
+
+
+def test_views_that_do_not_fit_are_refused(trajectory: Trajectory) -> None:
+    with pytest.raises(InputError, match="do not fit"):
+        Frames(trajectory, Look((128, 96), cameras=("grid",) * 9))
+
+
+@pytest.mark.parametrize(("name", "words"), [("film.avi", "no format ends in '.avi'"), ("film", "no format")])
+def test_an_unknown_format_is_refused(trajectory: Trajectory, name: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        render(trajectory, name)

@@ -21,7 +21,13 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError
-from craftsim.models.composition import camera_poses, compose, goal_position, ground_pose_and_size
+from craftsim.models.composition import (
+    built_levels,
+    cameras,
+    compose,
+    goal_position,
+    ground_pose_and_size,
+)
 from craftsim.models.config import SimulationConfig
 from craftsim.models.overlaps import MachineNames
 from craftsim.models.parameters import Machines
@@ -70,9 +76,9 @@ class CompiledParts:
             model.site_pos[model.site_bodyid == 0] = [goal_position(goal) for goal in goals]
         ground = model.geom("ground").id
         model.geom_pos[ground], model.geom_size[ground] = ground_pose_and_size(size)
-        for camera, (position, quaternion) in camera_poses(size).items():
+        for camera, aim in cameras(size, built_levels(parts, goals)).items():
             number = model.camera(camera).id
-            model.cam_pos[number], model.cam_quat[number] = position, _normalized(quaternion)
+            model.cam_pos[number], model.cam_quat[number] = aim.position, _normalized(aim.quaternion)
         data = mujoco.MjData(model)
         mujoco.mj_setConst(model, data)
         _set_statistics(model, data)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
 from craftsim.models.config import SimulationConfig
+from craftsim.models.framing import Aim, overview, top
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import shared_part
 from craftsim.models.placement import Placement
 
 _MARGIN_CELLS = 2
 """Width of bare floor around the area; whole cells, so that the floor's lines are the cells' borders."""
-_FIELD_OF_VIEW_DEG = 38.0
+PICTURE_ASPECT: Final = 4 / 3
+"""Width over height for which a world's own cameras are fitted; a wider picture shows more on both sides."""
 
 
 def compose(
@@ -49,8 +51,8 @@ def compose(
             size=[0.45 * CELL_PITCH_M, 0.45 * CELL_PITCH_M, 0.001],
             rgba=[0.25, 0.75, 0.40, 0.45],
         )
-    for name, (position, quaternion) in camera_poses(size).items():
-        spec.worldbody.add_camera(name=name, pos=position, quat=quaternion, fovy=_FIELD_OF_VIEW_DEG)
+    for name, aim in cameras(size, built_levels(placed, goals)).items():
+        spec.worldbody.add_camera(name=name, pos=aim.position, quat=aim.quaternion, fovy=aim.fovy_deg)
     _configure(spec, size, config)
     return spec, names
 
@@ -84,29 +86,18 @@ def ground_pose_and_size(size: Cell) -> tuple[NDArray[np.float64], NDArray[np.fl
     return np.array([0.5 * length * CELL_PITCH_M, 0.5 * width * CELL_PITCH_M, 0.0]), np.array(half)
 
 
+def built_levels(parts: Sequence[Placement], goals: Sequence[Cell]) -> int:
+    """Return how many levels, at least two, the parts and goals of a world take up."""
+    tops = [round(float(part.position[2]) / LEVEL_HEIGHT_M) + 1 for part in parts]
+    return max([2, *tops, *(goal[2] for goal in goals)])
+
+
 @lru_cache(maxsize=64)
-def camera_poses(size: Cell) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return position (3,), in metres, and quaternion (4,) of each camera by its name.
+def cameras(size: Cell, levels: int) -> dict[str, Aim]:
+    """Return the cameras of a world by their names: ``overview`` and ``top``, both with the whole area in view.
 
-    They are ``overview`` (from the front right, above) and ``top``, both with the whole area in view.
+    Args:
+        size: of the area, in cells.
+        levels: how high it is built, cars on top included.
     """
-    length, width, height = size
-    centre = 0.5 * CELL_PITCH_M * np.array([length, width, 0.0])
-    centre[2] = 0.5 * LEVEL_HEIGHT_M * min(height, 2)
-    span = CELL_PITCH_M * math.hypot(length, width)
-    distance = 0.42 * span / math.tan(math.radians(_FIELD_OF_VIEW_DEG) / 2)
-    towards = np.array([0.55, -0.62, 0.56])
-    towards /= np.linalg.norm(towards)
-    views = {"overview": centre + distance * towards, "top": centre + np.array([0.0, -1e-3, 1.15 * distance])}
-    return {name: (position, _looking_at(centre, position)) for name, position in views.items()}
-
-
-def _looking_at(target: NDArray[np.float64], position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the quaternion of a camera at ``position`` that looks at ``target`` with the horizon level."""
-    backward = (position - target) / np.linalg.norm(position - target)
-    right = np.cross([0.0, 0.0, 1.0], backward)
-    right /= np.linalg.norm(right)
-    axes = np.column_stack([right, np.cross(backward, right), backward])
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, axes.ravel())
-    return quaternion
+    return {aim.__name__: aim(size, levels * LEVEL_HEIGHT_M, PICTURE_ASPECT) for aim in (overview, top)}

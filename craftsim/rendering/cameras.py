@@ -1,0 +1,227 @@
+"""Cameras for films and pictures: fitted to the area, behind a car, close to it, around the area, or from a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from craftsim.discrete.files.documents import Mapping, Sequence, Source, describe
+from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
+from craftsim.errors import InputError, suggestion
+from craftsim.models.framing import Aim, fitted, overview, top
+from craftsim.models.parameter_files import numbers, read_keys
+from craftsim.rendering.trajectory import Trajectory
+from craftsim.storage.limits import Range
+
+AREA_VIEWS: Final = ("overview", "top", "orbit")
+CAR_VIEWS: Final = ("follow", "closeup")
+"""Of one car, by its number, as in ``follow:0``."""
+
+_ORBIT_S: Final = 60.0
+"""An orbit takes the whole trajectory, and no less than this."""
+_FILE_RANGES: Final = {
+    "distance": Range(0.05, 1000.0),
+    "azimuth": Range(-360.0, 360.0),
+    "elevation": Range(-90.0, 90.0),
+    "fovy": Range(1.0, 120.0),
+}
+_LOOKAT: Final = Range(-1000.0, 1000.0)
+_FILE_FOVY_DEG: Final = 45.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera that may move with the time of a trajectory."""
+
+    name: str
+    """As it was asked for."""
+    fovy_deg: float
+    """Vertical field of view; MuJoCo keeps a free camera's in ``model.vis.global_.fovy``."""
+    aim: Callable[[float], Aim]
+    """Gives where it stands and looks at a simulated time in seconds."""
+
+    def camera(self, time_s: float) -> mujoco.MjvCamera:
+        """Return MuJoCo's free camera at a simulated time."""
+        aim, camera = self.aim(time_s), mujoco.MjvCamera()
+        camera.lookat[:] = aim.lookat
+        camera.distance, camera.azimuth, camera.elevation = aim.distance_m, aim.azimuth_deg, aim.elevation_deg
+        return camera
+
+
+def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
+    """Return a view of a trajectory.
+
+    Args:
+        text: ``overview`` (the whole area, up to the height that anything reaches, from its front right), ``top`` (from
+            straight above, x to the right), ``orbit`` (once around the area), ``follow:CAR`` (from behind and above),
+            ``closeup:CAR`` (wheels and board), CAR being the number of a car; or the path of a YAML file with the keys
+            lookat (x, y, z in metres), distance (m), azimuth, elevation and, where it is not 45, fovy (degrees), as
+            MuJoCo's free camera has them.
+        trajectory: what is looked at.
+        aspect: width over height of the picture.
+
+    Raises:
+        InputError: there is no such view or car, or the file is wrong.
+    """
+    if Path(text).suffix in (".yaml", ".yml"):
+        return _still(text, _read_aim(Path(text)))
+    kind, _, car = text.partition(":")
+    size = trajectory.story.recipe.grid.size
+    if text in ("overview", "top"):
+        fit = {"overview": overview, "top": top}[text]
+        return _still(text, fit(size, reached_m(trajectory), aspect))
+    if text == "orbit":
+        return _orbit(trajectory, size, aspect)
+    if kind in CAR_VIEWS:
+        return _beside(text, trajectory, _car(text, car, trajectory), _POSTS[kind])
+    known = [*AREA_VIEWS, *(f"{view}:{number}" for view in CAR_VIEWS for number in _cars(trajectory))]
+    raise InputError(
+        f"unknown camera '{text[:80]}'{suggestion(text[:80], known)}; there are {', '.join(AREA_VIEWS)}, "
+        "follow:CAR and closeup:CAR with the number of a car, and YAML files (name.yaml)"
+    )
+
+
+def reached_m(trajectory: Trajectory) -> float:
+    """Return the height in metres up to which anything reaches: machines at any time, unfolding flaps, the design."""
+    tops = [goal.cell[2] * LEVEL_HEIGHT_M for goal in trajectory.story.design]
+    tops += [
+        float(trajectory.pose(machine)[:, 2].max()) + LEVEL_HEIGHT_M for machine in trajectory.story.poses
+    ]
+    figures = trajectory.story.recipe.setup.machines.slope
+    for slope in trajectory.site.slopes:
+        angle = np.clip(trajectory.qpos[:, slope.hinge.qpos], 0.0, math.pi)
+        swung = trajectory.qpos[:, slope.base.qpos + 2] + figures.side_m * np.sin(angle)
+        tops.append(float(swung.max()) + figures.hinge_z_m)
+    return max(tops, default=LEVEL_HEIGHT_M)
+
+
+def _cars(trajectory: Trajectory) -> range:
+    return range(trajectory.story.recipe.grid.n_cars)
+
+
+def _car(text: str, number: str, trajectory: Trajectory) -> int:
+    cars = [str(car) for car in _cars(trajectory)]
+    if number not in cars:
+        there = f"allowed: {', '.join(cars)}" if cars else "this world has no cars; try overview"
+        raise InputError(f"camera '{text[:80]}': there is no car '{number[:40]}'; {there}")
+    return int(number)
+
+
+def _still(name: str, aim: Aim) -> View:
+    return View(name, aim.fovy_deg, lambda time_s: aim)
+
+
+def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View:
+    """Return the view that turns once around the area: fitted to the cylinder about it, which all angles see alike."""
+    length, width = size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M
+    angles = np.arange(72) * (math.tau / 72)
+    radius = math.hypot(length, width) / 2 / math.cos(math.pi / 72)  # of the polygon about the circle
+    rim = np.column_stack([length / 2 + radius * np.cos(angles), width / 2 + radius * np.sin(angles)])
+    points = [(x, y, z) for x, y in rim for z in (0.0, reached_m(trajectory))]
+    first = overview(size, 0.0, aspect)
+    ring = fitted(points, first.azimuth_deg, first.elevation_deg, first.fovy_deg, aspect)
+    # It looks at the axis of the cylinder, so that it can turn about it.
+    ahead = -ring.axes[:2, 2]
+    forward = float(((length / 2, width / 2) - ring.lookat[:2]) @ ahead / (ahead @ ahead))
+    lookat = ring.lookat - forward * ring.axes[:, 2]
+    start, turn_s = float(trajectory.time[0]), max(trajectory.duration_s, _ORBIT_S)
+
+    def aim(time_s: float) -> Aim:
+        azimuth = first.azimuth_deg + 360.0 * (time_s - start) / turn_s
+        return Aim(lookat, ring.distance_m + forward, azimuth, ring.elevation_deg, ring.fovy_deg)
+
+    return View("orbit", ring.fovy_deg, aim)
+
+
+@dataclass(frozen=True)
+class _Post:
+    """Where a camera stands beside a car."""
+
+    distance_m: float
+    turn_deg: float
+    """Of its direction from the car's heading; 0 looks the way the car does."""
+    elevation_deg: float
+    fovy_deg: float
+    height_m: float
+    """Over the car's origin, at which it looks."""
+    place_s: float
+    """Standard deviation of the Gaussian low-pass of the car's place."""
+    heading_s: float
+    """That of its heading: a car turns by a right angle in less than a second, too fast for a camera."""
+
+
+_POSTS: Final = {
+    "follow": _Post(1.25, 0.0, -32.0, 45.0, 0.10, 0.4, 1.2),
+    "closeup": _Post(0.80, 140.0, -20.0, 30.0, 0.06, 0.15, 1.2),
+}
+
+
+def _beside(name: str, trajectory: Trajectory, car: int, post: _Post) -> View:
+    poses, times = trajectory.pose(f"car {car}"), trajectory.time
+    period_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    place = _smooth(poses[:, :3], post.place_s / period_s) + np.array([0.0, 0.0, post.height_m])
+    heading = _smooth(np.unwrap(_headings(poses[:, 3:])), post.heading_s / period_s)
+
+    def aim(time_s: float) -> Aim:
+        lookat = np.array([np.interp(time_s, times, place[:, axis]) for axis in range(3)])
+        azimuth = math.degrees(float(np.interp(time_s, times, heading))) + post.turn_deg
+        return Aim(lookat, post.distance_m, azimuth, post.elevation_deg, post.fovy_deg)
+
+    return View(name, post.fovy_deg, aim)
+
+
+def _smooth(samples: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """Return samples (n, ...) without what is faster than a Gaussian of ``sigma`` samples, and without delay."""
+    smooth: NDArray[np.float64] = gaussian_filter1d(samples, sigma, axis=0, mode="nearest")
+    return smooth
+
+
+def _headings(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the headings (n,) in radians of the x axes of unit quaternions (n, 4), w first."""
+    w, x, y, z = quaternions.T
+    return np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
+
+
+def _read_aim(path: Path) -> Aim:
+    source, given = read_keys(path, ["lookat", *_FILE_RANGES])
+    missing = [key for key in ("lookat", "distance", "azimuth", "elevation") if key not in given.items]
+    if missing:
+        source.fail(None, f"a camera needs {', '.join(missing)}; fovy alone can be left out")
+    plain = {key: node for key, node in given.items.items() if key != "lookat"}
+    figures = numbers(source, Mapping(1, plain, given.key_lines), "camera", list(_FILE_RANGES))
+    values = {"fovy": _FILE_FOVY_DEG}
+    for key, (value, line) in figures.items():
+        values[key] = _within(source, line, f"camera.{key}", value, _FILE_RANGES[key])
+    return Aim(
+        _lookat(source, given), values["distance"], values["azimuth"], values["elevation"], values["fovy"]
+    )
+
+
+def _lookat(source: Source, given: Mapping) -> NDArray[np.float64]:
+    node = given.items["lookat"]
+    if not isinstance(node, Sequence) or len(node.items) != 3:
+        source.fail(node.line, f"camera.lookat must be a list of x, y and z in metres, not {describe(node)}")
+    entries = Mapping(node.line, dict(zip("xyz", node.items, strict=True)), dict.fromkeys("xyz", node.line))
+    found = numbers(source, entries, "camera.lookat", list("xyz"))
+    return np.array(
+        [
+            _within(source, line, f"camera.lookat.{axis}", value, _LOOKAT)
+            for axis, (value, line) in found.items()
+        ]
+    )
+
+
+def _within(source: Source, line: int, name: str, value: float, allowed: Range) -> float:
+    try:
+        allowed.check(name, value)
+    except InputError as error:
+        source.fail(line, str(error))
+    return value

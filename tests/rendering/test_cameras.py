@@ -1,0 +1,135 @@
+"""Cameras show all of the area, fill the picture with it, and move smoothly."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from craftsim import Trajectory
+from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.discrete.actions import Action
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.geometry import LEVEL_HEIGHT_M
+from craftsim.discrete.grid import Grid
+from craftsim.errors import InputError
+from craftsim.models.framing import MARGIN, box_corners, overview, top
+from craftsim.models.site import Site
+from craftsim.rendering.cameras import make_view, reached_m
+from craftsim.rendering.recorder import Recorder
+
+AREAS = [(1, 1), (1, 8), (20, 10), (3, 12), (4, 4)]
+ASPECTS = [16 / 9, 4 / 3, 1.0, 9 / 16]
+
+
+@pytest.fixture(scope="module")
+def turning() -> Trajectory:
+    grid = Grid.empty((4, 2, 2), n_cars=1)
+    recipe = Recipe(
+        blueprint_text(grid), (Step.single(0, 0, Action.ROTATE_LEFT), Step.single(0, 0, Action.MOVE_LEFT))
+    )
+    recorder, checked = Recorder(), start(recipe)
+    recorder.begin(checked)
+    attempts = [attempt for step in recipe.steps for attempt in do(checked, step)]
+    return recorder.trajectory("a turn", recipe, attempts)
+
+
+def _fills(seen: np.ndarray) -> float:
+    """Return the share of the picture that points fill in the direction in which they fill more of it."""
+    return float((seen.max(axis=0) - seen.min(axis=0)).max() / 2)
+
+
+@pytest.mark.parametrize("area", AREAS)
+@pytest.mark.parametrize("aspect", ASPECTS)
+@pytest.mark.parametrize("levels", [1, 5])
+@pytest.mark.parametrize("fit", [overview, top])
+def test_all_corners_are_in_the_picture_with_a_margin_and_fill_it(fit, levels, aspect, area):
+    height = levels * LEVEL_HEIGHT_M
+    seen = fit(area, height, aspect).project(box_corners(area, height), aspect)
+    assert np.abs(seen).max() == pytest.approx(1 - 2 * MARGIN, abs=1e-9)
+    assert _fills(seen) > 0.9
+
+
+@pytest.mark.parametrize("aspect", ASPECTS)
+def test_overview_shows_no_sky(aspect):
+    aim = overview((20, 10), LEVEL_HEIGHT_M, aspect)
+    assert aim.elevation_deg + aim.fovy_deg / 2 < -10
+
+
+def test_a_projection_is_that_of_mujocos_camera(turning):
+    site = Site(Grid.empty((3, 5, 2), n_cars=1))
+    for name, fit in (("overview", overview), ("top", top)):
+        aim, number = fit((3, 5), 2 * LEVEL_HEIGHT_M, 4 / 3), site.model.camera(name).id
+        assert site.data.cam_xpos[number] == pytest.approx(aim.position)
+        axes = site.data.cam_xmat[number].reshape(3, 3)
+        assert axes == pytest.approx(aim.axes, abs=1e-9)
+        assert site.model.cam_fovy[number] == pytest.approx(aim.fovy_deg)
+    view = make_view("overview", turning, 1.5)
+    scene = mujoco.MjvScene(turning.model, 1000)
+    data = mujoco.MjData(turning.model)
+    mujoco.mj_forward(turning.model, data)
+    turning.model.vis.global_.fovy = view.fovy_deg
+    everything = mujoco.mjtCatBit.mjCAT_ALL
+    mujoco.mjv_updateScene(turning.model, data, mujoco.MjvOption(), None, view.camera(0.0), everything, scene)
+    eyes = np.mean([scene.camera[0].pos, scene.camera[1].pos], axis=0)
+    assert eyes == pytest.approx(view.aim(0.0).position, abs=1e-5)
+    assert scene.camera[0].forward == pytest.approx(-view.aim(0.0).axes[:, 2], abs=1e-5)
+    assert scene.camera[0].up == pytest.approx(view.aim(0.0).axes[:, 1], abs=1e-5)
+
+
+def test_an_orbit_shows_all_corners_from_every_side(turning):
+    size, view = turning.story.recipe.grid.size, make_view("orbit", turning, 16 / 9)
+    corners = box_corners(size, reached_m(turning))
+    fills = []
+    for time_s in np.linspace(0.0, 60.0, 60):
+        seen = view.aim(time_s).project(corners, 16 / 9)
+        assert np.abs(seen).max() <= 1 - 2 * MARGIN + 1e-9
+        fills.append(_fills(seen))
+    assert max(fills) > 0.8
+    turned = view.aim(60.0 + turning.time[0]).azimuth_deg - view.aim(turning.time[0]).azimuth_deg
+    assert turned == pytest.approx(360.0)
+
+
+def test_a_camera_that_follows_stays_behind_its_car_and_turns_slowly(turning):
+    view, times = make_view("follow:0", turning, 16 / 9), turning.time
+    aims = [view.aim(time_s) for time_s in times]
+    places = turning.pose("car 0")[:, :2]
+    for aim, (x, y) in zip(aims, places, strict=True):
+        assert np.abs(aim.project([(x, y, 0.05)], 16 / 9)).max() < 0.5
+    azimuth = np.array([aim.azimuth_deg for aim in aims])
+    assert azimuth[-1] - azimuth[0] > 15  # of 90: the trajectory is about as short as the low-pass
+    assert np.abs(np.diff(azimuth) / np.diff(times)).max() < 40  # degrees a second; the car itself makes 200
+    assert np.abs(np.diff(azimuth, 2)).max() < 0.05
+
+
+def test_a_height_that_is_reached_counts_the_swing_of_a_flap(turning):
+    assert reached_m(turning) == pytest.approx(LEVEL_HEIGHT_M, abs=0.01)
+
+
+def test_an_unknown_camera_is_refused_with_those_there_are(turning):
+    with pytest.raises(InputError, match=r"unknown camera 'folow:0'; did you mean 'follow:0'.*closeup:CAR"):
+        make_view("folow:0", turning, 1.0)
+    with pytest.raises(InputError, match=r"no car '3'; allowed: 0"):
+        make_view("closeup:3", turning, 1.0)
+
+
+def test_a_camera_comes_from_a_file(turning, tmp_path: Path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("{lookat: [0.1, 0.2, 0.3], distance: 2, azimuth: 45, elevation: -30}")
+    assert make_view(str(file), turning, 1.0).camera(0.0).lookat == pytest.approx([0.1, 0.2, 0.3])
+    for text, message in (
+        (
+            "{lookat: [0, 0], distance: 2, azimuth: 45, elevation: -30}",
+            "mine.yaml:1: camera.lookat must be a list of x",
+        ),
+        ("{lookat: [0, 0, 0], azimuth: 45, elevation: -30}", "a camera needs distance"),
+        (
+            "{lookat: [0, 0, 0], distance: 0, azimuth: 45, elevation: -30}",
+            "camera.distance is 0.0; allowed: 0.05 to",
+        ),
+        ("{lookat: [0, 0, x], distance: 1, azimuth: 45, elevation: -30}", "camera.lookat.z must be a number"),
+        ("{look: [0, 0, 0]}", "unknown key 'look'; did you mean 'lookat'"),
+    ):
+        file.write_text(text)
+        with pytest.raises(InputError, match=message):
+            make_view(str(file), turning, 1.0)

@@ -165,7 +165,8 @@ class _Seen:
 
     def draw(self, sample: int, time_s: float) -> Frame:
         self._world.show(sample)
-        self._renderer.update_scene(self._world.data, self._view.camera(self._world.data, time_s))
+        self._world.model.vis.global_.fovy = self._view.fovy_deg
+        self._renderer.update_scene(self._world.data, self._view.camera(time_s))
         picture: Frame = self._renderer.render()
         return picture
 

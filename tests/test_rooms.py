@@ -28,7 +28,7 @@ ALLOWED = {
         "report",
         "training.policy",
     },
-    "envs": {"storage", "checking", "skills", "models", "discrete", "rendering"},
+    "envs": {"storage", "checking", "skills", "models", "discrete", "rendering", "report"},
     "training": {"storage", "discrete", "envs", "report"},
     "rendering": {"storage", "checking", "skills", "models", "discrete", "report"},
     "testing": {"envs", "discrete"},

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from craftsim.discrete.rules import RuleSet
@@ -37,7 +38,7 @@ _PHYSICS_KINDS: Final = {
     "gains": ("craftsim.skills.gains", "Gains"),
     "machines": ("craftsim.models.parameters", "Machines"),
 }
-_PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "drive", "render_camera", "render_size")
+_PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "drive", "render_camera", "render_size", "record")
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ class Options:
     """Whether the judge logs contacts, 3 % of the time; what is unsafe then ends at once. Physics only."""
     observers: tuple[Callable[[Site], None], ...] = ()
     """Called with the Site after every control period; they may look, but not change it. Physics only."""
+    record: str | Path | None = None
+    """Folder that takes a trajectory of each episode, as :class:`craftsim.Trajectory` reads it; physics only."""
     observe: Observe | None = None
     """What cars observe instead of the rows of all entities; PettingZoo forms only."""
 
@@ -100,6 +103,8 @@ class Options:
             isinstance(size, tuple) and len(size) == 2 and all(isinstance(n, int) and n > 0 for n in size)
         ):
             raise InputError(f"render_size is {size!r}; allowed: (width, height) in pixels, 1 and more")
+        if not isinstance(self.record, str | Path | None):
+            raise InputError(f"record is {self.record!r}; allowed: the path of a folder")
         self._check_callables()
 
     def _check_callables(self) -> None:
@@ -143,6 +148,7 @@ class Options:
         from craftsim.checking.settings import Setup, nominal_gains
         from craftsim.envs.physics_backend import PhysicsBackend
         from craftsim.envs.pictures import Pictures
+        from craftsim.envs.records import EpisodeRecords
         from craftsim.models.config import SimulationConfig
         from craftsim.models.noise import EXACT
         from craftsim.models.parameters import NOMINAL
@@ -164,6 +170,7 @@ class Options:
             machines=machines,
         )
         pictures = Pictures(self.render_camera, self.render_size, self._shows_motion)
+        records = None if self.record is None else EpisodeRecords(Path(self.record), task.name, task.design)
         return PhysicsBackend(
-            setup, self.helper_depth, task.goal_cells, self.observers, self.check_contacts, pictures
+            setup, self.helper_depth, task.goal_cells, self.observers, self.check_contacts, pictures, records
         )

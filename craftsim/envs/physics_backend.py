@@ -21,6 +21,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
 from craftsim.envs.pictures import Pictures
+from craftsim.envs.records import EpisodeRecords
 from craftsim.skills.executor import Observer
 
 
@@ -35,6 +36,7 @@ class PhysicsBackend:
         observers: Sequence[Observer] = (),
         watch_contacts: bool = False,
         pictures: Pictures | None = None,
+        records: EpisodeRecords | None = None,
     ) -> None:
         """Prepare for episodes.
 
@@ -45,12 +47,13 @@ class PhysicsBackend:
             observers: called with the Site after every control period.
             watch_contacts: whether the judge logs contacts, 3 % of the time; unsafe actions then end at once.
             pictures: shows the world to people.
+            records: writes down what moves in each episode.
         """
         self.setup, self.goals = setup, tuple(goals)
         self.observers, self.watch_contacts = observers, watch_contacts
         self._planner = None if helper_depth is None else Planner(Rules(setup.rules), helper_depth)
         self._start: Grid | None = None
-        self._pictures = pictures or Pictures()
+        self._pictures, self._records = pictures or Pictures(), records
         self.checked: CheckedSite
         self.recipe: Recipe
         """How the episode starts, and all its ticks so far: it is re-run bit for bit from this."""
@@ -59,6 +62,7 @@ class PhysicsBackend:
 
     def start(self, grid: Grid, rng: np.random.Generator) -> Grid:
         """Begin an episode; a Site is compiled only when the start is another than the last one's."""
+        self._end_record()
         seed = Seed.drawn(rng)
         if self._start is None or not self._start.same_visible(grid):
             self._world = compile_world(grid, self.setup, self.goals)
@@ -68,6 +72,8 @@ class PhysicsBackend:
         self.recipe = Recipe(blueprint_text(grid), (), self.setup, seed, self.goals)
         self.ticks = []
         self._pictures.begin(self.checked.site)
+        if self._records is not None:
+            self._records.begin(self.checked)
         return self.checked.grid
 
     def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
@@ -117,8 +123,13 @@ class PhysicsBackend:
         self._pictures.show()
 
     def close(self) -> None:
-        """Close the viewer and the renderer."""
+        """Close the viewer and the renderer, and write what is recorded."""
+        self._end_record()
         self._pictures.close()
+
+    def _end_record(self) -> None:
+        if self._records is not None and self._start is not None:
+            self._records.end(self.recipe, [attempt for tick in self.ticks for attempt in tick])
 
 
 def _info(attempt: Attempt) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.errors import InputError
 from craftsim.models.noise import NOISY
 from craftsim.models.randomization import DomainRandomization
+from craftsim.rendering.trajectory import Trajectory
 from craftsim.testing import check_api, check_deterministic, check_masks, check_skills, random_policy
 
 STOP = int(Action.STOP)
@@ -231,3 +232,30 @@ def test_without_a_display_the_viewer_is_refused_in_words(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(InputError, match="needs a display"):
         parallel_env("strip", "physics", render_mode="human").reset(seed=0)
+
+
+def test_recorded_episodes_are_those_that_were_played(tmp_path):
+    with closing(parallel_env(_level("strip"), "physics", record=tmp_path / "new")) as env:
+        plain = _episode(parallel_env(_level("strip"), "physics"), 5, 4)
+        for seed in (5, 6):
+            played = _episode(env, seed, 4)
+            assert seed == 6 or str(played) == str(plain), "recording changes nothing"
+    paths = sorted((tmp_path / "new").iterdir())
+    assert [path.name[:13] for path in paths] == ["episode-0000-", "episode-0001-"]
+    trajectories = [Trajectory.read(path) for path in paths]
+    for trajectory in trajectories:
+        again = run_up(trajectory.story.recipe)
+        do(again, trajectory.story.recipe.steps[-1])
+        assert np.array_equal(again.site.data.qpos, trajectory.qpos[-1])
+        assert len(trajectory.story.attempts) == 2 * len(trajectory.story.recipe.steps)
+    assert trajectories[0].story.design
+
+
+def test_a_folder_that_is_none_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot make the output directory"):
+        parallel_env("strip", "physics", record=tmp_path / "file")
+    with pytest.raises(InputError, match="record is 3"):
+        parallel_env("strip", "physics", record=3)
+    with pytest.raises(InputError, match="knows no 'record'"):
+        parallel_env("strip", "grid", record=tmp_path)

@@ -17,7 +17,7 @@ from craftsim.errors import InputError
 from craftsim.rendering.cameras import View, make_view
 from craftsim.rendering.captions import Captions
 from craftsim.rendering.cards import end_card, title_card
-from craftsim.rendering.layout import Box, Layout, arrange
+from craftsim.rendering.layout import Tile, Layout, arrange
 from craftsim.rendering.pacing import Pace, adapted_pace, even_pace, fitted_pace
 from craftsim.rendering.panel import PAPER, Frame, Panel
 from craftsim.rendering.prediction import Prediction
@@ -94,7 +94,7 @@ class Frames:
         self._captions = Captions(trajectory, look.title)
         self._panel = None if panel is None else (panel, Panel(panel.size, look.size[1]))
         self._world = _World(trajectory, look)
-        self._views: list[tuple[Box, _Picture]] = []
+        self._views: list[tuple[Tile, _Picture]] = []
         for box, camera in zip(boxes, look.cameras, strict=True):
             picture = _Predicted(trajectory, box) if camera == GRID else self._world.view(camera, box)
             self._views.append((box, picture))
@@ -143,7 +143,7 @@ class _World:
         self.data = mujoco.MjData(self.model)
         self._sample = -1
 
-    def view(self, camera: str, box: Box) -> _Seen:
+    def view(self, camera: str, box: Tile) -> _Seen:
         return _Seen(self, make_view(camera, self._trajectory, box.width / box.height), box)
 
     def show(self, sample: int) -> None:
@@ -159,7 +159,7 @@ class _World:
 class _Seen:
     """What a camera sees of the world."""
 
-    def __init__(self, world: _World, view: View, box: Box) -> None:
+    def __init__(self, world: _World, view: View, box: Tile) -> None:
         self._world, self._view = world, view
         self._renderer = make_renderer(world.model, box.size)
 
@@ -177,7 +177,7 @@ class _Seen:
 class _Predicted:
     """The world that the rules predict, drawn level by level."""
 
-    def __init__(self, trajectory: Trajectory, box: Box) -> None:
+    def __init__(self, trajectory: Trajectory, box: Tile) -> None:
         self._prediction, self._box = Prediction(trajectory), box
         self._drawn: tuple[int, Frame] | None = None
 

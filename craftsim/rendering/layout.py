@@ -18,7 +18,7 @@ _GAP: Final = 4
 
 
 @dataclass(frozen=True)
-class Box:
+class Tile:
     """A rectangle of a frame, in pixels from its upper left corner."""
 
     left: int
@@ -44,28 +44,28 @@ class Box:
 
 def arrange(
     size: tuple[int, int], n_views: int, layout: Layout, captions: bool
-) -> tuple[list[Box], Box | None]:
+) -> tuple[list[Tile], Tile | None]:
     """Return the boxes of the views and of the captions in a frame of ``size`` (width, height), without overlap."""
     width, height = size
     panel = None
     if captions and width >= height:
         taken = round(_PANEL * width)
-        panel = Box(width - taken, 0, taken, height)
+        panel = Tile(width - taken, 0, taken, height)
         width -= taken
     elif captions:
         taken = round(1.2 * _PANEL * height)
-        panel = Box(0, height - taken, width, taken)
+        panel = Tile(0, height - taken, width, taken)
         height -= taken
-    area = Box(0, 0, width, height)
+    area = Tile(0, 0, width, height)
     if layout == "main" and n_views > 1:
         column = round(_COLUMN * width)
-        first = Box(0, 0, width - column - _GAP, height)
-        rest = Box(width - column, 0, column, height)
+        first = Tile(0, 0, width - column - _GAP, height)
+        rest = Tile(width - column, 0, column, height)
         return [first, *_tiles(rest, n_views - 1, 1)], panel
     return _tiles(area, n_views, _columns(area, n_views)), panel
 
 
-def _columns(area: Box, n: int) -> int:
+def _columns(area: Tile, n: int) -> int:
     """Return in how many columns n tiles of an area are nearest to pictures of 4:3."""
 
     def off(columns: int) -> float:
@@ -75,12 +75,12 @@ def _columns(area: Box, n: int) -> int:
     return min(range(1, n + 1), key=off)
 
 
-def _tiles(area: Box, n: int, columns: int) -> list[Box]:
+def _tiles(area: Tile, n: int, columns: int) -> list[Tile]:
     rows = math.ceil(n / columns)
     width = (area.width - _GAP * (columns - 1)) // columns
     height = (area.height - _GAP * (rows - 1)) // rows
     return [
-        Box(
+        Tile(
             area.left + (i % columns) * (width + _GAP),
             area.top + (i // columns) * (height + _GAP),
             width,

@@ -17,7 +17,7 @@ from craftsim.errors import InputError
 from craftsim.rendering.cameras import View, make_view
 from craftsim.rendering.captions import Captions
 from craftsim.rendering.cards import end_card, title_card
-from craftsim.rendering.layout import Tile, Layout, arrange
+from craftsim.rendering.layout import Layout, Tile, arrange
 from craftsim.rendering.pacing import Pace, adapted_pace, even_pace, fitted_pace
 from craftsim.rendering.panel import PAPER, Frame, Panel
 from craftsim.rendering.prediction import Prediction

@@ -1,4 +1,4 @@
-"""Measure how fast rules, environments and workers are, and how long actions take."""
+"""Measure how fast rules, environments, physics, workers and films are, and how long actions take."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ DEPTH: Final = 20
 
 
 def bench(
-    what: tyro.conf.Positional[Literal["rules", "env", "physics", "steps", "trials", "workers", "durations"]],
+    what: tyro.conf.Positional[
+        Literal["rules", "env", "physics", "steps", "trials", "workers", "render", "durations"]
+    ],
     rules: RuleSet = "published",
     worlds: Annotated[int, BATCH] = 1000,
     seconds: Annotated[float, BENCH_S] = 2.0,
@@ -65,6 +67,9 @@ def bench(
 
     workers: two worker processes against one, building a task again and again, their start included; and what a single
     run costs in a campaign, apart from such starts.
+
+    render: frames a second of a film with its captions, encoded, beside a bare loop over MuJoCo's renderer; two
+    processes against one; what recording a run adds to its CPU time.
 
     durations: how long actions take in physics, as craftsim/data/durations.yaml holds it for the grid environments.
 
@@ -117,6 +122,10 @@ def bench(
         case "workers":
             config |= {"runs": runs}
             wall = _bench_workers(console, runs, seed)
+        case "render":
+            from craftsim.commands.bench_render import bench_render
+
+            wall = bench_render(console, seed)
         case "durations":
             import yaml
 

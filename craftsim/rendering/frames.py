@@ -86,7 +86,7 @@ class Frames:
     def __init__(self, trajectory: Trajectory, look: Look) -> None:
         """Prepare; raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders."""
         self.trajectory, self.look = trajectory, look
-        self.pace = _pace(trajectory, look)
+        self.pace = pace_of(trajectory, look)
         self._n_title, self._n_end = look.n_cards
         boxes, panel = arrange(look.size, len(look.cameras), look.layout, look.captions)
         if any(min(box.size) < LEAST_PIXELS for box in boxes):
@@ -105,7 +105,7 @@ class Frames:
     @staticmethod
     def count(trajectory: Trajectory, look: Look) -> int:
         """Return how many frames a film has, without preparing one."""
-        return len(_pace(trajectory, look).times) + sum(look.n_cards)
+        return len(pace_of(trajectory, look).times) + sum(look.n_cards)
 
     def __getitem__(self, number: int) -> Frame:
         """Return a frame, shape (height, width, 3), uint8, RGB."""
@@ -191,7 +191,8 @@ class _Predicted:
         """Nothing is open."""
 
 
-def _pace(trajectory: Trajectory, look: Look) -> Pace:
+def pace_of(trajectory: Trajectory, look: Look) -> Pace:
+    """Return when the frames between the cards are."""
     if look.length_s is not None:
         return fitted_pace(trajectory, look.fps, look.length_s)
     if look.speed is not None:

@@ -1,4 +1,4 @@
-"""Frames of a film from several processes, in their order."""
+"""Frames of a film, or whole films, from several processes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import replace
-from typing import Final, TypeVar
+from types import TracebackType
+from typing import Final, Self, TypeVar
 
 from craftsim.rendering.frames import Frames, Look
 from craftsim.rendering.trajectory import Trajectory
@@ -27,26 +28,14 @@ _frames: Frames | None = None
 """Of a worker process."""
 
 
-def render_frames(
-    trajectory: Trajectory, look: Look, workers: int = 1, numbers: Sequence[int] | None = None
-) -> Iterator[Frame]:
-    """Yield the frames of a film, all of them unless their numbers are given, the same for any number of workers."""
+def render_frames(trajectory: Trajectory, look: Look, workers: int = 1) -> Iterator[Frame]:
+    """Yield the frames of a film, the same for any number of workers."""
     if workers == 1:
         with closing(Frames(trajectory, look)) as frames:
-            yield from map(frames.__getitem__, range(len(frames)) if numbers is None else numbers)
+            yield from map(frames.__getitem__, range(len(frames)))
         return
-    wanted = range(Frames.count(trajectory, look)) if numbers is None else numbers
-    batches = deque(wanted[i : i + _BATCH] for i in range(0, len(wanted), _BATCH))
-    # A copy has no compiled model, which would be sent along.
-    pool = _pool(min(workers, len(batches)), _begin, (replace(trajectory), look, _threads(workers)))
-    try:
-        running: deque[Future[list[Frame]]] = deque()
-        while batches or running:
-            while batches and len(running) < _AHEAD * workers:
-                running.append(pool.submit(_render, list(batches.popleft())))
-            yield from running.popleft().result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+    with FrameProcesses(trajectory, look, workers) as processes:
+        yield from processes.frames(range(Frames.count(trajectory, look)))
 
 
 def spread(function: Callable[[Job], None], jobs: Sequence[Job], workers: int = 1) -> Iterator[None]:
@@ -54,7 +43,7 @@ def spread(function: Callable[[Job], None], jobs: Sequence[Job], workers: int = 
     if workers == 1 or len(jobs) < 2:
         yield from map(function, jobs)
         return
-    pool = _pool(min(workers, len(jobs)), _alone, (_threads(workers),))
+    pool = _pool(min(workers, len(jobs)), _alone, _threads(workers))
     try:
         for done in as_completed([pool.submit(function, job) for job in jobs]):
             yield done.result()
@@ -62,12 +51,44 @@ def spread(function: Callable[[Job], None], jobs: Sequence[Job], workers: int = 
         pool.shutdown(cancel_futures=True)
 
 
-def _pool(workers: int, begin: Callable[..., None], arguments: tuple[object, ...]) -> ProcessPoolExecutor:
+class FrameProcesses:
+    """Context manager of processes that make the frames of one film."""
+
+    def __init__(self, trajectory: Trajectory, look: Look, workers: int, threads: int | None = None) -> None:
+        """Start the processes; each rasterizes in so many threads, its share of the processors unless given."""
+        self._workers = workers
+        # A copy has no compiled model, which would be sent along.
+        self._pool = _pool(workers, _begin, threads or _threads(workers), replace(trajectory), look)
+
+    def wait(self) -> None:
+        """Wait until all have begun."""
+        for future in [self._pool.submit(_render, [0]) for _ in range(4 * self._workers)]:
+            future.result()
+
+    def frames(self, numbers: Sequence[int]) -> Iterator[Frame]:
+        """Yield the frames of these numbers, in their order."""
+        batches = deque(numbers[i : i + _BATCH] for i in range(0, len(numbers), _BATCH))
+        running: deque[Future[list[Frame]]] = deque()
+        while batches or running:
+            while batches and len(running) < _AHEAD * self._workers:
+                running.append(self._pool.submit(_render, list(batches.popleft())))
+            yield from running.popleft().result()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+
+def _pool(workers: int, begin: Callable[..., None], *arguments: object) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), begin, arguments)
 
 
 def _threads(workers: int) -> int:
-    """Return how many threads each process may render in."""
+    """Return how many threads each process may rasterize in."""
     return max(1, (os.cpu_count() or 1) // workers)
 
 
@@ -77,7 +98,7 @@ def _alone(threads: int) -> None:
     os.environ.setdefault("LP_NUM_THREADS", str(threads))
 
 
-def _begin(trajectory: Trajectory, look: Look, threads: int) -> None:
+def _begin(threads: int, trajectory: Trajectory, look: Look) -> None:
     global _frames
     _alone(threads)
     _frames = Frames(trajectory, look)

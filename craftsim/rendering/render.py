@@ -63,9 +63,8 @@ def render(
     check_format(path, at)
     if path.suffix == ".png":
         return _stills(trajectory, path, look, at) if at else [_sheet(trajectory, path, look)]
-    writer = (VideoWriter if path.suffix in (".mp4", ".webm") else AnimationWriter)(path, look.fps)
-    with progress(Frames.count(trajectory, look)) as tell, writer:
-        _encode(writer, render_frames(trajectory, look, workers), tell)
+    with progress(Frames.count(trajectory, look)) as tell:
+        encode(path, look.fps, render_frames(trajectory, look, workers), tell)
     return [path]
 
 
@@ -77,8 +76,14 @@ def check_format(path: Path, at: Sequence[float] = ()) -> None:
         raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
 
 
-def _encode(writer: _Writer, frames: Iterable[Frame], tell: OnFrame) -> None:
-    """Write frames while the next ones are being made: encoders let go of the interpreter."""
+def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:
+    """Write frames into a film or an animation while the next ones are being made; ``tell`` is called after each."""
+    with (VideoWriter if path.suffix in (".mp4", ".webm") else AnimationWriter)(path, fps) as writer:
+        _write_beside(writer, frames, tell)
+
+
+def _write_beside(writer: _Writer, frames: Iterable[Frame], tell: OnFrame) -> None:
+    """Write frames in a thread of its own: encoders let go of the interpreter."""
     waiting: queue.Queue[Frame | None] = queue.Queue(_WAITING)
     wrong: list[BaseException] = []
 

@@ -38,12 +38,15 @@ _LOOKS: Final[dict[str, tuple[str, tuple[float, float, float] | None]]] = {
     "base_visual": ("matt", (0.40, 0.49, 0.58)),
     "flap_visual": ("matt", (0.56, 0.66, 0.75)),
     "gear": ("metal", (0.72, 0.66, 0.50)),
-    "drive": ("metal", (0.42, 0.44, 0.47)),
+    "worm": ("metal", (0.52, 0.54, 0.57)),
+    "knuckle": ("metal", (0.40, 0.42, 0.45)),
     "pad": ("rubber", (0.16, 0.17, 0.19)),
 }
 """Material and colour (r, g, b; None leaves that which it has) of the visual geoms whose names begin so."""
 _WALL_RGB: Final = (0.60, 0.60, 0.60)
 
+_SKY_RGB: Final = [0.97, 0.97, 0.97], [0.86, 0.86, 0.84]
+"""Overhead and at the horizon, where the floor ends."""
 _SUN: Final = np.array([-0.42, -0.38, 1.0])
 """Towards the light: from the left of the overview, so that shadows fall to the right and backwards."""
 _SUNS: Final = 3
@@ -65,6 +68,8 @@ def dress(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
     _lay_floor(spec, size)
     _light(spec, size, height_m)
     _give_materials(spec)
+    sky = spec.texture("sky")
+    sky.rgb1, sky.rgb2 = _SKY_RGB
     spec.visual.quality.offsamples = 8
 
 

@@ -10,6 +10,7 @@ import craftsim.mjcf
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.mjcf.make_machines import write_machines
 from craftsim.mjcf.meshes import NAMES, mesh_parts
+from craftsim.mjcf.shapes import worm_offset
 from craftsim.models.parameters import NOMINAL, SmartcarParameters
 
 MESHES = {
@@ -29,16 +30,17 @@ BOUNDS = {
     "slope_base": ((-0.160, -0.160, 0.0), (0.160, 0.160, LEVEL_HEIGHT_M)),
     "slope_flap": ((0.00125, -0.160, -LEVEL_HEIGHT_M / 2), (0.32125, 0.160, 0.0)),
     "gear": ((-0.020, -0.006, -0.020), (0.020, 0.006, 0.020)),
+    "worm": ((-0.0437, -0.0065, -0.0065), (0.0097, 0.0065, 0.0065)),
 }
 
 
 def _load(name: str) -> trimesh.Trimesh:
-    return trimesh.load_mesh(DIRECTORY / f"{name}.stl")
+    return trimesh.load_mesh(DIRECTORY / f"{name}.obj")
 
 
 def test_the_files_are_what_the_script_makes(tmp_path):
     write_machines(tmp_path)
-    assert {path.name for path in DIRECTORY.iterdir()} == {f"{name}.stl" for name in MESHES}
+    assert {path.name for path in DIRECTORY.iterdir()} == {f"{name}.obj" for name in MESHES}
     for path in DIRECTORY.iterdir():
         assert path.read_bytes() == (tmp_path / "meshes" / path.name).read_bytes(), (
             f"{path.name}: run 'make machines'"
@@ -107,3 +109,33 @@ def test_wheels_have_room_in_the_chassis():
     beside = chassis.vertices[np.abs(chassis.vertices[:, 1]) > 0.0595]
     from_axle = np.hypot(np.abs(beside[:, 0]) - 0.060, beside[:, 2])
     assert from_axle.min() > 0.0496
+
+
+def _normals(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normals (n, 3) of the larger faces of a file, and those (n, 3, 3) that it gives their corners."""
+    words = [line.split() for line in (DIRECTORY / f"{name}.obj").read_text().splitlines()]
+    points = np.array([w[1:] for w in words if w[0] == "v"], float)
+    given = np.array([w[1:] for w in words if w[0] == "vn"], float)
+    corners = np.array([[part.split("//") for part in w[1:]] for w in words if w[0] == "f"], int) - 1
+    a, b, c = points[corners[:, :, 0]].transpose(1, 0, 2)
+    across = np.cross(b - a, c - a)
+    area = np.linalg.norm(across, axis=1) / 2
+    large = area > 0.05 * area.max()
+    return (across / (2 * area[:, None]))[large], given[corners[large, :, 1]]
+
+
+def test_flat_faces_are_shaded_flat_and_round_ones_round():
+    for name in ("slope_base", "slope_flap", "block_trim", "lift_post"):
+        faces, corners = _normals(name)
+        assert np.abs(corners - faces[:, None]).max() < 0.06, name  # 3 degrees
+    faces, corners = _normals("wheel_hub")
+    assert np.abs(corners - faces[:, None]).max() > 0.1
+
+
+def test_a_worm_meshes_with_its_gear():
+    p = NOMINAL.slope
+    offset = -worm_offset(p)[2]
+    gear, worm = _load("gear").vertices, _load("worm").vertices
+    tip = np.hypot(gear[:, 0], gear[:, 2]).max()
+    thread = np.hypot(worm[:, 1], worm[:, 2])[worm[:, 0] > -0.010].max()
+    assert 0.001 < tip + thread - offset < 0.003, "as deep as the teeth"

@@ -19,7 +19,7 @@ def write_machines(directory: Path) -> None:
     machines = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
     for figures in machines:
         for name, data in make_meshes(figures).items():
-            (meshes / f"{name}.stl").write_bytes(data)
+            (meshes / f"{name}.obj").write_bytes(data)
     record = {type(figures).__name__: lengths(figures) for figures in machines}
     (directory / RECORD.name).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     for part in PARTS:

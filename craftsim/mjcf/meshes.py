@@ -1,4 +1,4 @@
-"""The visual meshes of the machines: which there are, and their STL bytes for any figures.
+"""The visual meshes of the machines: which there are, and their OBJ files for any figures.
 
 Metres; x forward, y left, z up. Dimensions are the machines' figures; what only decorates (bevels, spokes, ribs, lamps)
 is our own. The meshes are pictures: contact shapes live in the MJCF, and walkable faces agree with them within 1 mm.
@@ -26,7 +26,7 @@ Figures = SmartcarParameters | BlockParameters | SlopeParameters
 NAMES: Final[dict[type, tuple[str, ...]]] = {
     SmartcarParameters: ("chassis", "chassis_trim", "wheel_hub", "board", "board_pads", "lift_post"),
     BlockParameters: ("block", "block_trim", "flag"),
-    SlopeParameters: ("slope_base", "slope_flap", "gear"),
+    SlopeParameters: ("slope_base", "slope_flap", "gear", "worm"),
 }
 """The meshes that are made from each kind of figures."""
 
@@ -57,16 +57,16 @@ def shipped(figures: Figures) -> bool:
 def mesh_file(figures: Figures, name: str) -> str:
     """Return the file name of a mesh, relative to the MJCF; other lengths than those of the files give another name."""
     if shipped(figures):
-        return f"meshes/{name}.stl"
-    return f"meshes/{name}-{digest_of(dict(lengths(figures)))[:8]}.stl"
+        return f"meshes/{name}.obj"
+    return f"meshes/{name}-{digest_of(dict(lengths(figures)))[:8]}.obj"
 
 
 @lru_cache(maxsize=64)
 def mesh_bytes(figures: Figures) -> dict[str, bytes]:
-    """Return the binary STL of every mesh of a machine by its file name: read if the files are of it, else made."""
+    """Return the OBJ text of every mesh of a machine by its file name: read if the files are of it, else made."""
     if shipped(figures):
         return {
-            mesh_file(figures, name): (FOLDER / f"{name}.stl").read_bytes() for name in NAMES[_kind(figures)]
+            mesh_file(figures, name): (FOLDER / f"{name}.obj").read_bytes() for name in NAMES[_kind(figures)]
         }
     return {mesh_file(figures, name): data for name, data in make_meshes(figures).items()}
 
@@ -85,14 +85,7 @@ def mesh_parts(figures: Figures) -> dict[str, Any]:
 
 
 def make_meshes(figures: Figures) -> dict[str, bytes]:
-    """Make every mesh of a machine; return its binary STL by name."""
-    import numpy as np
-    import trimesh
+    """Make every mesh of a machine; return its OBJ text by name."""
+    from craftsim.mjcf.wavefront import obj
 
-    made = {}
-    for name, parts in mesh_parts(figures).items():
-        for part in parts:
-            # A micrometre grid: the last digits of sines differ between maths libraries, the files must not.
-            part.vertices = np.round(part.vertices, 6) + 0.0
-        made[name] = trimesh.exchange.stl.export_stl(trimesh.util.concatenate(parts))
-    return made
+    return {name: obj(parts) for name, parts in mesh_parts(figures).items()}

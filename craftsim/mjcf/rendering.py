@@ -64,7 +64,7 @@ def render(
     machines: Machines,
     car: SmartcarParameters | None = None,
     alone: bool = True,
-    mesh: Callable[[str], str] = "meshes/{}.stl".format,
+    mesh: Callable[[str], str] = "meshes/{}.obj".format,
 ) -> str:
     """Return the MJCF of a part: smartcar, block, flag, wall, slope or ground.
 
@@ -137,5 +137,8 @@ def _shapes(part: str, machines: Machines, car: SmartcarParameters) -> dict[str,
                 "whole": WholeCar.of(car),
             }
         case "slope":
-            return {"shape": shapes.slope(machines.slope, _SEAT)}
+            return {
+                "shape": shapes.slope(machines.slope, _SEAT),
+                "worm": shapes.worm_offset(machines.slope),
+            }
     return {"table": shapes.table(machines.block, _SEAT)}

@@ -176,6 +176,14 @@ def slope(p: SlopeParameters, car: SmartcarParameters) -> SlopeShape:
     )
 
 
+def worm_offset(p: SlopeParameters) -> Point:
+    """Return where the worm stands that drives a slope's left gear, from the gear's centre: below, and off the wall.
+
+    It is only to be seen: its pitch circle, of a quarter of the gear's radius, touches that of the gear.
+    """
+    return 0.0, -0.325 * p.gear_radius_m, -(0.93 + 0.25) * p.gear_radius_m
+
+
 def _pads(p: SlopeParameters, car: SmartcarParameters) -> dict[str, Box]:
     """Return the rails that a board lifts by, and the bars that stop its boss at their lower edges."""
     inner, outer = car.boss_side_m / 2 + p.boss_play_m, car.board_width_m / 2

@@ -5,12 +5,18 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from craftsim.mjcf.solids import Parts, between, loft, plate_xz, turned
+from craftsim.mjcf.solids import Parts, Ring, between, loft, plate_xz, turned
 from craftsim.models.parameters import SlopeParameters
 
 _LIP_M: Final = 0.001
 """Thickness of the flap's edge."""
+_TEETH: Final = 18
+_GEAR_ROOT: Final = 0.86
+"""Radius between a gear's teeth, over that of their tips."""
+_WORM_POINTS, _WORM_RINGS = 12, 8
+"""Of a ring, and rings in a turn of the thread."""
 
 
 def _rise(p: SlopeParameters) -> float:
@@ -93,11 +99,12 @@ def slope_flap(p: SlopeParameters) -> Parts:
 
 def gear(p: SlopeParameters) -> Parts:
     """Toothed disc about the y axis, with a boss."""
-    teeth, tip, root, half = 18, p.gear_radius_m, 0.86 * p.gear_radius_m, p.gear_width_m / 2
+    tip, half = p.gear_radius_m, p.gear_width_m / 2
+    root = _GEAR_ROOT * tip
     angles, radii = [], []
-    for tooth in range(teeth):
+    for tooth in range(_TEETH):
         for part, radius in ((0.0, root), (0.30, root), (0.45, tip), (0.80, tip)):
-            angles.append((tooth + part) * 2 * np.pi / teeth)
+            angles.append((tooth + part) * 2 * np.pi / _TEETH)
             radii.append(radius)
     outline = np.column_stack([np.multiply(radii, np.cos(angles)), np.multiply(radii, np.sin(angles))])
     disc = plate_xz(outline, (0.0008 - half, half - 0.0008))
@@ -106,3 +113,28 @@ def gear(p: SlopeParameters) -> Parts:
         [[0, -half], [0.0075, -half], [0.009, -inset], [0.009, inset], [0.0075, half], [0, half]], 20
     )
     return [disc, boss]
+
+
+def worm(p: SlopeParameters) -> Parts:
+    """Worm about the x axis that meshes with a gear above its middle, and the motor behind it."""
+    pitch_radius, depth = 0.25 * p.gear_radius_m, (1 - _GEAR_ROOT) / 2 * p.gear_radius_m
+    pitch = np.pi * (1 + _GEAR_ROOT) * p.gear_radius_m / _TEETH
+    around = np.arange(_WORM_POINTS) * (2 * np.pi / _WORM_POINTS)
+    start = 0.125 * pitch  # a gap faces up where a tooth of the gear hangs lowest
+
+    def ring(x: float, radius: ArrayLike) -> Ring:
+        along = np.full(_WORM_POINTS, x)
+        return np.column_stack([along, radius * np.sin(around), radius * np.cos(around)])
+
+    places = np.linspace(-1.5, 1.5, 3 * _WORM_RINGS + 1) * pitch
+    turns = [(x - start) / pitch - around / (2 * np.pi) for x in places]
+    thread = [
+        ring(x, pitch_radius - depth * np.clip(1.4 * np.cos(2 * np.pi * turn), -1, 1))
+        for x, turn in zip(places, turns, strict=True)
+    ]
+    back = places[0]
+    motor, shaft = 0.325 * p.gear_radius_m, pitch_radius - depth
+    axle = loft([ring(back - 0.004, shaft), ring(back + 0.001, shaft)])
+    body = [ring(back - length, radius) for length, radius in ((0.034, motor - 0.001), (0.033, motor))]
+    body += [ring(back - length, radius) for length, radius in ((0.004, motor), (0.003, motor - 0.001))]
+    return [loft(thread), axle, loft(body)]

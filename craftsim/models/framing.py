@@ -15,7 +15,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 MARGIN: Final = 0.03
 """What is left free at each edge of a picture, as a share of its width or height."""
 
-OVERVIEW_ELEVATION_DEG: Final = -36.0
+OVERVIEW_ELEVATION_DEG: Final = -32.0
 OVERVIEW_FOVY_DEG: Final = 30.0
 """Less than the elevation: the upper edge of the picture still shows floor, no sky."""
 TOP_FOVY_DEG: Final = 14.0
@@ -94,18 +94,24 @@ def box_corners(size: tuple[int, ...], height_m: float) -> NDArray[np.float64]:
     return np.array([(x, y, z) for x in (0.0, length) for y in (0.0, width) for z in (0.0, height_m)])
 
 
-def overview(size: tuple[int, ...], height_m: float, aspect: float) -> Aim:
-    """Return the camera that shows a whole area from its front right, above.
+def overview(size: tuple[int, ...], height_m: float, aspect: float, strip_m: float = 0.0) -> Aim:
+    """Return the camera that shows a whole area, and a strip of floor before it and to its right, from there, above.
 
     The longer side of the area runs along the longer one of the picture.
     """
     length, width = size[:2] if aspect >= 1 else (size[1], size[0])
     turn = 30.0 * (width - length) / (length + width)
     azimuth = 128.0 + turn if aspect >= 1 else 128.0 - turn
-    corners = box_corners(size, height_m)
-    return fitted(corners, azimuth, OVERVIEW_ELEVATION_DEG, OVERVIEW_FOVY_DEG, aspect)
+    points = _with_strip(size, height_m, strip_m)
+    return fitted(points, azimuth, OVERVIEW_ELEVATION_DEG, OVERVIEW_FOVY_DEG, aspect)
 
 
-def top(size: tuple[int, ...], height_m: float, aspect: float) -> Aim:
-    """Return the camera that shows a whole area from straight above, x to the right and y upwards."""
-    return fitted(box_corners(size, height_m), 90.0, -90.0, TOP_FOVY_DEG, aspect)
+def top(size: tuple[int, ...], height_m: float, aspect: float, strip_m: float = 0.0) -> Aim:
+    """Return the camera that shows the same as ``overview`` from straight above, x to the right and y upwards."""
+    return fitted(_with_strip(size, height_m, strip_m), 90.0, -90.0, TOP_FOVY_DEG, aspect)
+
+
+def _with_strip(size: tuple[int, ...], height_m: float, strip_m: float) -> NDArray[np.float64]:
+    length, width = size[0] * CELL_PITCH_M + strip_m, size[1] * CELL_PITCH_M
+    floor = [(x, y, 0.0) for x in (0.0, length) for y in (-strip_m, width)]
+    return np.vstack([box_corners(size, height_m), floor])

@@ -18,6 +18,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
 from craftsim.models.framing import Aim, fitted, overview, top
 from craftsim.models.parameter_files import numbers, read_keys
+from craftsim.rendering.painting import label_strip_m
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.limits import Range
 
@@ -77,7 +78,7 @@ def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
     size = trajectory.story.recipe.grid.size
     if text in ("overview", "top"):
         fit = {"overview": overview, "top": top}[text]
-        return _still(text, fit(size, reached_m(trajectory), aspect))
+        return _still(text, fit(size, reached_m(trajectory), aspect, label_strip_m(*size[:2])))
     if text == "orbit":
         return _orbit(trajectory, size, aspect)
     if kind in CAR_VIEWS:
@@ -123,7 +124,10 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
     """Return the view that turns once around the area: fitted to the cylinder about it, which all angles see alike."""
     length, width = size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M
     angles = np.arange(72) * (math.tau / 72)
-    radius = math.hypot(length, width) / 2 / math.cos(math.pi / 72)  # of the polygon about the circle
+    strip = label_strip_m(*size[:2])
+    radius = (
+        math.hypot(length + strip, width + strip) / 2 / math.cos(math.pi / 72)
+    )  # of the polygon about the circle
     rim = np.column_stack([length / 2 + radius * np.cos(angles), width / 2 + radius * np.sin(angles)])
     points = [(x, y, z) for x, y in rim for z in (0.0, reached_m(trajectory))]
     first = overview(size, 0.0, aspect)
@@ -146,9 +150,9 @@ class _Post:
     """Where a camera stands beside a car."""
 
     distance_m: float
-    turn_deg: float
-    """Of its direction from the car's heading; 0 looks the way the car does."""
-    elevation_deg: float
+    sides: tuple[tuple[float, float], ...]
+    """Turns of its direction from the car's heading, 0 looking the way the car does, and elevations, in degrees; it
+    stands where the car is least hidden."""
     fovy_deg: float
     height_m: float
     """Over the car's origin, at which it looks."""
@@ -159,9 +163,15 @@ class _Post:
 
 
 _POSTS: Final = {
-    "follow": _Post(1.25, 0.0, -32.0, 45.0, 0.10, 0.4, 1.2),
-    "closeup": _Post(0.80, 140.0, -20.0, 30.0, 0.06, 0.15, 1.2),
+    "follow": _Post(1.25, ((0.0, -32.0), (0.0, -48.0)), 45.0, 0.10, 0.4, 1.2),
+    "closeup": _Post(
+        0.85,
+        tuple((turn, elevation) for elevation in (-20.0, -35.0) for turn in (140.0, -140.0, 40.0, -40.0)),
+        *(30.0, 0.06, 0.15, 1.2),
+    ),
 }
+_LOOKS: Final = 40
+"""Samples at which it is tried from where a car is seen."""
 
 
 def _beside(name: str, trajectory: Trajectory, car: int, post: _Post) -> View:
@@ -170,12 +180,35 @@ def _beside(name: str, trajectory: Trajectory, car: int, post: _Post) -> View:
     place = _smooth(poses[:, :3], post.place_s / period_s) + np.array([0.0, 0.0, post.height_m])
     heading = _smooth(np.unwrap(_headings(poses[:, 3:])), post.heading_s / period_s)
 
-    def aim(time_s: float) -> Aim:
-        lookat = np.array([np.interp(time_s, times, place[:, axis]) for axis in range(3)])
-        azimuth = math.degrees(float(np.interp(time_s, times, heading))) + post.turn_deg
-        return Aim(lookat, post.distance_m, azimuth, post.elevation_deg, post.fovy_deg)
+    def from_side(side: tuple[float, float]) -> Callable[[float], Aim]:
+        turn, elevation = side
 
-    return View(name, post.fovy_deg, aim)
+        def aim(time_s: float) -> Aim:
+            lookat = np.array([np.interp(time_s, times, place[:, axis]) for axis in range(3)])
+            azimuth = math.degrees(float(np.interp(time_s, times, heading))) + turn
+            return Aim(lookat, post.distance_m, azimuth, elevation, post.fovy_deg)
+
+        return aim
+
+    return View(name, post.fovy_deg, _least_hidden(trajectory, car, [from_side(side) for side in post.sides]))
+
+
+def _least_hidden(
+    trajectory: Trajectory, car: int, aims: list[Callable[[float], Aim]]
+) -> Callable[[float], Aim]:
+    """Return the first of the aims from which nothing hides a car most often."""
+    model, root = trajectory.model, trajectory.site.cars[car].base.body
+    data = mujoco.MjData(model)
+    seen, groups, hit = [0] * len(aims), np.array([0, 0, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
+    for sample in np.linspace(0, len(trajectory) - 1, _LOOKS).astype(int):
+        data.qpos[:] = trajectory.qpos[sample]
+        mujoco.mj_kinematics(model, data)
+        for number, aim in enumerate(aims):
+            found = aim(float(trajectory.time[sample]))
+            ray = found.lookat - found.position
+            mujoco.mj_ray(model, data, found.position, ray, groups, 1, -1, hit)
+            seen[number] += hit[0] >= 0 and int(model.body_rootid[model.geom_bodyid[hit[0]]]) == root
+    return aims[int(np.argmax(seen))]
 
 
 def _smooth(samples: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:

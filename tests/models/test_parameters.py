@@ -276,7 +276,7 @@ def test_an_edited_length_is_seen_by_the_meshes_before_they_are_made_again():
     assert shipped(bumped(SMARTCAR, "wheel_torque_nm"))
     assert make_meshes(car)["chassis"] != make_meshes(SMARTCAR)["chassis"]
     spec = load_part("smartcar", with_parameters(car))
-    assert "meshes/chassis.stl" not in spec.assets
+    assert "meshes/chassis.obj" not in spec.assets
     assert spec.compile().mesh("chassis").vertnum[0] > 0
 
 

@@ -95,4 +95,4 @@ def test_a_scene_of_other_machines_is_written_with_its_meshes(tmp_path):
     write_scene(tmp_path, grid, machines=Machines(cars=(SmartcarParameters(), HEAVY)))
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "site.xml"))
     assert model.nbody == Site(grid).model.nbody
-    assert len(list((tmp_path / "meshes").glob("chassis*.stl"))) == 4, "body and trim of two kinds of car"
+    assert len(list((tmp_path / "meshes").glob("chassis*.obj"))) == 4, "body and trim of two kinds of car"

@@ -252,13 +252,13 @@ def test_a_pickle_in_the_place_of_an_array_is_not_opened(copy):
 
 def test_a_bundle_is_text_meshes_and_plain_arrays(folder):
     paths = [path for path in folder.rglob("*") if path.is_file()]
-    assert {path.suffix for path in paths} == {".json", ".npz", ".csv", ".xml", ".stl"}
+    assert {path.suffix for path in paths} == {".json", ".npz", ".csv", ".xml", ".obj"}
     for path in paths:
         if path.suffix == ".npz":
             with zipfile.ZipFile(path) as archive:
                 for name in archive.namelist():
                     np.load(io.BytesIO(archive.read(name)), allow_pickle=False)
-        elif path.suffix == ".stl":
+        elif path.suffix == ".obj":
             shipped = resources.files("craftsim.mjcf") / "meshes" / path.name
             assert path.read_bytes() == shipped.read_bytes()
         else:

@@ -25,6 +25,7 @@ def render(
     fps: Annotated[int, FRAME_RATE] = 30,
     speed: Annotated[float | None, FILM_SPEED] = None,
     at: Annotated[tuple[float, ...], MOMENT_S] = (),
+    ghost: bool = True,
     captions: bool = True,
     cards: bool = True,
     title: str | None = None,
@@ -53,6 +54,7 @@ def render(
         fps: frames a second.
         speed: simulated seconds in a second of film; unless given it follows what the cars do.
         at: simulated times of pictures to take, in seconds; for .png only.
+        ghost: what the design still lacks, translucent.
         captions: what the cars do and how it is judged, beside the picture.
         cards: a card at the start and one at the end of a film.
         title: in place of the trajectory's own.
@@ -71,7 +73,7 @@ def render(
     from craftsim.rendering.render import render as render_file
     from craftsim.report import output_directory
 
-    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, captions, cards, title)
+    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, ghost, captions, cards, title)
     check_format(out, at)
     choose_backend()
     output_directory(out.parent)

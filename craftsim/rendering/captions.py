@@ -33,7 +33,8 @@ class Caption:
 
     title: str
     time_s: float
-    factor: float
+    factor: float | None
+    """Of a picture there is none."""
     step: int
     """Actions begun so far."""
     n_steps: int
@@ -42,7 +43,8 @@ class Caption:
     @property
     def clock(self) -> str:
         """The simulated time and the speed of the film."""
-        return f"{self.time_s:.1f} s   x{self.factor:.3g}"
+        time = f"{self.time_s:.1f} s"
+        return time if self.factor is None else f"{time}   x{self.factor:.2g}"
 
 
 class Captions:
@@ -55,11 +57,11 @@ class Captions:
         self._performed = sorted((a for a in self._attempts if a.performed), key=lambda a: a.start_s)
         self._n_cars = trajectory.measured.shape[1]
 
-    def at(self, time_s: float, factor: float) -> Caption:
+    def at(self, time_s: float, factor: float | None) -> Caption:
         """Return what is said at a simulated time, in a film that then runs at ``factor`` times the real speed."""
         begun = [a for a in self._performed if a.start_s <= time_s]
         cars = tuple(_car(car, [a for a in begun if a.car == car], time_s) for car in range(self._n_cars))
-        return Caption(self.title, time_s, float(f"{factor:.2g}"), len(begun), len(self._performed), cars)
+        return Caption(self.title, time_s, factor, len(begun), len(self._performed), cars)
 
 
 def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:

@@ -22,7 +22,7 @@ from craftsim.rendering.pacing import Pace, adapted_pace, even_pace, fitted_pace
 from craftsim.rendering.panel import PAPER, Frame, Panel
 from craftsim.rendering.prediction import Prediction
 from craftsim.rendering.renderer import make_renderer
-from craftsim.rendering.stage import Quality, stage
+from craftsim.rendering.stage import Quality, Stage
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.limits import FILM_SPEED, FRAME_PIXELS, FRAME_RATE
 
@@ -50,6 +50,8 @@ class Look:
     """Simulated seconds in a second of film; it follows what the cars do if None."""
     length_s: float | None = None
     """Length of the film without its cards, in place of a speed."""
+    ghost: bool = True
+    """Whether to draw what the design still lacks, translucent."""
     captions: bool = True
     cards: bool = True
     title: str | None = None
@@ -116,7 +118,7 @@ class Frames:
             return end_card(self.trajectory, self.look.size)
         return self.at(float(self.pace.times[number]), float(self.pace.factors[number]))
 
-    def at(self, time_s: float, factor: float = 1.0) -> Frame:
+    def at(self, time_s: float, factor: float | None = None) -> Frame:
         """Return the picture of a moment, with its captions."""
         width, height = self.look.size
         frame = np.full((height, width, 3), PAPER, np.uint8)
@@ -139,7 +141,8 @@ class _World:
 
     def __init__(self, trajectory: Trajectory, look: Look) -> None:
         self._trajectory = trajectory
-        self.model = stage(trajectory, look.quality, look.size)
+        self.stage, self.ghost = Stage(trajectory, look.quality), look.ghost
+        self.model = self.stage.model
         self.data = mujoco.MjData(self.model)
         self._sample = -1
 
@@ -164,9 +167,11 @@ class _Seen:
         self._renderer = make_renderer(world.model, box.size)
 
     def draw(self, sample: int, time_s: float) -> Frame:
-        self._world.show(sample)
-        self._world.model.vis.global_.fovy = self._view.fovy_deg
-        self._renderer.update_scene(self._world.data, self._view.camera(time_s))
+        world, scene = self._world, self._renderer.scene
+        world.show(sample)
+        world.model.vis.global_.fovy = self._view.fovy_deg
+        self._renderer.update_scene(world.data, self._view.camera(time_s))
+        world.stage.finish(scene, world.data.qpos, world.ghost)
         picture: Frame = self._renderer.render()
         return picture
 

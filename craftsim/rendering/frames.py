@@ -90,16 +90,16 @@ class Frames:
         self.trajectory, self.look = trajectory, look
         self.pace = pace_of(trajectory, look)
         self._n_title, self._n_end = look.n_cards
-        boxes, panel = arrange(look.size, len(look.cameras), look.layout, look.captions)
-        if any(min(box.size) < LEAST_PIXELS for box in boxes):
-            raise InputError(f"{len(boxes)} views do not fit into {look.size[0]} x {look.size[1]} pixels")
+        tiles, panel = arrange(look.size, len(look.cameras), look.layout, look.captions)
+        if any(min(tile.size) < LEAST_PIXELS for tile in tiles):
+            raise InputError(f"{len(tiles)} views do not fit into {look.size[0]} x {look.size[1]} pixels")
         self._captions = Captions(trajectory, look.title)
         self._panel = None if panel is None else (panel, Panel(panel.size, look.size[1]))
         self._world = _World(trajectory, look)
         self._views: list[tuple[Tile, _Picture]] = []
-        for box, camera in zip(boxes, look.cameras, strict=True):
-            picture = _Predicted(trajectory, box) if camera == GRID else self._world.view(camera, box)
-            self._views.append((box, picture))
+        for tile, camera in zip(tiles, look.cameras, strict=True):
+            picture = _Predicted(trajectory, tile) if camera == GRID else self._world.view(camera, tile)
+            self._views.append((tile, picture))
 
     def __len__(self) -> int:
         return self._n_title + len(self.pace.times) + self._n_end
@@ -123,11 +123,11 @@ class Frames:
         width, height = self.look.size
         frame = np.full((height, width, 3), PAPER, np.uint8)
         sample = self.trajectory.at(time_s)
-        for box, view in self._views:
-            frame[box.rows, box.columns] = view.draw(sample, time_s)
+        for tile, view in self._views:
+            frame[tile.rows, tile.columns] = view.draw(sample, time_s)
         if self._panel is not None:
-            box, panel = self._panel
-            frame[box.rows, box.columns] = panel.draw(self._captions.at(time_s, factor))
+            tile, panel = self._panel
+            frame[tile.rows, tile.columns] = panel.draw(self._captions.at(time_s, factor))
         return frame
 
     def close(self) -> None:
@@ -146,8 +146,8 @@ class _World:
         self.data = mujoco.MjData(self.model)
         self._sample = -1
 
-    def view(self, camera: str, box: Tile) -> _Seen:
-        return _Seen(self, make_view(camera, self._trajectory, box.width / box.height), box)
+    def view(self, camera: str, tile: Tile) -> _Seen:
+        return _Seen(self, make_view(camera, self._trajectory, tile.width / tile.height), tile)
 
     def show(self, sample: int) -> None:
         if sample == self._sample:
@@ -162,9 +162,10 @@ class _World:
 class _Seen:
     """What a camera sees of the world."""
 
-    def __init__(self, world: _World, view: View, box: Tile) -> None:
+    def __init__(self, world: _World, view: View, tile: Tile) -> None:
         self._world, self._view = world, view
-        self._renderer = make_renderer(world.model, box.size)
+        self._renderer = make_renderer(world.model, tile.size)
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = world.stage.shadows
 
     def draw(self, sample: int, time_s: float) -> Frame:
         world, scene = self._world, self._renderer.scene
@@ -182,8 +183,8 @@ class _Seen:
 class _Predicted:
     """The world that the rules predict, drawn level by level."""
 
-    def __init__(self, trajectory: Trajectory, box: Tile) -> None:
-        self._prediction, self._box = Prediction(trajectory), box
+    def __init__(self, trajectory: Trajectory, tile: Tile) -> None:
+        self._prediction, self._box = Prediction(trajectory), tile
         self._drawn: tuple[int, Frame] | None = None
 
     def draw(self, sample: int, time_s: float) -> Frame:
@@ -206,7 +207,7 @@ def pace_of(trajectory: Trajectory, look: Look) -> Pace:
 
 
 def _fit(picture: Frame, size: tuple[int, int]) -> Frame:
-    """Return a picture in the middle of a box of ``size`` (width, height), as large as fits."""
+    """Return a picture in the middle of a tile of ``size`` (width, height), as large as fits."""
     width, height = size
     scale = min(0.96 * width / picture.shape[1], 0.96 * height / picture.shape[0])
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

@@ -45,7 +45,7 @@ class Tile:
 def arrange(
     size: tuple[int, int], n_views: int, layout: Layout, captions: bool
 ) -> tuple[list[Tile], Tile | None]:
-    """Return the boxes of the views and of the captions in a frame of ``size`` (width, height), without overlap."""
+    """Return the tiles of the views and of the captions in a frame of ``size`` (width, height), without overlap."""
     width, height = size
     panel = None
     if captions and width >= height:

@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults soak campaigns picture machines neighbours constraints newest packages libraries clean
+.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest packages libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -66,9 +66,9 @@ campaigns: $(VENV)/installed  ## Measure the skills at length (hours on two core
 	$(BIN)/craftsim audit --rules physical --workers 2 --out out/audit-physical
 	$(BIN)/craftsim audit --workers 2 --out out/audit-published
 
-picture: $(VENV)/installed libraries  ## Film the clearest unsound rule again, as docs/unsound_rule.webp
-	$(BIN)/craftsim audit --contexts 'MOVE/scene=over the edge to a foot across' --trials 1 --video --out out/unsound-rule || [ $$? -eq 1 ]
-	$(BIN)/python scripts/animate.py out/unsound-rule/bundles/00000/film.mp4 docs/unsound_rule.webp
+gallery: $(VENV)/installed libraries  ## Make the films and pages of docs/gallery again (half an hour on two cores)
+	$(BIN)/craftsim audit --quick --workers 2 --out out/gallery || [ $$? -eq 1 ]
+	$(BIN)/python scripts/gallery.py out/gallery 2
 
 machines: $(VENV)/installed  ## Write the MJCF and the meshes of the nominal machines in craftsim/mjcf again
 	$(BIN)/python -m craftsim.mjcf.make_machines

@@ -1,0 +1,175 @@
+"""Make the pages and films of the gallery: ``scripts/gallery.py AUDIT [WORKERS]``.
+
+AUDIT is the folder of an audit of the published rules, whose replay bundles show what is unsound. Each task of the
+paper is built in physics, and each unsound rule is shown in the smallest world in which it fails.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.checking.settings import Setup
+from craftsim.discrete.drawing import LEGEND, world_text
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.rendering.frames import Look
+from craftsim.rendering.processes import spread
+from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.render import render
+from craftsim.rendering.trajectory import Trajectory
+from craftsim.storage.writing import write_whole
+from craftsim.validation.replays.bundle import read_bundle
+from craftsim.validation.runs.once import record_once
+from craftsim.validation.shrinking.shrink import DependsError, Smallest, failing_actions, shrink
+from craftsim.validation.shrinking.words import sentence
+
+ROOT: Final = Path(__file__).parents[1]
+GALLERY: Final = ROOT / "docs" / "gallery"
+MADE: Final = "<!-- Made by `make gallery`; do not edit. -->\n\n"
+BUDGET_BYTES: Final = 1_000_000
+"""Of a film."""
+TASK_LOOK: Final = Look((960, 540), quality="paper")
+HERO: Final = "simple_two_story"
+"""The task that README opens with, as an animation that shows without a player."""
+HERO_LOOK: Final = Look((720, 360), fps=12, quality="paper", speed=4.0, cards=False)
+RULE_LOOK: Final = Look(
+    (720, 320), 15, ("overview", "follow:0"), quality="paper", length_s=4.0, cards=False, captions=False
+)
+TRIES: Final = 5
+"""Bundles of a rule that are tried until one fails by itself, from a fresh start."""
+
+
+def main(audit: Path, workers: int) -> None:
+    """Make everything."""
+    GALLERY.mkdir(exist_ok=True)
+    jobs: list[tuple[str, str, str]] = [("task", task, "") for task in TASK_NAMES]
+    jobs += [("rule", flag, str(audit)) for flag in _rows_by_flag(audit)]
+    for number, _ in enumerate(spread(_make, jobs, workers)):
+        print(f"{number + 1} of {len(jobs)}", flush=True)
+    for path in GALLERY.iterdir():
+        if path.stat().st_size > BUDGET_BYTES:
+            raise SystemExit(f"{path} has {path.stat().st_size} bytes; allowed: {BUDGET_BYTES}")
+    _write_index([flag for flag in _rows_by_flag(audit) if (GALLERY / f"{flag}.md").exists()])
+
+
+def _make(job: tuple[str, str, str]) -> None:
+    kind, name, audit = job
+    if kind == "task":
+        _make_task(name)
+    else:
+        _make_rule(name, Path(audit))
+
+
+def _make_task(task: str) -> None:
+    trajectory = record_once(task, Setup(), 0)
+    title = task.replace("_", " ")
+    look = replace(TASK_LOOK, title=title)
+    render(trajectory, GALLERY / f"{task}.mp4", look)
+    last = float(trajectory.time[-1])
+    render(trajectory, GALLERY / f"{task}.png", replace(look, captions=False), at=(last,))
+    if task == HERO:
+        render(trajectory, GALLERY / f"{task}.webp", replace(HERO_LOOK, title=title))
+    page = [
+        f"{MADE}# {title.capitalize()}\n",
+        _video(f"{task}.mp4", f"{task}.png"),
+        _figures(trajectory),
+        "## Start\n",
+        f"```{{literalinclude}} ../../craftsim/data/blueprints/{task}.yaml\n:language: yaml\n```\n",
+        "## Plan\n",
+        f"```{{literalinclude}} ../../craftsim/data/plans/{task}.plan\n:language: text\n```\n",
+    ]
+    write_whole(GALLERY / f"{task}.md", "\n".join(page))
+
+
+def _figures(trajectory: Trajectory) -> str:
+    attempts = trajectory.story.attempts
+    rows = {
+        "actions as predicted": f"{sum(a.agrees for a in attempts)} of {len(attempts)}",
+        "simulated time": f"{trajectory.duration_s:.1f} s",
+        "cars off their cells' centres": f"{1e3 * max(a.car_error_m for a in attempts):.2f} mm at most",
+        "headings off": f"{1e3 * max(a.heading_error_rad for a in attempts):.2f} mrad at most",
+        "bystanders moved": f"{1e3 * max(a.bystander_displacement_m for a in attempts):.2f} mm at most",
+        "largest force between two machines": f"{max(a.peak_force_n for a in attempts):.0f} N",
+    }
+    return "\n".join(
+        ["| | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in rows.items()), ""]
+    )
+
+
+def _rows_by_flag(audit: Path) -> dict[str, list[dict[str, Any]]]:
+    """Return, by the rule flag that corrects them, the rows of an audit that are unsound, with bundles."""
+    figures = json.loads((audit / "report.json").read_text(encoding="utf-8"))["figures"]["audit"]
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in figures["rows"]:
+        if row["verdict"] == "unsound" and row["bundles"]:
+            for flag in row["corrections"]:
+                found.setdefault(flag, []).append(row)
+    return found
+
+
+def _make_rule(flag: str, audit: Path) -> None:
+    smallest = _smallest(flag, audit)
+    if smallest is None:
+        return
+    recipe = Recipe(blueprint_text(smallest.grid), (Step.single(0, 0, smallest.action),), smallest.setup)
+    checked, recorder = start(recipe), Recorder()
+    recorder.begin(checked)
+    attempts = do(checked, recipe.steps[0])
+    for _ in range(50):  # what follows: a second
+        checked.executor.advance()
+    trajectory = recorder.trajectory(flag, recipe, attempts)
+    render(trajectory, GALLERY / f"{flag}.webp", RULE_LOOK)
+    world = world_text(smallest.grid).plain.rstrip()
+    page = [
+        f"{MADE}# {flag.replace('_', ' ').capitalize()}\n",
+        f"![{sentence(smallest)}]({flag}.webp)\n",
+        f"{_upper(sentence(smallest))}. In physics: {attempts[0].result}"
+        + (f" ({attempts[0].reason})" if attempts[0].reason else "")
+        + ". CraftEnv's rules allow it; `physical` has the rule flag "
+        f"[`{flag}`](../rules.md) against it.\n",
+        f"## The smallest world\n\n```text\n{world}\n\n{LEGEND}\n```\n",
+    ]
+    write_whole(GALLERY / f"{flag}.md", "\n".join(page))
+
+
+def _smallest(flag: str, audit: Path) -> Smallest | None:
+    """Return the smallest world of the first failure of a rule that fails by itself."""
+    for row in _rows_by_flag(audit)[flag][:TRIES]:
+        bundle = read_bundle(audit / row["bundles"][0]).bundle
+        for failing in failing_actions(bundle.recipe, bundle.attempts, bundle.most_s):
+            try:
+                return shrink(failing)
+            except DependsError:
+                continue
+    return None
+
+
+def _upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _video(film: str, poster: str) -> str:
+    return (
+        f'<video controls loop muted playsinline width="100%" poster="../{poster}" src="../{film}"></video>\n'
+    )
+
+
+def _write_index(flags: list[str]) -> None:
+    tasks = "\n".join(TASK_NAMES)
+    text = (
+        f"{MADE}# Gallery\n\n"
+        "Every task of the paper, built in contact physics by the shipped plans, and every rule of CraftEnv that "
+        "physics refuses, in the smallest world in which it fails. All of it is made by `make gallery`.\n\n"
+        f"```{{toctree}}\n:caption: Tasks\n:maxdepth: 1\n\n{tasks}\n```\n\n"
+        f"```{{toctree}}\n:caption: Unsound rules\n:maxdepth: 1\n\n" + "\n".join(flags) + "\n```\n"
+    )
+    write_whole(GALLERY / "index.md", text)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 1)

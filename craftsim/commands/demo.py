@@ -21,7 +21,7 @@ OPTIONS: Final = PhysicsOptions(randomize="none")
 def demo(
     task: str = "simple_two_story",
     physics: tyro.conf.OmitArgPrefixes[PhysicsOptions] = OPTIONS,
-    order: Literal["sequential", "ticks", "concurrent"] = "sequential",
+    order: Literal["sequential", "ticks", "concurrent"] = "concurrent",
     blueprint: File = None,
     plan: File = None,
     goal: File = None,

@@ -1,0 +1,125 @@
+"""How cars moved: their paths from above, and how far they were from where they should have been."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from craftsim.checking.attempt import Attempt
+from craftsim.discrete.colours import INK, car_colour
+from craftsim.rendering.plots.levels import Arrangement, draw_levels
+from craftsim.rendering.plots.signals import CarSignals, Signals, end_s, path_points
+from craftsim.rendering.plots.style import WIDTH_IN, dash
+from craftsim.rendering.plots.timeline import Row, legend, line, mark, notes_of
+from craftsim.rendering.shapes import levels_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+
+_FOOT_IN: Final = 0.3
+_NOTE_IN: Final = 0.14
+_ARROW_EVERY: Final = 0.9
+"""Cells of way between two arrows."""
+_WIDTHS: Final = (2.6, 2.0, 1.5, 1.1)
+"""Of lines in points, car after car, so that one shows below another."""
+_PARTS: Final = ("along (mm)", "across (mm)", "heading (mrad)")
+
+
+def paths_height_in(signals: Signals) -> float:
+    """Return the height of the drawing of paths."""
+    return _arranged(signals).height_in + _FOOT_IN + _NOTE_IN * len(notes_of(signals.failures))
+
+
+def draw_paths(figure: Figure | SubFigure, signals: Signals) -> None:
+    """Draw each car's way over the world at the start, level by level, with the design and where actions failed."""
+    recipe = signals.trajectory.story.recipe
+    goal = recipe.goals[0] if recipe.goals and not signals.design else None
+    levels = _levels(signals)
+    by_level = draw_levels(figure, recipe.grid, levels, _arranged(signals), goal, signals.design)
+    for car in signals.cars:
+        _draw_path(by_level, car)
+    for number, attempt in enumerate(signals.failures, 1):
+        _mark(by_level, signals, attempt, number)
+    handles = [_handle(car.car) for car in signals.cars]
+    figure.legend(handles=handles, loc="outside upper center", ncols=min(8, len(handles)), handlelength=3)
+    if notes := notes_of(signals.failures):
+        figure.supxlabel("\n".join(notes), x=0.01, ha="left", fontsize=6.5)
+
+
+def tracking_rows(signals: Signals, most: int) -> list[Row]:
+    """Return a diagram for each car that drove: its measured pose less its path."""
+    driven = [car for car in signals.cars if np.isfinite(car.error).any()]
+    return [_tracking(signals, car, most) for car in driven]
+
+
+def _tracking(signals: Signals, car: CarSignals, most: int) -> Row:
+    def draw(axes: Axes) -> None:
+        for number, name in enumerate(_PARTS):
+            colour = car_colour(car.car) if number == 0 else str(0.1 + 0.35 * (number - 1))
+            line(axes, signals, 1e3 * car.error[:, number], most, colour, dash(number), name)
+        axes.axhline(0, color="0.6", lw=0.5)
+        legend(axes, len(_PARTS))
+
+    return Row(f"car {car.car}: off its path", "mm, mrad", draw, car.car)
+
+
+def _levels(signals: Signals) -> tuple[int, ...]:
+    recipe = signals.trajectory.story.recipe
+    visited = {int(z) for car in signals.cars for z in np.unique(_level(car))}
+    return tuple(sorted({*levels_of([recipe.grid], None, signals.design), *visited}))
+
+
+def _level(car: CarSignals) -> np.ndarray:
+    """Return the level (n,) in whose drawing each point of a path is: the nearest, that of the floor at least."""
+    return np.maximum(1, np.round(car.place[:, 2])).astype(int)
+
+
+def _arranged(signals: Signals) -> Arrangement:
+    return Arrangement(signals.trajectory.story.recipe.grid.size, len(_levels(signals)), WIDTH_IN)
+
+
+def _draw_path(by_level: dict[int, Axes], car: CarSignals) -> None:
+    chosen = path_points(car.place)
+    place, level = car.place[chosen], _level(car)[chosen]
+    for z, axes in by_level.items():
+        here = np.where((level == z)[:, None], place[:, :2], np.nan)
+        if np.isfinite(here).any():
+            axes.plot(*here.T, color="white", lw=_width(car.car) + 1.4, solid_capstyle="butt")
+            axes.plot(*here.T, color=car_colour(car.car), lw=_width(car.car), ls=dash(car.car))
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place[:, :2], axis=0), axis=1))])
+    for at in np.arange(0.5, way[-1], _ARROW_EVERY):
+        i = int(np.searchsorted(way, at))
+        ahead = place[i, :2] - place[i - 1, :2]
+        _arrow(by_level[int(level[i])], place[i, :2], ahead / np.linalg.norm(ahead), car.car)
+
+
+def _arrow(axes: Axes, place: np.ndarray, ahead: np.ndarray, car: int) -> None:
+    from matplotlib.patches import Polygon
+
+    left = np.array([-ahead[1], ahead[0]])
+    points = [place + 0.13 * ahead, place - 0.07 * ahead + 0.1 * left, place - 0.07 * ahead - 0.1 * left]
+    axes.add_patch(Polygon(points, facecolor=car_colour(car), edgecolor="white", lw=0.6, zorder=3))
+
+
+def _mark(by_level: dict[int, Axes], signals: Signals, attempt: Attempt, number: int) -> None:
+    """Mark where a car was when its action had failed."""
+    at = signals.trajectory.at(end_s(attempt))
+    car = signals.cars[attempt.car]
+    axes = by_level[int(_level(car)[at])]
+    x, y = car.place[at, :2]
+    axes.plot(x, y, "X", ms=9, mfc="white", mec=INK, mew=1.4, zorder=4)
+    axes.annotate(
+        mark(number), (x, y), (5, 4), textcoords="offset points", weight="bold", color=INK, zorder=4
+    )
+
+
+def _width(car: int) -> float:
+    return _WIDTHS[min(car, len(_WIDTHS) - 1)]
+
+
+def _handle(car: int) -> object:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=car_colour(car), lw=_width(car), ls=dash(car), label=f"car {car}")

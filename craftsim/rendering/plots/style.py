@@ -1,0 +1,59 @@
+"""How figures look on paper, and what tells cars apart where there are no colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+from craftsim.discrete.colours import INK
+
+WIDTH_IN: Final = 7.2
+"""Of a figure: two columns of a paper."""
+ROW_IN: Final = 1.15
+"""Height of a diagram over time."""
+
+DASHES: Final = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1.2)))
+"""One a line of a diagram; lines beyond the last start over."""
+
+_PAPER: Final[dict[str, Any]] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 7.5,
+    "text.color": INK,
+    "text.parse_math": False,
+    "axes.edgecolor": "0.6",
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.titlesize": 7.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "0.88",
+    "grid.linewidth": 0.5,
+    "xtick.color": "0.6",
+    "ytick.color": "0.6",
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.size": 2,
+    "ytick.major.size": 2,
+    "legend.frameon": False,
+    "legend.fontsize": 7,
+    "patch.linewidth": 0,
+    # Letters that a drawing program can edit.
+    "pdf.fonttype": 42,
+}
+
+
+@contextmanager
+def paper() -> Iterator[None]:
+    """Draw for paper within the block, whatever the user has set."""
+    from matplotlib import style
+
+    with style.context(_PAPER, after_reset=True):
+        yield
+
+
+def dash(number: int) -> Any:
+    """Return how line ``number`` of a diagram is dashed."""
+    return DASHES[number % len(DASHES)]

@@ -23,9 +23,9 @@ def trajectory_files(run: Path, name: str | None = None) -> list[Path]:
         if not run.is_file():
             raise InputError(f"{run}: no such file or folder; allowed: a run's folder or a trajectory file")
         return [run]
-    found = sorted((run / TRAJECTORIES).glob(f"*{SUFFIX}"))
+    found = sorted((run / TRAJECTORIES).glob(f"*{SUFFIX}")) or sorted(run.glob(f"*{SUFFIX}"))
     if not found:
-        raise InputError(f"{run / TRAJECTORIES}: no trajectories; run it again with --record")
+        raise InputError(f"{run}: no trajectories in it; run it again with --record")
     if name is None:
         return found
     names = {path.stem: path for path in found}

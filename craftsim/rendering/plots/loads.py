@@ -9,14 +9,13 @@ import numpy as np
 from craftsim.discrete.colours import car_colour
 from craftsim.models.parts import WHEELS
 from craftsim.rendering.plots.signals import CarSignals, Signals
-from craftsim.rendering.plots.style import dash
+from craftsim.rendering.plots.style import dash, shade
 from craftsim.rendering.plots.timeline import Row, legend, limit, line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _WHEEL_WORDS: Final = dict(zip(WHEELS, ("front left", "front right", "rear left", "rear right"), strict=True))
-_SHADES: Final = ("0.05", "0.35", "0.55")
 
 
 def torque_rows(signals: Signals, most: int) -> list[Row]:
@@ -27,7 +26,7 @@ def torque_rows(signals: Signals, most: int) -> list[Row]:
 def _torques(signals: Signals, car: CarSignals, most: int) -> Row:
     def draw(axes: Axes) -> None:
         for number, words in enumerate(_WHEEL_WORDS.values()):
-            colour = car_colour(car.car) if number == 0 else _SHADES[number - 1]
+            colour = car_colour(car.car) if number == 0 else shade(number - 1)
             line(axes, signals, car.torque_nm[:, number], most, colour, dash(number), words)
         limit(axes, car.torque_limit_nm, "limit")
         limit(axes, -car.torque_limit_nm, "")
@@ -53,14 +52,12 @@ def board_rows(signals: Signals, most: int) -> list[Row]:
         if largest > most_n / 2:
             limit(axes, most_n, f"limit {most_n:.0f} N")
         else:
-            axes.annotate(
-                f"limit {most_n:.0f} N, above this diagram", (1, 0.86), xycoords="axes fraction", ha="right"
-            )
+            words = f"limit {most_n:.0f} N, above this diagram"
+            axes.annotate(words, (0.003, 0.86), xycoords="axes fraction", fontsize=6.5)
 
     def hinges(axes: Axes) -> None:
         for number, angle in enumerate(signals.hinges_rad):
-            shade = str(0.1 + 0.15 * (number % 4))
-            line(axes, signals, np.rad2deg(angle), most, shade, dash(number), f"slope {number}")
+            line(axes, signals, np.rad2deg(angle), most, shade(number), dash(number), f"slope {number}")
         legend(axes, min(8, len(signals.hinges_rad)))
 
     rows = [Row("height of the boards", "mm", heights), Row("force of the boards", "N", forces)]
@@ -75,7 +72,7 @@ def contact_rows(signals: Signals, most: int) -> list[Row]:
         return []
 
     def draw(axes: Axes) -> None:
-        line(axes, signals, signals.contact_n, most, "0.3", "-", "largest of all")
+        line(axes, signals, signals.contact_n, most, shade(1), "-", "largest of all")
         limit(axes, signals.impact_limit_n, f"limit {signals.impact_limit_n:.0f} N")
         axes.set_ylim(0, 1.12 * max(signals.impact_limit_n, float(np.nanmax(signals.contact_n))))
 

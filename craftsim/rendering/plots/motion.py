@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.discrete.colours import INK, car_colour
 from craftsim.rendering.plots.levels import Arrangement, draw_levels
 from craftsim.rendering.plots.signals import CarSignals, Signals, end_s, path_points
-from craftsim.rendering.plots.style import WIDTH_IN, dash
+from craftsim.rendering.plots.style import WIDTH_IN, dash, shade
 from craftsim.rendering.plots.timeline import Row, legend, line, mark, notes_of
 from craftsim.rendering.shapes import levels_of
 
@@ -57,7 +57,7 @@ def tracking_rows(signals: Signals, most: int) -> list[Row]:
 def _tracking(signals: Signals, car: CarSignals, most: int) -> Row:
     def draw(axes: Axes) -> None:
         for number, name in enumerate(_PARTS):
-            colour = car_colour(car.car) if number == 0 else str(0.1 + 0.35 * (number - 1))
+            colour = car_colour(car.car) if number == 0 else shade(number - 1)
             line(axes, signals, 1e3 * car.error[:, number], most, colour, dash(number), name)
         axes.axhline(0, color="0.6", lw=0.5)
         legend(axes, len(_PARTS))
@@ -110,9 +110,9 @@ def _mark(by_level: dict[int, Axes], signals: Signals, attempt: Attempt, number:
     axes = by_level[int(_level(car)[at])]
     x, y = car.place[at, :2]
     axes.plot(x, y, "X", ms=9, mfc="white", mec=INK, mew=1.4, zorder=4)
-    axes.annotate(
-        mark(number), (x, y), (5, 4), textcoords="offset points", weight="bold", color=INK, zorder=4
-    )
+    place: dict[str, Any] = {"textcoords": "offset points", "weight": "bold", "color": INK, "zorder": 6}
+    box = {"facecolor": "white", "alpha": 0.8, "pad": 0.6}
+    axes.annotate(mark(number), (x, y), (6, 4), **place, bbox=box)
 
 
 def _width(car: int) -> float:

@@ -16,21 +16,27 @@ ROW_IN: Final = 1.15
 DASHES: Final = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1.2)))
 """One a line of a diagram; lines beyond the last start over."""
 
-_PAPER: Final[dict[str, Any]] = {
-    "font.family": "DejaVu Sans",
+DENSE: Final[dict[str, Any]] = {
     "font.size": 7.5,
+    "axes.linewidth": 0.6,
+    "axes.titlesize": 7.5,
+    "grid.linewidth": 0.5,
+    "legend.fontsize": 7,
+}
+"""Small letters and thin lines, for many diagrams in a figure."""
+
+_PAPER: Final[dict[str, Any]] = {
+    **DENSE,
+    "font.family": "DejaVu Sans",
     "text.color": INK,
     "text.parse_math": False,
     "axes.edgecolor": "0.6",
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.6,
-    "axes.titlesize": 7.5,
+    "axes.labelcolor": "0.4",
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": "0.88",
-    "grid.linewidth": 0.5,
     "xtick.color": "0.6",
     "ytick.color": "0.6",
     "xtick.labelcolor": INK,
@@ -38,7 +44,6 @@ _PAPER: Final[dict[str, Any]] = {
     "xtick.major.size": 2,
     "ytick.major.size": 2,
     "legend.frameon": False,
-    "legend.fontsize": 7,
     "patch.linewidth": 0,
     # Letters that a drawing program can edit.
     "pdf.fonttype": 42,
@@ -52,6 +57,13 @@ def paper() -> Iterator[None]:
 
     with style.context(_PAPER, after_reset=True):
         yield
+
+
+def shade(number: int) -> Any:
+    """Return the colour of line ``number`` that belongs to no car: that of text, or a softer one."""
+    from matplotlib import rcParams
+
+    return rcParams["axes.labelcolor" if number % 2 else "text.color"]
 
 
 def dash(number: int) -> Any:

@@ -11,7 +11,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.colours import car_colour
 from craftsim.discrete.rules.table import ACTIONS
 from craftsim.rendering.plots.signals import Signals, end_s, thinned
-from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN
+from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,9 +95,9 @@ def legend(axes: Axes, columns: int) -> None:
 
 def limit(axes: Axes, value: float, words: str) -> None:
     """Draw a limit."""
-    ink = _ink()
+    ink = shade(0)
     axes.axhline(value, color=ink, lw=0.8, ls=(0, (8, 2)))
-    axes.annotate(words, (1, value), (0, 1.5), **_CORNER, fontsize=6.5, ha="right", color=ink)
+    axes.annotate(words, (0, value), (2, 1.5), **_CORNER, fontsize=6.5, color=ink)
 
 
 _CORNER: Final[dict[str, Any]] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
@@ -136,8 +136,8 @@ def _draw_actions(axes: Axes, signals: Signals) -> None:
 
 
 def _draw_action(axes: Axes, attempt: Attempt, signed: bool) -> None:
-    frame: dict[str, Any] = {} if attempt.agrees else {"edgecolor": _ink(), "linewidth": 1.4, "zorder": 3}
-    bar = {"height": 0.78, "facecolor": (*car_colour(attempt.car), 0.3)} | frame
+    frame: dict[str, Any] = {} if attempt.agrees else {"edgecolor": shade(0), "linewidth": 1.4, "zorder": 3}
+    bar: dict[str, Any] = {"height": 0.78, "facecolor": (*car_colour(attempt.car), 0.3)} | frame
     axes.barh(attempt.car, attempt.duration_s, left=attempt.start_s, **bar)
     axes.vlines(attempt.start_s, attempt.car - 0.39, attempt.car + 0.39, color=car_colour(attempt.car), lw=1)
     if signed:
@@ -152,12 +152,6 @@ def _draw_bands(axes: Axes, signals: Signals, car: int | None) -> None:
         axes.axvspan(attempt.start_s, end_s(attempt), color="0.5", alpha=0.12, lw=0)
     for number, attempt in enumerate(signals.failures, 1):
         if car in (None, attempt.car):
-            axes.axvline(end_s(attempt), color=_ink(), lw=0.9, ls=(0, (1, 1)))
+            axes.axvline(end_s(attempt), color=shade(0), lw=0.9, ls=(0, (1, 1)))
             place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
             axes.annotate(mark(number), (end_s(attempt), 1), (-2, -8), **place, ha="right", weight="bold")
-
-
-def _ink() -> object:
-    from matplotlib import rcParams
-
-    return rcParams["text.color"]

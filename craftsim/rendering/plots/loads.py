@@ -10,7 +10,7 @@ from craftsim.discrete.colours import car_colour
 from craftsim.models.parts import WHEELS
 from craftsim.rendering.plots.signals import CarSignals, Signals
 from craftsim.rendering.plots.style import dash, shade
-from craftsim.rendering.plots.timeline import Row, legend, limit, line
+from craftsim.rendering.plots.timeline import Row, each_car, legend, limit, line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ _WHEEL_WORDS: Final = dict(zip(WHEELS, ("front left", "front right", "rear left"
 
 def torque_rows(signals: Signals, most: int) -> list[Row]:
     """Return a diagram of the wheel torques of each car that acted."""
-    return [_torques(signals, car, most) for car in signals.cars if car.attempts]
+    return each_car([car for car in signals.cars if car.attempts], lambda car: _torques(signals, car, most))
 
 
 def _torques(signals: Signals, car: CarSignals, most: int) -> Row:
@@ -41,12 +41,13 @@ def board_rows(signals: Signals, most: int) -> list[Row]:
 
     def heights(axes: Axes) -> None:
         for car in signals.cars:
-            line(axes, signals, 1e3 * car.board_m, most, car_colour(car.car), dash(car.car), f"car {car.car}")
+            name = f"car {car.car}" if len(signals.cars) <= 6 else str(car.car)
+            line(axes, signals, 1e3 * car.board_m, most, car_colour(car.car), dash(car.car), name)
         legend(axes, min(12, len(signals.cars)))
 
     def forces(axes: Axes) -> None:
         for car in signals.cars:
-            line(axes, signals, car.board_force_n, most, car_colour(car.car), dash(car.car), f"car {car.car}")
+            line(axes, signals, car.board_force_n, most, car_colour(car.car), dash(car.car), str(car.car))
         most_n = max(car.board_limit_n for car in signals.cars)
         largest = max(float(np.nanmax(np.abs(car.board_force_n), initial=0)) for car in signals.cars)
         if largest > most_n / 2:

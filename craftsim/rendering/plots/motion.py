@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -11,17 +12,21 @@ from craftsim.discrete.colours import INK, car_colour
 from craftsim.rendering.plots.levels import Arrangement, draw_levels
 from craftsim.rendering.plots.signals import CarSignals, Signals, end_s, path_points
 from craftsim.rendering.plots.style import WIDTH_IN, dash, shade
-from craftsim.rendering.plots.timeline import Row, legend, line, mark, notes_of
+from craftsim.rendering.plots.timeline import Row, each_car, legend, line, mark, notes_of
 from craftsim.rendering.shapes import levels_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-_FOOT_IN: Final = 0.3
+_FOOT_IN: Final = 0.15
 _NOTE_IN: Final = 0.14
 _ARROW_EVERY: Final = 0.9
-"""Cells of way between two arrows."""
+"""Cells of way between two arrows, at least."""
+_MOST_ARROWS: Final = 100
+"""Of a car."""
+_LEGEND_COLUMNS: Final = 8
+_LEGEND_IN: Final = 0.16
 _WIDTHS: Final = (2.6, 2.0, 1.5, 1.1)
 """Of lines in points, car after car, so that one shows below another."""
 _PARTS: Final = ("along (mm)", "across (mm)", "heading (mrad)")
@@ -29,7 +34,8 @@ _PARTS: Final = ("along (mm)", "across (mm)", "heading (mrad)")
 
 def paths_height_in(signals: Signals) -> float:
     """Return the height of the drawing of paths."""
-    return _arranged(signals).height_in + _FOOT_IN + _NOTE_IN * len(notes_of(signals.failures))
+    legend = _LEGEND_IN * math.ceil(len(signals.cars) / _LEGEND_COLUMNS)
+    return _arranged(signals).height_in + _FOOT_IN + legend + _NOTE_IN * len(notes_of(signals.failures))
 
 
 def draw_paths(figure: Figure | SubFigure, signals: Signals) -> None:
@@ -43,7 +49,9 @@ def draw_paths(figure: Figure | SubFigure, signals: Signals) -> None:
     for number, attempt in enumerate(signals.failures, 1):
         _mark(by_level, signals, attempt, number)
     handles = [_handle(car.car) for car in signals.cars]
-    figure.legend(handles=handles, loc="outside upper center", ncols=min(8, len(handles)), handlelength=3)
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=min(_LEGEND_COLUMNS, len(handles)), handlelength=3
+    )
     if notes := notes_of(signals.failures):
         figure.supxlabel("\n".join(notes), x=0.01, ha="left", fontsize=6.5)
 
@@ -51,7 +59,7 @@ def draw_paths(figure: Figure | SubFigure, signals: Signals) -> None:
 def tracking_rows(signals: Signals, most: int) -> list[Row]:
     """Return a diagram for each car that drove: its measured pose less its path."""
     driven = [car for car in signals.cars if np.isfinite(car.error).any()]
-    return [_tracking(signals, car, most) for car in driven]
+    return each_car(driven, lambda car: _tracking(signals, car, most))
 
 
 def _tracking(signals: Signals, car: CarSignals, most: int) -> Row:
@@ -72,8 +80,8 @@ def _levels(signals: Signals) -> tuple[int, ...]:
 
 
 def _level(car: CarSignals) -> np.ndarray:
-    """Return the level (n,) in whose drawing each point of a path is: the nearest, that of the floor at least."""
-    return np.maximum(1, np.round(car.place[:, 2])).astype(int)
+    """Return the level (n,) in whose drawing each point of a path is: the nearest."""
+    return np.round(car.place[:, 2]).astype(int)
 
 
 def _arranged(signals: Signals) -> Arrangement:
@@ -89,7 +97,7 @@ def _draw_path(by_level: dict[int, Axes], car: CarSignals) -> None:
             axes.plot(*here.T, color="white", lw=_width(car.car) + 1.4, solid_capstyle="butt")
             axes.plot(*here.T, color=car_colour(car.car), lw=_width(car.car), ls=dash(car.car))
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place[:, :2], axis=0), axis=1))])
-    for at in np.arange(0.5, way[-1], _ARROW_EVERY):
+    for at in np.arange(0.5, way[-1], max(_ARROW_EVERY, way[-1] / _MOST_ARROWS)):
         i = int(np.searchsorted(way, at))
         ahead = place[i, :2] - place[i - 1, :2]
         _arrow(by_level[int(level[i])], place[i, :2], ahead / np.linalg.norm(ahead), car.car)

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.forces import impact_limit_n
+from craftsim.discrete.files.design import TARGET_KEYS
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.discrete.grid import Kind
+from craftsim.discrete.grid import Cell
+from craftsim.errors import InputError
 from craftsim.rendering.shapes import Wanted
-from craftsim.rendering.trajectory import Trajectory
+from craftsim.rendering.trajectory import GoalCell, Trajectory
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +32,7 @@ class CarSignals:
     attempts: tuple[Attempt, ...]
     """Its actions that were carried out."""
     place: Floats
-    """(n, 3) true position: x and y in cells, and the level."""
+    """(n, 3) true position: x and y in cells, and the level; what is far outside of the area is at its edge."""
     error: Floats
     """(n, 3) measured pose less the path: along and across the car in metres, and heading in radians; nan where it does
     not drive."""
@@ -67,9 +69,9 @@ class Signals:
             trajectory.time,
             tuple(_car(trajectory, car) for car in range(len(site.cars))),
             tuple(trajectory.qpos[:, slope.hinge.qpos] for slope in site.slopes),
-            trajectory.contact.astype(np.float64),
+            _finite(trajectory.contact),
             impact_limit_n(story.recipe.setup.machines),
-            tuple(Wanted(Kind[one.kind.upper()], one.cell, one.yaw) for one in story.design),
+            tuple(_wanted(one) for one in story.design if _within(one.cell, story.recipe.grid.size)),
         )
 
     @property
@@ -77,6 +79,23 @@ class Signals:
         """Return the actions that did not do as predicted, by the time of their end."""
         found = [a for a in performed(self.trajectory.story.attempts) if not a.agrees]
         return sorted(found, key=end_s)
+
+
+def _finite(values: NDArray[Any]) -> Floats:
+    """Return numbers with nan in place of what is infinite."""
+    return np.where(np.isfinite(values), values, np.nan).astype(np.float64)
+
+
+def _within(cell: Cell, size: Cell) -> bool:
+    (x, y, z), (length, width, height) = cell, size
+    return 0 <= x < length and 0 <= y < width and 1 <= z <= height + 1
+
+
+def _wanted(one: GoalCell) -> Wanted:
+    known = {target.name.lower(): target for target in TARGET_KEYS.values()}
+    if one.kind not in known:
+        raise InputError(f"a design of '{one.kind}'; allowed: {', '.join(known)}")
+    return Wanted(known[one.kind], one.cell, one.yaw)
 
 
 def performed(attempts: Sequence[Attempt]) -> list[Attempt]:
@@ -91,15 +110,14 @@ def end_s(attempt: Attempt) -> float:
 
 def _car(trajectory: Trajectory, number: int) -> CarSignals:
     car = trajectory.site.cars[number]
-    position = trajectory.pose(f"car {number}")[:, :3]
-    forces = trajectory.force.astype(np.float64)
+    forces = _finite(trajectory.force)
     torque, board = forces[:, car.wheel_actuators], forces[:, car.board.actuator]
     # MuJoCo works out no forces of what sleeps; an awake car's are never all exactly zero.
     asleep = (torque == 0).all(axis=1) & (board == 0)
     return CarSignals(
         number,
         tuple(a for a in performed(trajectory.story.attempts) if a.car == number),
-        position / (CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M) + (-0.5, -0.5, 1.0),
+        _place(trajectory, number),
         _error(trajectory, number),
         np.where(asleep[:, None], np.nan, torque),
         car.parameters.wheel_torque_nm,
@@ -109,9 +127,15 @@ def _car(trajectory: Trajectory, number: int) -> CarSignals:
     )
 
 
+def _place(trajectory: Trajectory, car: int) -> Floats:
+    position = trajectory.pose(f"car {car}")[:, :3] / (CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M)
+    length, width, height = trajectory.story.recipe.grid.size
+    return np.clip(position + np.array([-0.5, -0.5, 1]), (-1, -1, 1), (length, width, height + 1))
+
+
 def _error(trajectory: Trajectory, car: int) -> Floats:
-    path = trajectory.path[:, car].astype(np.float64)
-    apart = trajectory.measured[:, car] - path
+    path = _finite(trajectory.path[:, car])
+    apart = _finite(trajectory.measured[:, car]) - path
     cos, sin = np.cos(path[:, 2]), np.sin(path[:, 2])
     along, across = cos * apart[:, 0] + sin * apart[:, 1], cos * apart[:, 1] - sin * apart[:, 0]
     return np.stack([along, across, (apart[:, 2] + np.pi) % (2 * np.pi) - np.pi], axis=1)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.checking.attempt import Attempt
-from craftsim.discrete.actions import Action
 from craftsim.discrete.colours import car_colour
-from craftsim.discrete.rules.table import ACTIONS
-from craftsim.rendering.plots.signals import Signals, end_s, thinned
+from craftsim.rendering.plots.signals import CarSignals, Signals, end_s, thinned
 from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, shade
 
 if TYPE_CHECKING:
@@ -25,21 +23,23 @@ _SIGN_IN: Final = 0.07
 """Width of an action's sign."""
 _NOTE_IN: Final = 0.14
 _MOST_NOTES: Final = 6
+_MOST_CARS: Final = 24
+"""With a diagram of their own."""
 _LONGEST: Final = 135
 """Letters in a note."""
 
 SIGNS: Final = {
-    Action.LIFT: "L",
-    Action.DROP: "D",
-    Action.FOLD: "F",
-    Action.UNFOLD: "U",
-    Action.ROTATE_LEFT: "↺",
-    Action.ROTATE_RIGHT: "↻",
-    Action.MOVE_FORWARD: "↑",
-    Action.MOVE_BACK: "↓",
-    Action.MOVE_LEFT: "←",
-    Action.MOVE_RIGHT: "→",
-    Action.STOP: "·",
+    "LIFT": "L",
+    "DROP": "D",
+    "FOLD": "F",
+    "UNFOLD": "U",
+    "ROTATE_LEFT": "↺",
+    "ROTATE_RIGHT": "↻",
+    "MOVE_FORWARD": "↑",
+    "MOVE_BACK": "↓",
+    "MOVE_LEFT": "←",
+    "MOVE_RIGHT": "→",
+    "STOP": "·",
 }
 """Of actions; moves as on a map with y up."""
 
@@ -54,6 +54,14 @@ class Row:
     car: int | None = None
     """Whose actions are its bands; None where it is about all."""
     height: float = 1.0
+
+
+def each_car(cars: Sequence[CarSignals], make: Callable[[CarSignals], Row]) -> list[Row]:
+    """Return a diagram for each car, as far as they fit on a page."""
+    rows = [make(car) for car in cars[:_MOST_CARS]]
+    if more := len(cars) - len(rows):
+        rows[-1] = replace(rows[-1], title=f"{rows[-1].title}; {more} more cars are not drawn")
+    return rows
 
 
 def height_in(signals: Signals, rows: Sequence[Row]) -> float:
@@ -112,7 +120,7 @@ def notes_of(failures: Sequence[Attempt]) -> list[str]:
     """Return what went wrong in words, numbered as in the drawings."""
     notes = []
     for number, attempt in enumerate(failures[:_MOST_NOTES], 1):
-        words = ACTIONS[Action[attempt.action]].words
+        words = attempt.action.lower().replace("_", " ")
         text = f"{mark(number)} {end_s(attempt):.1f} s, car {attempt.car} {words}: {attempt.result}. {attempt.reason}"
         notes.append(text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}...")
     if more := len(failures) - len(notes):
@@ -143,7 +151,7 @@ def _draw_action(axes: Axes, attempt: Attempt, signed: bool) -> None:
     if signed:
         middle = attempt.start_s + attempt.duration_s / 2
         place: dict[str, Any] = {"ha": "center", "va": "center_baseline", "fontsize": 6.5, "clip_on": True}
-        axes.text(middle, attempt.car, SIGNS[Action[attempt.action]], **place)
+        axes.text(middle, attempt.car, SIGNS.get(attempt.action, ""), **place)
 
 
 def _draw_bands(axes: Axes, signals: Signals, car: int | None) -> None:

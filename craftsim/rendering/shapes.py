@@ -33,7 +33,7 @@ _CHEVRON: Final = np.array([(-0.16, 0.20), (0.04, 0.0), (-0.16, -0.20)])
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class Outline:
     """A polygon, or an open line where it is not filled."""
 
     points: Points
@@ -84,15 +84,15 @@ def levels_of(
 
 def level_shapes(
     grid: Grid, z: int, goal: Cell | None = None, design: Collection[Wanted] = ()
-) -> Iterator[Shape | Word]:
+) -> Iterator[Outline | Word]:
     """Yield what is on a level, in the order in which it is drawn: ground, things, designs, cars."""
     length, width, _ = grid.size
     ground = KIND_COLOURS[Kind.GROUND] if z == 1 else WHITE
-    yield Shape(_box(-0.5, -0.5, length - 0.5, width - 0.5), fill=ground)
+    yield Outline(_box(-0.5, -0.5, length - 0.5, width - 0.5), fill=ground)
     for x in range(length + 1):
-        yield Shape(np.array([(x - 0.5, -0.5), (x - 0.5, width - 0.5)]), line=LINE)
+        yield Outline(np.array([(x - 0.5, -0.5), (x - 0.5, width - 0.5)]), line=LINE)
     for y in range(width + 1):
-        yield Shape(np.array([(-0.5, y - 0.5), (length - 0.5, y - 0.5)]), line=LINE)
+        yield Outline(np.array([(-0.5, y - 0.5), (length - 0.5, y - 0.5)]), line=LINE)
     if z <= grid.size[2]:
         for cell_x, cell_y in np.argwhere(grid.kind[:, :, z]):
             cell = (int(cell_x), int(cell_y), z)
@@ -101,14 +101,14 @@ def level_shapes(
         if one.cell[2] == z:
             yield from _wanted(one)
     if goal is not None and goal[2] == z:
-        yield Shape(_closed(_square(goal, FRAME)), line=GOAL, width=0.06)
+        yield Outline(_closed(_square(goal, FRAME)), line=GOAL, width=0.06)
     for cell, cars in cars_by_cell(grid).items():
         if cell[2] == z:
             for car in cars:
                 yield from _car(grid, car, cell)
 
 
-def car_glyph(car: int, x: float, y: float, heading_rad: float, size: float = 1.0) -> Iterator[Shape]:
+def car_glyph(car: int, x: float, y: float, heading_rad: float, size: float = 1.0) -> Iterator[Outline]:
     """Yield a car without its number: four wheels, and a body in its colour with a light nose."""
 
     def part(points: Iterable[tuple[float, float]]) -> Points:
@@ -117,70 +117,70 @@ def car_glyph(car: int, x: float, y: float, heading_rad: float, size: float = 1.
     for along in (-0.2, 0.2):
         for across in (-0.26, 0.26):
             wheel = _box(along - 0.1, across - 0.06, along + 0.1, across + 0.06)
-            yield Shape(part(wheel), fill=TYRE)
-    yield Shape(part(_box(-0.33, -0.2, 0.33, 0.2)), fill=car_colour(car), line=INK, width=0.015 * size)
-    yield Shape(part([(0.22, 0.13), (0.33, 0.0), (0.22, -0.13)]), fill=WHITE)
+            yield Outline(part(wheel), fill=TYRE)
+    yield Outline(part(_box(-0.33, -0.2, 0.33, 0.2)), fill=car_colour(car), line=INK, width=0.015 * size)
+    yield Outline(part([(0.22, 0.13), (0.33, 0.0), (0.22, -0.13)]), fill=WHITE)
 
 
-def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Shape | Word]:
+def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline | Word]:
     row = grid.cars[car]
     x, y, _ = cell
     load = Kind(row[CarField.LOAD])
     if load != Kind.AIR:
-        yield Shape(_closed(_square(cell, 0.38)), line=INK, width=0.13)
-        yield Shape(_closed(_square(cell, 0.38)), line=KIND_COLOURS[load], width=0.09)
+        yield Outline(_closed(_square(cell, 0.38)), line=INK, width=0.13)
+        yield Outline(_closed(_square(cell, 0.38)), line=KIND_COLOURS[load], width=0.09)
         if load == Kind.FSLOPE:
             yaw = yaw_angle(int(row[CarField.LOAD_YAW]))
             tip = np.array([(0.36, 0.1), (0.47, 0.0), (0.36, -0.1)])
-            yield Shape(_placed(tip, x, y, yaw), fill=INK)
+            yield Outline(_placed(tip, x, y, yaw), fill=INK)
     yield from car_glyph(car, x, y, yaw_angle(int(row[CarField.YAW])))
     yield Word(x, y, str(car), 0.2, WHITE)
 
 
-def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Shape]:
+def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
     x, y, _ = cell
     colour, turn = KIND_COLOURS[kind], yaw_angle(yaw)
     match kind:
         case Kind.WALL:
-            yield Shape(_square(cell, 0.5), fill=colour)
+            yield Outline(_square(cell, 0.5), fill=colour)
             for shift in (-0.5, 0.0, 0.5):
                 ends = [(max(-0.5, shift - 0.5), max(-0.5, -shift - 0.5))]
                 ends += [(min(0.5, shift + 0.5), min(0.5, 0.5 - shift))]
-                yield Shape(_placed(np.array(ends), x, y), line=INK)
+                yield Outline(_placed(np.array(ends), x, y), line=INK)
         case Kind.BLOCK:
-            yield Shape(_square(cell, 0.45), fill=colour, line=TRIM, width=0.03)
-            yield Shape(_closed(_square(cell, 0.33)), line=TRIM)
+            yield Outline(_square(cell, 0.45), fill=colour, line=TRIM, width=0.03)
+            yield Outline(_closed(_square(cell, 0.33)), line=TRIM)
         case Kind.FLAG:
-            yield Shape(_square(cell, 0.4), fill=FLAG_POST, line=INK)
+            yield Outline(_square(cell, 0.4), fill=FLAG_POST, line=INK)
             flag = np.array([(-0.18, 0.3), (0.26, 0.14), (-0.18, -0.02)])
-            yield Shape(_placed(flag, x, y), fill=colour, line=INK)
-            yield Shape(np.array([(x - 0.18, y + 0.32), (x - 0.18, y - 0.3)]), line=INK, width=0.05)
+            yield Outline(_placed(flag, x, y), fill=colour, line=INK)
+            yield Outline(np.array([(x - 0.18, y + 0.32), (x - 0.18, y - 0.3)]), line=INK, width=0.05)
         case Kind.FSLOPE:
-            yield Shape(_square(cell, 0.45), fill=colour, line=INK)
-            yield Shape(_placed(_CHEVRON, x, y, turn), line=WHITE, width=0.07)
+            yield Outline(_square(cell, 0.45), fill=colour, line=INK)
+            yield Outline(_placed(_CHEVRON, x, y, turn), line=WHITE, width=0.07)
         case Kind.GEAR:
-            yield Shape(_placed(0.13 * _ROUND - np.array([0.4, 0]), x, y, turn), fill=colour, line=INK)
+            yield Outline(_placed(0.13 * _ROUND - np.array([0.4, 0]), x, y, turn), fill=colour, line=INK)
         case Kind.BODY:
-            yield Shape(_placed(_box(-0.45, -0.45, 0.5, 0.45), x, y, turn), fill=colour, line=INK)
+            yield Outline(_placed(_box(-0.45, -0.45, 0.5, 0.45), x, y, turn), fill=colour, line=INK)
             yield from _treads(x, y, turn)
         case Kind.FOOT:
-            yield Shape(_placed(_box(-0.5, -0.45, 0.45, 0.45), x, y, turn), fill=colour, line=INK)
+            yield Outline(_placed(_box(-0.5, -0.45, 0.45, 0.45), x, y, turn), fill=colour, line=INK)
             yield from _treads(x, y, turn)
 
 
-def _treads(x: float, y: float, turn: float) -> Iterator[Shape]:
+def _treads(x: float, y: float, turn: float) -> Iterator[Outline]:
     """Yield two signs that point downhill."""
     for along in (-0.14, 0.22):
-        yield Shape(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=WHITE, width=0.07)
+        yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=WHITE, width=0.07)
 
 
-def _wanted(one: Wanted) -> Iterator[Shape]:
+def _wanted(one: Wanted) -> Iterator[Outline]:
     x, y, _ = one.cell
     for dash in _dashes(_square(one.cell, FRAME)):
-        yield Shape(dash, line=GOAL, width=0.06)
+        yield Outline(dash, line=GOAL, width=0.06)
     if one.yaw >= 0:
         tip = np.array([(FRAME - 0.14, 0.11), (FRAME, 0.0), (FRAME - 0.14, -0.11)])
-        yield Shape(_placed(tip, x, y, yaw_angle(one.yaw)), fill=GOAL)
+        yield Outline(_placed(tip, x, y, yaw_angle(one.yaw)), fill=GOAL)
 
 
 def _dashes(corners: Points) -> Iterator[Points]:

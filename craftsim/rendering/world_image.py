@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.colours import INK, Rgb
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.rendering.shapes import Shape, Wanted, Word, level_shapes
+from craftsim.rendering.shapes import Outline, Wanted, Word, level_shapes
 
 CELL_PX: Final = 48
 MARGIN_PX: Final = 24
@@ -57,7 +57,7 @@ def world_image(
     return image
 
 
-def _paint(image: NDArray[np.uint8], one: Shape | Word, width: int) -> None:
+def _paint(image: NDArray[np.uint8], one: Outline | Word, width: int) -> None:
     if isinstance(one, Word):
         x, y = _pixels(np.array([(one.x, one.y)]), width)[0]
         _letter(image, round(x), round(y), one.text, round(one.height * CELL_PX), one.colour)

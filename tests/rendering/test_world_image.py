@@ -7,7 +7,7 @@ from craftsim.discrete.colours import CAR_COLOURS, GOAL, KIND_COLOURS, car_colou
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.parts import load_part
-from craftsim.rendering.shapes import Shape, Wanted, level_shapes, levels_of
+from craftsim.rendering.shapes import Outline, Wanted, level_shapes, levels_of
 from craftsim.rendering.world_image import CELL_PX, MARGIN_PX, world_image
 
 
@@ -62,7 +62,7 @@ def test_only_the_levels_asked_for_are_in_a_picture():
 def test_a_design_is_dashed_and_a_goal_is_not(kind):
     def framed(goal, design):
         shapes = [
-            s for s in level_shapes(_world(), 1, goal, design) if isinstance(s, Shape) and s.line == GOAL
+            s for s in level_shapes(_world(), 1, goal, design) if isinstance(s, Outline) and s.line == GOAL
         ]
         return sum(np.linalg.norm(np.diff(shape.points, axis=0), axis=1).sum() for shape in shapes)
 

@@ -8,7 +8,7 @@ from typing import Final
 
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.rendering.plots.levels import Arrangement, draw_levels, legend_of
-from craftsim.rendering.plots.style import WIDTH_IN, paper
+from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper
 from craftsim.rendering.shapes import Wanted, levels_of
 from craftsim.storage.writing import whole
 
@@ -43,7 +43,7 @@ def draw_blueprint(
     )
     with paper():
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
-        figure.suptitle(title, fontsize=9, weight="bold")
+        figure.suptitle(line_of(title), fontsize=9, weight="bold")
         draw_levels(figure, grid, levels, arrangement, goal, design)
         if legend:
             columns = min(len(legend), max(2, int(size[0] / 1.5)))

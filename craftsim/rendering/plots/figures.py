@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 from craftsim.rendering.plots.loads import board_rows, contact_rows, torque_rows
 from craftsim.rendering.plots.motion import draw_paths, paths_height_in, tracking_rows
 from craftsim.rendering.plots.signals import Signals
-from craftsim.rendering.plots.style import WIDTH_IN, paper
-from craftsim.rendering.plots.timeline import Row, draw_rows, height_in
+from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper
+from craftsim.rendering.plots.timeline import Diagram, draw_rows, height_in
 from craftsim.report import output_directory
 from craftsim.storage.writing import whole
 
@@ -27,7 +27,7 @@ _DPI: Final = 200
 _TITLE_IN: Final = 0.3
 
 
-_ROWS: Final[dict[str, tuple[Callable[[Signals, int], list[Row]], str]]] = {
+_ROWS: Final[dict[str, tuple[Callable[[Signals, int], list[Diagram]], str]]] = {
     "tracking": (tracking_rows, "How far each car was from its path; bands are its actions."),
     "torques": (torque_rows, "Wheel torques against their limit; gaps are where a car sleeps."),
     "boards": (board_rows, "Boards and hinges; no force is worked out while a car sleeps."),
@@ -59,7 +59,7 @@ def _paths(signals: Signals) -> Plot:
     return Plot("paths", caption, paths_height_in(signals), lambda figure: draw_paths(figure, signals))
 
 
-def _over_time(name: str, caption: str, signals: Signals, rows: Sequence[Row]) -> Plot:
+def _over_time(name: str, caption: str, signals: Signals, rows: Sequence[Diagram]) -> Plot:
     return Plot(name, caption, height_in(signals, rows), lambda figure: draw_rows(figure, signals, rows))
 
 
@@ -81,7 +81,7 @@ def write_figures(folder: Path, signals: Signals) -> Iterator[Path]:
         plots = [_paths(signals), _over_time(PAGE, "", signals, rows)]
         heights = [plot.height_in for plot in plots]
         page = Figure(figsize=(WIDTH_IN, sum(heights) + _TITLE_IN), layout="constrained")
-        page.suptitle(signals.trajectory.story.title, fontsize=10, weight="bold")
+        page.suptitle(line_of(signals.trajectory.story.title), fontsize=10, weight="bold")
         parts = page.subfigures(2, 1, squeeze=False, height_ratios=heights)
         for plot, part in zip(plots, parts[:, 0], strict=True):
             plot.draw(part)

@@ -11,7 +11,7 @@ import numpy as np
 from craftsim.discrete.colours import GOAL, KIND_COLOURS, LINE, car_colour
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.rendering.plots.style import WIDTH_IN
-from craftsim.rendering.shapes import Shape, Wanted, Word, level_shapes
+from craftsim.rendering.shapes import Outline, Wanted, Word, level_shapes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,7 +79,7 @@ def _ticks(count: int) -> list[int]:
     return list(range(0, count, 1 if count <= 12 else 2 if count <= 24 else 5))
 
 
-def _draw(axes: Axes, one: Shape | Word, cell_in: float) -> None:
+def _draw(axes: Axes, one: Outline | Word, cell_in: float) -> None:
     from matplotlib.patches import Polygon
 
     if isinstance(one, Word):

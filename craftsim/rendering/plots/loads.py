@@ -10,7 +10,7 @@ from craftsim.discrete.colours import car_colour
 from craftsim.models.parts import WHEELS
 from craftsim.rendering.plots.signals import CarSignals, Signals
 from craftsim.rendering.plots.style import dash, shade
-from craftsim.rendering.plots.timeline import Row, each_car, legend, limit, line
+from craftsim.rendering.plots.timeline import Diagram, each_car, legend, limit, line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 _WHEEL_WORDS: Final = dict(zip(WHEELS, ("front left", "front right", "rear left", "rear right"), strict=True))
 
 
-def torque_rows(signals: Signals, most: int) -> list[Row]:
+def torque_rows(signals: Signals, most: int) -> list[Diagram]:
     """Return a diagram of the wheel torques of each car that acted."""
     return each_car([car for car in signals.cars if car.attempts], lambda car: _torques(signals, car, most))
 
 
-def _torques(signals: Signals, car: CarSignals, most: int) -> Row:
+def _torques(signals: Signals, car: CarSignals, most: int) -> Diagram:
     def draw(axes: Axes) -> None:
         for number, words in enumerate(_WHEEL_WORDS.values()):
             colour = car_colour(car.car) if number == 0 else shade(number - 1)
@@ -33,10 +33,10 @@ def _torques(signals: Signals, car: CarSignals, most: int) -> Row:
         axes.set_ylim(-1.25 * car.torque_limit_nm, 1.25 * car.torque_limit_nm)
         legend(axes, len(WHEELS))
 
-    return Row(f"car {car.car}: wheel torques", "Nm", draw, car.car)
+    return Diagram(f"car {car.car}: wheel torques", "Nm", draw, car.car)
 
 
-def board_rows(signals: Signals, most: int) -> list[Row]:
+def board_rows(signals: Signals, most: int) -> list[Diagram]:
     """Return diagrams of the boards' heights and forces, and of the hinges where there are slopes."""
 
     def heights(axes: Axes) -> None:
@@ -61,13 +61,13 @@ def board_rows(signals: Signals, most: int) -> list[Row]:
             line(axes, signals, np.rad2deg(angle), most, shade(number), dash(number), f"slope {number}")
         legend(axes, min(8, len(signals.hinges_rad)))
 
-    rows = [Row("height of the boards", "mm", heights), Row("force of the boards", "N", forces)]
+    rows = [Diagram("height of the boards", "mm", heights), Diagram("force of the boards", "N", forces)]
     if signals.hinges_rad:
-        rows.append(Row("angle of the hinges", "degrees", hinges))
+        rows.append(Diagram("angle of the hinges", "degrees", hinges))
     return rows if signals.cars else rows[2:]
 
 
-def contact_rows(signals: Signals, most: int) -> list[Row]:
+def contact_rows(signals: Signals, most: int) -> list[Diagram]:
     """Return the diagram of the largest force between any two machines; none where contacts were not looked at."""
     if np.isnan(signals.contact_n).all():
         return []
@@ -77,4 +77,4 @@ def contact_rows(signals: Signals, most: int) -> list[Row]:
         limit(axes, signals.impact_limit_n, f"limit {signals.impact_limit_n:.0f} N")
         axes.set_ylim(0, 1.12 * max(signals.impact_limit_n, float(np.nanmax(signals.contact_n))))
 
-    return [Row("largest force between two machines", "N", draw, height=1.6)]
+    return [Diagram("largest force between two machines", "N", draw, height=1.6)]

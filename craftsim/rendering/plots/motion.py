@@ -12,7 +12,7 @@ from craftsim.discrete.colours import INK, car_colour
 from craftsim.rendering.plots.levels import Arrangement, draw_levels
 from craftsim.rendering.plots.signals import CarSignals, Signals, end_s, path_points
 from craftsim.rendering.plots.style import WIDTH_IN, dash, shade
-from craftsim.rendering.plots.timeline import Row, each_car, legend, line, mark, notes_of
+from craftsim.rendering.plots.timeline import Diagram, each_car, legend, line, mark, notes_of
 from craftsim.rendering.shapes import levels_of
 
 if TYPE_CHECKING:
@@ -56,13 +56,13 @@ def draw_paths(figure: Figure | SubFigure, signals: Signals) -> None:
         figure.supxlabel("\n".join(notes), x=0.01, ha="left", fontsize=6.5)
 
 
-def tracking_rows(signals: Signals, most: int) -> list[Row]:
+def tracking_rows(signals: Signals, most: int) -> list[Diagram]:
     """Return a diagram for each car that drove: its measured pose less its path."""
     driven = [car for car in signals.cars if np.isfinite(car.error).any()]
     return each_car(driven, lambda car: _tracking(signals, car, most))
 
 
-def _tracking(signals: Signals, car: CarSignals, most: int) -> Row:
+def _tracking(signals: Signals, car: CarSignals, most: int) -> Diagram:
     def draw(axes: Axes) -> None:
         for number, name in enumerate(_PARTS):
             colour = car_colour(car.car) if number == 0 else shade(number - 1)
@@ -70,7 +70,7 @@ def _tracking(signals: Signals, car: CarSignals, most: int) -> Row:
         axes.axhline(0, color="0.6", lw=0.5)
         legend(axes, len(_PARTS))
 
-    return Row(f"car {car.car}: off its path", "mm, mrad", draw, car.car)
+    return Diagram(f"car {car.car}: off its path", "mm, mrad", draw, car.car)
 
 
 def _levels(signals: Signals) -> tuple[int, ...]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
 from craftsim.discrete.colours import INK
+from craftsim.storage.writing import writable
 
 WIDTH_IN: Final = 7.2
 """Of a figure: two columns of a paper."""
@@ -55,8 +57,15 @@ def paper() -> Iterator[None]:
     """Draw for paper within the block, whatever the user has set."""
     from matplotlib import style
 
-    with style.context(_PAPER, after_reset=True):
+    with style.context(_PAPER, after_reset=True), warnings.catch_warnings():
+        # A name may have letters that the font lacks; boxes stand for them.
+        warnings.filterwarnings("ignore", "Glyph .* missing")
         yield
+
+
+def line_of(text: str) -> str:
+    """Return a text as one line that can be drawn, wherever it comes from."""
+    return writable(" ".join(text.split()))
 
 
 def shade(number: int) -> Any:

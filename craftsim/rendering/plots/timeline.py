@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.colours import car_colour
 from craftsim.rendering.plots.signals import CarSignals, Signals, end_s, thinned
-from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, shade
+from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, line_of, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +45,7 @@ SIGNS: Final = {
 
 
 @dataclass(frozen=True)
-class Row:
+class Diagram:
     """A diagram below the actions."""
 
     title: str
@@ -56,7 +56,7 @@ class Row:
     height: float = 1.0
 
 
-def each_car(cars: Sequence[CarSignals], make: Callable[[CarSignals], Row]) -> list[Row]:
+def each_car(cars: Sequence[CarSignals], make: Callable[[CarSignals], Diagram]) -> list[Diagram]:
     """Return a diagram for each car, as far as they fit on a page."""
     rows = [make(car) for car in cars[:_MOST_CARS]]
     if more := len(cars) - len(rows):
@@ -64,14 +64,14 @@ def each_car(cars: Sequence[CarSignals], make: Callable[[CarSignals], Row]) -> l
     return rows
 
 
-def height_in(signals: Signals, rows: Sequence[Row]) -> float:
+def height_in(signals: Signals, rows: Sequence[Diagram]) -> float:
     """Return the height of diagrams over time."""
     notes = min(len(signals.failures), _MOST_NOTES + 1)
     lanes = _LANE_IN * (len(signals.cars) + 1)
     return lanes + _AXIS_IN + sum(ROW_IN * row.height for row in rows) + _NOTE_IN * notes
 
 
-def draw_rows(figure: Figure | SubFigure, signals: Signals, rows: Sequence[Row]) -> None:
+def draw_rows(figure: Figure | SubFigure, signals: Signals, rows: Sequence[Diagram]) -> None:
     """Draw the actions, below them diagrams over the same time, and below these what went wrong."""
     lanes = _LANE_IN * (len(signals.cars) + 1)
     heights = [lanes, *(ROW_IN * row.height for row in rows)]
@@ -122,7 +122,7 @@ def notes_of(failures: Sequence[Attempt]) -> list[str]:
     for number, attempt in enumerate(failures[:_MOST_NOTES], 1):
         words = attempt.action.lower().replace("_", " ")
         text = f"{mark(number)} {end_s(attempt):.1f} s, car {attempt.car} {words}: {attempt.result}. {attempt.reason}"
-        notes.append(text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}...")
+        notes.append(line_of(text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."))
     if more := len(failures) - len(notes):
         notes.append(f"and {more} more")
     return notes

@@ -29,6 +29,7 @@ _DASH: Final = 0.11
 _ROUND: Final = np.array(
     [(math.cos(a), math.sin(a)) for a in np.linspace(0, 2 * math.pi, 24, endpoint=False)]
 )
+_NOSE: Final = np.array([(0.22, 0.13), (0.33, 0.0), (0.22, -0.13)])
 _CHEVRON: Final = np.array([(-0.16, 0.20), (0.04, 0.0), (-0.16, -0.20)])
 
 
@@ -84,8 +85,8 @@ def levels_of(
 
 def level_shapes(
     grid: Grid, z: int, goal: Cell | None = None, design: Collection[Wanted] = ()
-) -> Iterator[Outline | Word]:
-    """Yield what is on a level, in the order in which it is drawn: ground, things, designs, cars."""
+) -> Iterator[Outline]:
+    """Yield what is on a level but cars, in the order in which it is drawn: ground, things, designs."""
     length, width, _ = grid.size
     ground = KIND_COLOURS[Kind.GROUND] if z == 1 else WHITE
     yield Outline(_box(-0.5, -0.5, length - 0.5, width - 0.5), fill=ground)
@@ -102,24 +103,14 @@ def level_shapes(
             yield from _wanted(one)
     if goal is not None and goal[2] == z:
         yield Outline(_closed(_square(goal, FRAME)), line=GOAL, width=0.06)
+
+
+def car_shapes(grid: Grid, z: int) -> Iterator[Outline | Word]:
+    """Yield the cars of a level: four wheels, a body in a car's colour with a light nose, its number, and its load."""
     for cell, cars in cars_by_cell(grid).items():
         if cell[2] == z:
             for car in cars:
                 yield from _car(grid, car, cell)
-
-
-def car_glyph(car: int, x: float, y: float, heading_rad: float, size: float = 1.0) -> Iterator[Outline]:
-    """Yield a car without its number: four wheels, and a body in its colour with a light nose."""
-
-    def part(points: Iterable[tuple[float, float]]) -> Points:
-        return _placed(size * np.array(list(points)), x, y, heading_rad)
-
-    for along in (-0.2, 0.2):
-        for across in (-0.26, 0.26):
-            wheel = _box(along - 0.1, across - 0.06, along + 0.1, across + 0.06)
-            yield Outline(part(wheel), fill=TYRE)
-    yield Outline(part(_box(-0.33, -0.2, 0.33, 0.2)), fill=car_colour(car), line=INK, width=0.015 * size)
-    yield Outline(part([(0.22, 0.13), (0.33, 0.0), (0.22, -0.13)]), fill=WHITE)
 
 
 def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline | Word]:
@@ -133,7 +124,14 @@ def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline | Word]:
             yaw = yaw_angle(int(row[CarField.LOAD_YAW]))
             tip = np.array([(0.36, 0.1), (0.47, 0.0), (0.36, -0.1)])
             yield Outline(_placed(tip, x, y, yaw), fill=INK)
-    yield from car_glyph(car, x, y, yaw_angle(int(row[CarField.YAW])))
+    turn = yaw_angle(int(row[CarField.YAW]))
+    for along in (-0.2, 0.2):
+        for across in (-0.26, 0.26):
+            wheel = _box(along - 0.1, across - 0.06, along + 0.1, across + 0.06)
+            yield Outline(_placed(wheel, x, y, turn), fill=TYRE)
+    body = _box(-0.33, -0.2, 0.33, 0.2)
+    yield Outline(_placed(body, x, y, turn), fill=car_colour(car), line=INK, width=0.015)
+    yield Outline(_placed(_NOSE, x, y, turn), fill=WHITE)
     yield Word(x, y, str(car), 0.2, WHITE)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from itertools import chain
 from typing import Final
 
 import cv2
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.colours import INK, Rgb
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.rendering.shapes import Outline, Wanted, Word, level_shapes
+from craftsim.rendering.shapes import Outline, Wanted, Word, car_shapes, level_shapes
 
 CELL_PX: Final = 48
 MARGIN_PX: Final = 24
@@ -44,7 +45,7 @@ def world_image(
         # Views of the same bytes: OpenCV draws into them.
         tile = image[:, column * pitch : (column + 1) * pitch + MARGIN_PX]
         part = np.ascontiguousarray(tile)
-        for one in level_shapes(grid, z, goal, design):
+        for one in chain(level_shapes(grid, z, goal, design), car_shapes(grid, z)):
             _paint(part, one, width)
         _letter(part, MARGIN_PX + length * CELL_PX // 2, MARGIN_PX // 2, f"level {z}", 9, INK)
         for x in range(length):

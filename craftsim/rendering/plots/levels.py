@@ -11,7 +11,7 @@ import numpy as np
 from craftsim.discrete.colours import GOAL, KIND_COLOURS, LINE, car_colour
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.rendering.plots.style import WIDTH_IN
-from craftsim.rendering.shapes import Outline, Wanted, Word, level_shapes
+from craftsim.rendering.shapes import Outline, Wanted, Word, car_shapes, level_shapes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,6 +22,8 @@ _CELL_IN: Final = (0.16, 0.5)
 """The smallest and the largest side of a cell."""
 _MARGIN_IN: Final = 0.45
 """Beside and below a level, for its coordinates and title."""
+CARS: Final = 4.0
+"""Place of cars in the order of drawing (zorder); that of lines is 2."""
 _POINTS: Final = 72.0
 """In an inch."""
 
@@ -55,8 +57,9 @@ def draw_levels(
         axes.set_axis_off()
     drawn = dict(zip(levels, found, strict=False))
     for z, axes in drawn.items():
-        for one in level_shapes(grid, z, goal, design):
-            _draw(axes, one, arrangement.cell_in)
+        for shapes, above in ((level_shapes(grid, z, goal, design), 1.0), (car_shapes(grid, z), CARS)):
+            for number, one in enumerate(shapes):
+                _draw(axes, one, arrangement.cell_in, above + number * 1e-6)
         _coordinates(axes, grid.size)
         axes.set_title(f"level {z}")
     return drawn
@@ -79,20 +82,23 @@ def _ticks(count: int) -> list[int]:
     return list(range(0, count, 1 if count <= 12 else 2 if count <= 24 else 5))
 
 
-def _draw(axes: Axes, one: Outline | Word, cell_in: float) -> None:
+def _draw(axes: Axes, one: Outline | Word, cell_in: float, order: float) -> None:
     from matplotlib.patches import Polygon
 
     if isinstance(one, Word):
         size = one.height * cell_in * _POINTS / 0.72  # a capital is 0.72 of a font's size
         place: dict[str, Any] = {"ha": "center", "va": "center_baseline"}
-        axes.text(one.x, one.y, one.text, fontsize=size, color=one.colour, weight="bold", zorder=5, **place)
+        axes.text(
+            one.x, one.y, one.text, fontsize=size, color=one.colour, weight="bold", zorder=order, **place
+        )
         return
     width = one.width * cell_in * _POINTS
     if one.fill is None:
-        axes.plot(*one.points.T, color=one.line, lw=width, solid_capstyle="butt", solid_joinstyle="miter")
+        ends: dict[str, Any] = {"solid_capstyle": "butt", "solid_joinstyle": "miter"}
+        axes.plot(*one.points.T, color=one.line, lw=width, zorder=order, **ends)
         return
-    edge = "none" if one.line is None else one.line
-    axes.add_patch(Polygon(one.points, facecolor=one.fill, edgecolor=edge, lw=width if one.line else 0))
+    edge, width = ("none", 0.0) if one.line is None else (one.line, width)
+    axes.add_patch(Polygon(one.points, facecolor=one.fill, edgecolor=edge, lw=width, zorder=order))
 
 
 def legend_of(grid: Grid, goal: Cell | None = None, design: Collection[Wanted] = ()) -> list[Patch]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.colours import INK, car_colour
-from craftsim.rendering.plots.levels import Arrangement, draw_levels
+from craftsim.rendering.plots.levels import CARS, Arrangement, draw_levels
 from craftsim.rendering.plots.signals import CarSignals, Signals, end_s, path_points
 from craftsim.rendering.plots.style import WIDTH_IN, dash, shade
 from craftsim.rendering.plots.timeline import Diagram, each_car, legend, line, mark, notes_of
@@ -23,6 +23,10 @@ _FOOT_IN: Final = 0.15
 _NOTE_IN: Final = 0.14
 _ARROW_EVERY: Final = 0.9
 """Cells of way between two arrows, at least."""
+_STAYED: Final = 0.5
+"""Cells of way that are none."""
+_BESIDE: Final = 0.33
+"""Cells in x and in y: where no number of a car stands that began there."""
 _MOST_ARROWS: Final = 100
 """Of a car."""
 _LEGEND_COLUMNS: Final = 8
@@ -101,6 +105,8 @@ def _draw_path(by_level: dict[int, Axes], car: CarSignals) -> None:
         i = int(np.searchsorted(way, at))
         ahead = place[i, :2] - place[i - 1, :2]
         _arrow(by_level[int(level[i])], place[i, :2], ahead / np.linalg.norm(ahead), car.car)
+    if way[-1] > _STAYED:
+        _end(by_level[int(level[-1])], place[-1, :2], car.car)
 
 
 def _arrow(axes: Axes, place: np.ndarray, ahead: np.ndarray, car: int) -> None:
@@ -111,14 +117,27 @@ def _arrow(axes: Axes, place: np.ndarray, ahead: np.ndarray, car: int) -> None:
     axes.add_patch(Polygon(points, facecolor=car_colour(car), edgecolor="white", lw=0.6, zorder=3))
 
 
+def _end(axes: Axes, place: np.ndarray, car: int) -> None:
+    """Put a car's number beside the end of its way."""
+    x, y = place[0] + _BESIDE, place[1] - _BESIDE
+    axes.plot(x, y, "o", ms=7.5, mfc=car_colour(car), mec="white", mew=0.8, zorder=CARS + 1)
+    text: dict[str, Any] = {"ha": "center", "va": "center_baseline", "fontsize": 5.5, "weight": "bold"}
+    axes.text(x, y, str(car), color="white", zorder=CARS + 1, **text)
+
+
 def _mark(by_level: dict[int, Axes], signals: Signals, attempt: Attempt, number: int) -> None:
     """Mark where a car was when its action had failed."""
     at = signals.trajectory.at(end_s(attempt))
     car = signals.cars[attempt.car]
     axes = by_level[int(_level(car)[at])]
     x, y = car.place[at, :2]
-    axes.plot(x, y, "X", ms=9, mfc="white", mec=INK, mew=1.4, zorder=4)
-    place: dict[str, Any] = {"textcoords": "offset points", "weight": "bold", "color": INK, "zorder": 6}
+    axes.plot(x, y, "X", ms=9, mfc="white", mec=INK, mew=1.4, zorder=CARS + 2)
+    place: dict[str, Any] = {
+        "textcoords": "offset points",
+        "weight": "bold",
+        "color": INK,
+        "zorder": CARS + 2,
+    }
     box = {"facecolor": "white", "alpha": 0.8, "pad": 0.6}
     axes.annotate(mark(number), (x, y), (6, 4), **place, bbox=box)
 

@@ -32,13 +32,15 @@ class RecordedRun:
     title: str
     file: str
     """Relative to the page."""
+    agrees: bool
+    """Whether physics did what the rules predict."""
 
 
 @dataclass(frozen=True)
 class DrawnRun:
     """What a page shows of a recorded run."""
 
-    title: str
+    run: RecordedRun
     drawings: tuple[tuple[Markup, str], ...]
     """Each with its caption."""
     problem: str = ""
@@ -48,11 +50,11 @@ class DrawnRun:
 def recorded_runs(items: Sequence[Item], records: Sequence[TrialRecord]) -> list[RecordedRun]:
     """Return the runs that were recorded and came to an end, those first that disagree."""
     ended = [
-        (record["agrees"], RecordedRun(item.key, f"{TRAJECTORIES}/{item.job.file_name}{SUFFIX}"))
+        RecordedRun(item.key, f"{TRAJECTORIES}/{item.job.file_name}{SUFFIX}", record["agrees"])
         for item, record in zip(items, records, strict=False)
         if item.job.terms.record and record["error"] is None
     ]
-    return [run for _, run in sorted(ended, key=lambda pair: pair[0])]
+    return sorted(ended, key=lambda run: run.agrees)
 
 
 class Drawn:
@@ -79,10 +81,10 @@ def _draw(run: RecordedRun, path: Path) -> DrawnRun:
         signals = Signals.of(Trajectory.read(path))
     except InputError as error:
         # A campaign that has come to its end gets its page, whatever became of a trajectory.
-        return DrawnRun(run.title, (), f"No figures: {error}")
+        return DrawnRun(run, (), f"No figures: {error}")
     drawings = []
     for plot in plots_of(signals, _MOST_POINTS):
         with canvas(WIDTH_IN, plot.height_in, f"{run.title}: {plot.caption}", dense=True) as drawing:
             plot.draw(drawing.figure)
         drawings.append((drawing.svg, plot.caption))
-    return DrawnRun(run.title, tuple(drawings))
+    return DrawnRun(run, tuple(drawings))

@@ -259,7 +259,7 @@ def test_films_stand_in_the_group_of_their_action(tmp_path):
     assert "no film" not in group
 
 
-def _recorded(out, names, **changed):
+def _recorded(out, names):
     """Return items and records of runs that were recorded; the last one disagrees."""
     grid = Grid.empty((2, 1, 1), n_cars=1)
     recipe, recorder = Recipe(blueprint_text(grid), (Step.single(0, 0, Action.MOVE_RIGHT),)), Recorder()
@@ -273,6 +273,7 @@ def _recorded(out, names, **changed):
         job = SimpleNamespace(file_name=name, terms=SimpleNamespace(record=True))
         items.append(Item(f"<b>{name}", "planner", 0, job))
         records.append(record(name, attempt(Result.FAILED if name == names[-1] else Result.AS_PREDICTED)))
+        records[-1]["agrees"] = name != names[-1]
     return items, records
 
 
@@ -286,9 +287,8 @@ def test_recorded_runs_are_drawn_those_first_that_disagree(tmp_path, monkeypatch
     page = _page_of(tmp_path, *_recorded(tmp_path, ["one", "two"]))
     reader = Reader(page)
     section = page[page.index('<section id="recorded">') :]
-    assert re.findall(r"<summary>([^/]*)</summary>", section[: section.index("</section>")]) == [
-        "&lt;b&gt;two"
-    ]
+    titles = re.findall(r"<summary>(.*?)</summary>", section[: section.index("</section>")])
+    assert titles == ['&lt;b&gt;two <span class="badge">disagrees</span>']
     assert all(address.startswith(("#", "data:")) for address in reader.addresses)
     assert section[: section.index("</section>")].count("<svg") == 5
     assert "2 recorded runs" in reader.text

@@ -28,6 +28,7 @@ COMMANDS: Final[dict[str, str]] = {
     "clearance": "Compare what each action sweeps with what the rules forbid.",
     "replay": "Re-run a recorded failure bit for bit, and compare the two.",
     "render": "Make films and pictures of what happened in physics.",
+    "plot": "Draw paths, errors, torques and forces of recorded runs.",
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",
     "bench": "Measure how fast rules, environments and workers are.",

@@ -103,6 +103,7 @@ ELSEWHERE = {
     "validation/html/svg.py",
     "training/archive.py",
     "validation/replays/bundle.py",
+    "rendering/trajectory.py",
     # Examples in docstrings.
     "models/parameter_files.py",
     "skills/gains.py",

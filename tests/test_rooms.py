@@ -38,7 +38,7 @@ ALLOWED = {
 }
 """What each room may import of ours, besides itself, the errors and the package's version; commands may import all."""
 
-FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "trimesh", "gymnasium", "pettingzoo"}
+FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}
 
 FILES = sorted(PACKAGE.rglob("*.py"))
 

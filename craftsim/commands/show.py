@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from craftsim.commands.options import File
 from craftsim.commands.text import say
 from craftsim.storage.limits import SEED
 
@@ -14,6 +15,7 @@ from craftsim.storage.limits import SEED
 def show(
     blueprint: tyro.conf.Positional[Path],
     seed: Annotated[int, SEED] = 0,
+    goal: File = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Print the world that a blueprint describes, level by level; with --out draw it as a PNG.
@@ -21,17 +23,25 @@ def show(
     Args:
         blueprint: start file, or the name of a shipped one such as simple_two_story.
         seed: decides what the file leaves to chance.
+        goal: goal file whose cells are marked in the picture; that of a shipped task unless given.
         out: folder for the picture, which is named after the blueprint.
     """
     import numpy as np
 
     from craftsim.commands.terminal import Terminal
-    from craftsim.discrete.drawing import LEGEND, world_image, world_text
+    from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.blueprint import read_blueprint
-    from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
+    from craftsim.discrete.files.design import read_design
+    from craftsim.discrete.tasks import TASK_NAMES, make_task, shipped_blueprint
 
-    path = shipped_blueprint(str(blueprint)) if str(blueprint) in TASK_NAMES else blueprint
+    shipped = str(blueprint) in TASK_NAMES
+    path = shipped_blueprint(str(blueprint)) if shipped else blueprint
     drawing = read_blueprint(path)
+    design = make_task(str(blueprint)).design if shipped else None
+    if goal is not None:
+        design = read_design(goal)
+    if design is not None:
+        design.check_fits(drawing.size)
     grid = drawing.grid(np.random.default_rng(seed))
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
     say(LEGEND)
@@ -41,13 +51,10 @@ def show(
     for note in drawing.notes:
         say(f"note: {note}")
     if out is not None:
-        import cv2
-
+        from craftsim.rendering.plots.blueprint import draw_blueprint
+        from craftsim.rendering.shapes import wanted_of
         from craftsim.report import output_directory
-        from craftsim.storage.writing import write_whole
 
-        picture = output_directory(out) / f"{path.stem}.png"
-        _, data = cv2.imencode(".png", world_image(grid, drawing.goal)[:, :, ::-1])
-        write_whole(picture, data.tobytes())
-        say(f"picture: {picture}")
+        file = output_directory(out) / f"{path.stem}.png"
+        say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(design))}")
     return 0

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from craftsim.commands.text import say
-from craftsim.errors import InputError, suggestion
+from craftsim.errors import InputError
 
 if TYPE_CHECKING:
     from craftsim.commands.options import PhysicsOptions
     from craftsim.rendering.trajectory import Trajectory
 
-_NAMED = 12
+_NAMED: Final = 12
 """Trajectories of a folder that an error names."""
 
 
@@ -50,28 +50,16 @@ def find_trajectory(
 
 
 def _in_folder(folder: Path, run: str | None) -> Trajectory:
+    from craftsim.rendering.recorded import trajectory_files
     from craftsim.rendering.trajectory import Trajectory
     from craftsim.validation.replays.bundle import TEXT, read_bundle
     from craftsim.validation.replays.recording import record_bundle
 
     if (folder / TEXT).is_file():
         return record_bundle(read_bundle(folder))[1]
-    paths = trajectories_in(folder)
-    if run is None and len(paths) == 1:
-        return Trajectory.read(next(iter(paths.values())))
-    if run is None or run not in paths:
-        names = [*list(paths)[:_NAMED], *(["..."] if len(paths) > _NAMED else [])]
-        wrong = "choose one with --run" if run is None else f"no run '{run}'{suggestion(run, list(paths))}"
-        raise InputError(f"{folder}: {wrong}; there are {', '.join(names)}")
-    return Trajectory.read(paths[run])
-
-
-def trajectories_in(folder: Path) -> dict[str, Path]:
-    """Return the trajectory files of a run's folder by name; raise InputError where there is none."""
-    from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES
-
-    place = folder / TRAJECTORIES
-    paths = sorted((place if place.is_dir() else folder).glob(f"*{SUFFIX}"))
-    if not paths:
-        raise InputError(f"{folder}: holds no trajectory; run the command again with --record")
-    return {path.stem: path for path in paths}
+    first, *others = trajectory_files(folder, run)
+    if others:
+        names = [path.stem for path in (first, *others[: _NAMED - 1])]
+        more = f" and {len(others) + 1 - _NAMED} more" if len(others) >= _NAMED else ""
+        raise InputError(f"{folder}: choose one with --run; there are {', '.join(names)}{more}")
+    return Trajectory.read(first)

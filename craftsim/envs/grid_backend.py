@@ -26,7 +26,7 @@ class GridBackend:
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return the levels of the world side by side."""
-        from craftsim.discrete.drawing import world_image
+        from craftsim.rendering.world_image import world_image
 
         return world_image(grid, goal)
 

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.colours import CAR_COLOURS, car_colour
 from craftsim.mjcf.meshes import Figures, mesh_bytes, mesh_file
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.mjcf.rendering import render
@@ -16,18 +17,6 @@ from craftsim.models.parameters import Machines, SmartcarParameters
 
 WHEELS = ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr")
 """Order of everything that is given per wheel: front left, front right, rear left, rear right."""
-
-CAR_COLOURS = (
-    (0.80, 0.24, 0.22),
-    (0.16, 0.47, 0.72),
-    (0.20, 0.58, 0.32),
-    (0.56, 0.33, 0.66),
-    (0.88, 0.50, 0.12),
-    (0.10, 0.60, 0.62),
-    (0.72, 0.30, 0.50),
-    (0.45, 0.42, 0.16),
-)
-"""Colours (r, g, b) that distinguish the cars; car ids beyond the last start over."""
 
 
 def load_part(name: str, machines: Machines, car: int = 0) -> mujoco.MjSpec:
@@ -50,7 +39,7 @@ def _part(name: str, machines: Machines, figures: Figures | None, colour: int) -
     meshes = {} if figures is None else mesh_bytes(figures)
     spec = mujoco.MjSpec.from_string(_text(name, machines, figures), assets=meshes)
     if name == "smartcar":
-        spec.geom("chassis_visual").rgba = [*CAR_COLOURS[colour], 1.0]
+        spec.geom("chassis_visual").rgba = [*car_colour(colour), 1.0]
     if name in ("smartcar", "slope"):
         spec.body(name).sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
     return spec

@@ -12,7 +12,6 @@ import cv2
 import mujoco
 import numpy as np
 
-from craftsim.discrete.drawing import world_image
 from craftsim.errors import InputError
 from craftsim.rendering.cameras import View, make_view
 from craftsim.rendering.captions import Captions
@@ -24,6 +23,7 @@ from craftsim.rendering.prediction import Prediction
 from craftsim.rendering.renderer import make_renderer
 from craftsim.rendering.stage import Quality, Stage
 from craftsim.rendering.trajectory import Trajectory
+from craftsim.rendering.world_image import world_image
 from craftsim.storage.limits import FILM_SPEED, FRAME_PIXELS, FRAME_RATE
 
 GRID: Final = "grid"
@@ -190,6 +190,7 @@ class _Predicted:
     def draw(self, sample: int, time_s: float) -> Frame:
         grid = self._prediction.at(time_s)
         if self._drawn is None or self._drawn[0] != id(grid):
+            picture = world_image(grid, levels=self._levels, design=self._design)
             self._drawn = id(grid), _fit(world_image(grid), self._box.size)
         return self._drawn[1]
 

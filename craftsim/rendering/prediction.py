@@ -34,6 +34,11 @@ class Prediction:
             self._times.append(ended)
             self._grids.append(grid)
 
+    @property
+    def grids(self) -> tuple[Grid, ...]:
+        """All that are predicted, in their order; not to be changed."""
+        return tuple(self._grids)
+
     def at(self, time_s: float) -> Grid:
         """Return the world that the rules predict at a simulated time; not to be changed."""
         return self._grids[bisect_right(self._times, time_s) - 1]

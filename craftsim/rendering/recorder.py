@@ -13,7 +13,15 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe
 from craftsim.discrete.files.design import Design
 from craftsim.models.site import Site
-from craftsim.rendering.trajectory import SCHEMA_VERSION, GoalCell, Story, Trajectory, motors_of, poses_of
+from craftsim.rendering.trajectory import (
+    KINDS,
+    SCHEMA_VERSION,
+    GoalCell,
+    Story,
+    Trajectory,
+    motors_of,
+    poses_of,
+)
 from craftsim.report import versions
 
 _Samples = list[NDArray[np.float64]]
@@ -92,4 +100,4 @@ class Recorder:
 
 def _targets(design: Design) -> Iterator[GoalCell]:
     for target in design.targets:
-        yield GoalCell(target.kind.name.lower(), target.cell, design.yaw(target))
+        yield GoalCell(KINDS[target.kind], target.cell, design.yaw(target))

@@ -11,7 +11,7 @@ import json
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, Literal, Self
 
 import mujoco
 import numpy as np
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.recipe import Recipe, check_recipe
-from craftsim.discrete.grid import Cell
+from craftsim.discrete.grid import Cell, Kind
 from craftsim.errors import InputError
 from craftsim.models.site import Site
+from craftsim.rendering.shapes import Wanted
 from craftsim.report import versions
 from craftsim.storage import limits
 from craftsim.storage.reading import Arrays, read_arrays
@@ -36,12 +37,20 @@ TRAJECTORIES: Final = "trajectories"
 _TEXT: Final = "story"
 
 
+GoalKind = Literal["block", "fslope", "body", "foot"]
+KINDS: Final[dict[Kind, GoalKind]] = {
+    Kind.BLOCK: "block",
+    Kind.FSLOPE: "fslope",
+    Kind.BODY: "body",
+    Kind.FOOT: "foot",
+}
+
+
 @dataclass(frozen=True)
 class GoalCell:
     """A cell of a design, and what it must hold."""
 
-    kind: str
-    """block, fslope, body or foot."""
+    kind: GoalKind
     cell: Cell
     yaw: int
     """Of a slope, -1 where any will do."""
@@ -159,6 +168,11 @@ class Trajectory:
         column = self.story.poses[machine]
         return self.qpos[:, column : column + 7]
 
+    @property
+    def wanted(self) -> tuple[Wanted, ...]:
+        """The design, as pictures of the grid take it."""
+        return tuple(Wanted(Kind[goal.kind.upper()], goal.cell, goal.yaw) for goal in self.story.design)
+
     def at(self, time_s: float) -> int:
         """Return the number of the last sample that is not later than a time; the first where all are."""
         return max(0, int(np.searchsorted(self.time, time_s + 1e-9, side="right")) - 1)
@@ -204,6 +218,10 @@ class Trajectory:
             raise InputError("'qpos' holds what is no number")
         if any(not 0 <= column <= self.qpos.shape[1] - 7 for column in self.story.poses.values()):
             raise InputError("story.poses points outside of 'qpos'")
+        length, width, height = grid.size
+        for x, y, z in (goal.cell for goal in self.story.design):
+            if not (0 <= x < length and 0 <= y < width and 1 <= z <= height + 1):
+                raise InputError(f"story.design has the cell {(x, y, z)}, outside of the area")
         if any(not 0 <= attempt.car < n_cars for attempt in self.story.attempts):
             raise InputError(f"story.attempts names a car that there is not; the world has {n_cars}")
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from craftsim.cli import main
-from craftsim.discrete.drawing import CAR_COLOUR, CELL_PX, COLOURS, world_image, world_text
+from craftsim.discrete.colours import GOAL, KIND_COLOURS, car_colour
+from craftsim.discrete.drawing import world_text
 from craftsim.discrete.grid import Kind
 
 
@@ -35,22 +36,6 @@ def test_text_shows_levels_from_the_top_with_y_up(scene, car):
     ]
 
 
-def test_a_picture_has_a_tile_a_cell_in_the_colour_of_what_is_there(scene, car):
-    grid = scene([(Kind.BLOCK, (1, 0, 1)), (Kind.WALL, (0, 1, 2))], [car(0, 0)], size=(2, 2, 2))
-    image = world_image(grid)
-    gap, half = CELL_PX // 2, CELL_PX // 2
-    assert image.shape == (2 * CELL_PX + 2 * gap, 2 * (2 * CELL_PX + gap) + gap, 3)
-
-    def centre(level, x, y):
-        column = gap + (level - 1) * (2 * CELL_PX + gap) + x * CELL_PX + half
-        return tuple(image[gap + (1 - y) * CELL_PX + half, column].tolist())
-
-    assert centre(1, 0, 0) == CAR_COLOUR
-    assert centre(1, 1, 0) == COLOURS[Kind.BLOCK]
-    assert centre(1, 1, 1) == COLOURS[Kind.AIR]
-    assert centre(2, 0, 1) == COLOURS[Kind.WALL]
-
-
 def test_show_prints_a_shipped_world_and_writes_its_picture(tmp_path, capsys):
     import cv2
 
@@ -60,7 +45,29 @@ def test_show_prints_a_shipped_world_and_writes_its_picture(tmp_path, capsys):
     assert "5 x 5 cells, 2 levels: 2 cars, 8 blocks, 0 slopes" in out
     picture = cv2.imread(str(tmp_path / "breaking_barrier.png"))
     assert picture is not None
-    assert np.unique(picture.reshape(-1, 3), axis=0).shape[0] > 4
+    colours = {tuple(colour) for colour in np.unique(picture.reshape(-1, 3), axis=0)[:, ::-1].tolist()}
+    wanted = [car_colour(0), car_colour(1), KIND_COLOURS[Kind.BLOCK], GOAL]
+    assert {tuple(round(255 * part) for part in colour) for colour in wanted} <= colours
+
+
+def test_show_marks_the_cells_of_a_goal_file_of_one_s_own(tmp_path):
+    import cv2
+
+    (tmp_path / "goal.yaml").write_text("block:\n  - {id: 0, x: 0, y: 0, z: 1}\n")
+    show = ["show", "free_building", "--out", str(tmp_path)]
+    green = []
+    for goal in ([], ["--goal", str(tmp_path / "goal.yaml")]):
+        assert main([*show, *goal]) == 0
+        picture = cv2.imread(str(tmp_path / "free_building.png"))
+        green.append(int((picture[:, :, ::-1] == [round(255 * part) for part in GOAL]).all(axis=2).sum()))
+    assert green[0] == 0
+    assert green[1] > 100
+
+
+def test_show_refuses_a_goal_outside_of_the_area(tmp_path, capsys):
+    (tmp_path / "goal.yaml").write_text("block:\n  - {id: 0, x: 9, y: 0, z: 1}\n")
+    assert main(["show", "strip", "--goal", str(tmp_path / "goal.yaml")]) == 2
+    assert "goal.yaml:2: target (9, 0, 1) is outside the area" in capsys.readouterr().err
 
 
 def test_show_tells_what_is_wrong_with_a_file(tmp_path, capsys):

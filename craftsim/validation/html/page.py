@@ -107,6 +107,9 @@ def _flat(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
     if isinstance(value, Mapping) and value:
         for key, item in value.items():
             yield from _flat(item, f"{prefix}.{key}" if prefix else str(key))
+    elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+        for number, item in enumerate(value):
+            yield from _flat(item, f"{prefix}.{number}")
     elif isinstance(value, list):
         yield prefix, ", ".join("none" if item is None else str(item) for item in value) or "none"
     else:

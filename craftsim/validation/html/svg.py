@@ -6,10 +6,16 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from markupsafe import Markup, escape
+
+from craftsim.rendering.plots.style import DENSE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _VARIABLES: Final = ("ink", "soft", "line", "paper", "good", "caution", "bad", "accent", "muted")
 """The page's own colours, light or dark, that take the places of colours that nobody would draw with."""
@@ -19,23 +25,30 @@ _STYLE: Final = Path(__file__).with_name("template") / "drawing.mplstyle"
 
 
 class Canvas:
-    """A figure with one pair of axes; :attr:`svg` holds the drawing after it is closed."""
+    """A figure; :attr:`svg` holds the drawing after it is closed."""
 
     def __init__(self, width_in: float, height_in: float) -> None:
         """Make an empty figure, without pyplot's global list of figures."""
         from matplotlib.figure import Figure
 
         self.figure = Figure(figsize=(width_in, height_in), layout="constrained")
-        self.axes = self.figure.subplots()
         self.svg = Markup()
+
+    @cached_property
+    def axes(self) -> Axes:
+        """The one pair of axes, where there is to be one."""
+        return self.figure.subplots()
 
 
 @contextmanager
-def canvas(width_in: float, height_in: float, label: str) -> Iterator[Canvas]:
-    """Yield a canvas to draw on; ``label`` is what a reader hears who cannot see the drawing."""
+def canvas(width_in: float, height_in: float, label: str, dense: bool = False) -> Iterator[Canvas]:
+    """Yield a canvas to draw on; ``label`` is what a reader hears who cannot see the drawing.
+
+    A dense one is for many diagrams in a figure: letters and lines are small.
+    """
     from matplotlib import style
 
-    with style.context(_STYLE, after_reset=True):
+    with style.context([_STYLE, DENSE if dense else {}], after_reset=True):
         drawing = Canvas(width_in, height_in)
         yield drawing
         buffer = io.StringIO()

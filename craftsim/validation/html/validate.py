@@ -18,6 +18,7 @@ from craftsim.validation.html.page import (
     percent,
     provenance,
 )
+from craftsim.validation.html.recorded import recorded_runs
 from craftsim.validation.statistics.figures import Figures
 from craftsim.validation.statistics.records import Record, as_predicted, attempts_of, carried_out
 from craftsim.validation.validation import Validation
@@ -49,6 +50,7 @@ def validate_page(result: Validation, command: str) -> Page:
             "comparison": result.comparison,
             "smallest": result.smallest,
             "cases": shown,
+            "recorded": recorded_runs(result.items, result.records),
             "more_cases": sum(1 for _ in cases),
             "legal": (a for a in attempts_of(carried_out(result.records)) if a["legal"]),
             "provenance": provenance(command, result.seed, result.config),

@@ -15,6 +15,7 @@ from craftsim.storage.writing import write_whole
 from craftsim.validation.html import plots
 from craftsim.validation.html.film_links import Films
 from craftsim.validation.html.page import Page, count, interval, percent
+from craftsim.validation.html.recorded import Drawn
 
 FILE_NAME: Final = "report.html"
 
@@ -38,7 +39,9 @@ def write_html(out: Path, page: Page) -> Path:
     """
     path = output_directory(out) / FILE_NAME
     template = _environment().get_template(page.template)
-    return write_whole(path, template.render(page.content, page=page, films=Films(out), contents=[]))
+    return write_whole(
+        path, template.render(page.content, page=page, films=Films(out), drawn=Drawn(out), contents=[])
+    )
 
 
 @cache

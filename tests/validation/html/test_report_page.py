@@ -3,14 +3,22 @@
 import base64
 import re
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import pytest
 from synthetic import attempt, audit, episodes, record
 
 from craftsim.checking.attempt import Result
+from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.checking.settings import Setup
+from craftsim.discrete.actions import Action
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import Grid
+from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.trajectory import TRAJECTORIES
 from craftsim.validation.audit.audit import Audit
 from craftsim.validation.audit.results import Results, judged_by_rules
+from craftsim.validation.campaign import Item
 from craftsim.validation.html import film_links
 from craftsim.validation.html.audit import audit_page
 from craftsim.validation.html.validate import validate_page
@@ -249,3 +257,51 @@ def test_films_stand_in_the_group_of_their_action(tmp_path):
     group = page[page.index("<summary>FOLD: 3 of 3") :]
     assert group.count("<video") == 2
     assert "no film" not in group
+
+
+def _recorded(out, names):
+    """Return items and records of runs that were recorded; the last one disagrees."""
+    grid = Grid.empty((2, 1, 1), n_cars=1)
+    recipe, recorder = Recipe(blueprint_text(grid), (Step.single(0, 0, Action.MOVE_RIGHT),)), Recorder()
+    checked = start(recipe)
+    recorder.begin(checked)
+    attempts = do(checked, recipe.steps[0])
+    (out / TRAJECTORIES).mkdir(parents=True)
+    items, records = [], []
+    for name in names:
+        recorder.trajectory(HOSTILE, recipe, attempts).write(out / TRAJECTORIES / f"{name}.npz")
+        job = SimpleNamespace(file_name=name, terms=SimpleNamespace(record=True))
+        items.append(Item(f"<b>{name}", "planner", 0, job))
+        records.append(record(name, attempt(Result.FAILED if name == names[-1] else Result.AS_PREDICTED)))
+        records[-1]["agrees"] = name != names[-1]
+    return items, records
+
+
+def _page_of(out, items, records):
+    result = Validation(records, campaign_figures(records, seed=0), CONFIG, 7, items)
+    return write_html(out, validate_page(result, "craftsim validate")).read_text(encoding="utf-8")
+
+
+def test_recorded_runs_are_drawn_those_first_that_disagree(tmp_path, monkeypatch):
+    monkeypatch.setattr("craftsim.validation.html.recorded.MOST_RUNS", 1)
+    page = _page_of(tmp_path, *_recorded(tmp_path, ["one", "two"]))
+    reader = Reader(page)
+    section = page[page.index('<section id="recorded">') :]
+    titles = re.findall(r"<summary>(.*?)</summary>", section[: section.index("</section>")])
+    assert titles == ['&lt;b&gt;two <span class="badge">disagrees</span>']
+    assert all(address.startswith(("#", "data:")) for address in reader.addresses)
+    assert section[: section.index("</section>")].count("<svg") == 5
+    assert "2 recorded runs" in reader.text
+
+
+def test_a_damaged_trajectory_is_told_and_does_not_keep_the_page_from_being_written(tmp_path):
+    items, records = _recorded(tmp_path, ["one"])
+    (tmp_path / TRAJECTORIES / "one.npz").write_bytes(b"PK")
+    assert "No figures: " in Reader(_page_of(tmp_path, items, records)).text
+
+
+def test_what_is_folded_on_a_screen_is_open_on_paper_and_no_table_is_cut(pages):
+    printed = pages["audit"][pages["audit"].index("@media print") :]
+    for rule in ("details::details-content", "overflow: visible", "break-inside: avoid-page"):
+        assert rule in printed
+    assert "@media screen and (prefers-color-scheme: dark)" in pages["audit"]

@@ -1,0 +1,132 @@
+"""The levels of a world as matplotlib draws them, with coordinates, and what the signs mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from craftsim.discrete.colours import GOAL, KIND_COLOURS, LINE, car_colour
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.rendering.plots.style import WIDTH_IN
+from craftsim.rendering.shapes import Outline, Wanted, Word, car_shapes, level_shapes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.patches import Patch
+
+_CELL_IN: Final = (0.16, 0.5)
+"""The smallest and the largest side of a cell."""
+_MARGIN_IN: Final = 0.45
+"""Beside and below a level, for its coordinates and title."""
+CARS: Final = 4.0
+"""Place of cars in the order of drawing (zorder); that of lines is 2."""
+_POINTS: Final = 72.0
+"""In an inch."""
+
+
+class Arrangement:
+    """How the levels of a world are laid out on a page."""
+
+    def __init__(self, size: Cell, n_levels: int, width_in: float = WIDTH_IN) -> None:
+        """Place levels side by side while their cells stay legible, then below each other."""
+        length, width, _ = size
+        least, most = _CELL_IN
+        fitting = int(width_in / (length * 2 * least + _MARGIN_IN))
+        self.columns = max(1, min(n_levels, fitting))
+        self.rows = math.ceil(n_levels / self.columns)
+        self.cell_in = max(least, min(most, width_in / self.columns / length - _MARGIN_IN / length))
+        self.height_in = self.rows * (width * self.cell_in + _MARGIN_IN)
+        self.width_in = self.columns * (length * self.cell_in + _MARGIN_IN)
+
+
+def draw_levels(
+    figure: Figure | SubFigure,
+    grid: Grid,
+    levels: Sequence[int],
+    arrangement: Arrangement,
+    goal: Cell | None = None,
+    design: Collection[Wanted] = (),
+) -> dict[int, Axes]:
+    """Draw levels of a world, each in a diagram of its own with the coordinates of cells; return these by level."""
+    found = figure.subplots(arrangement.rows, arrangement.columns, squeeze=False).ravel()
+    for axes in found[len(levels) :]:
+        axes.set_axis_off()
+    drawn = dict(zip(levels, found, strict=False))
+    for z, axes in drawn.items():
+        for shapes, above in ((level_shapes(grid, z, goal, design), 1.0), (car_shapes(grid, z), CARS)):
+            for number, one in enumerate(shapes):
+                _draw(axes, one, arrangement.cell_in, above + number * 1e-6)
+        _coordinates(axes, grid.size)
+        axes.set_title(f"level {z}")
+    return drawn
+
+
+def _coordinates(axes: Axes, size: Cell) -> None:
+    length, width, _ = size
+    axes.set(xlim=(-0.55, length - 0.45), ylim=(-0.55, width - 0.45), aspect="equal")
+    axes.set_xticks(_ticks(length))
+    axes.set_yticks(_ticks(width))
+    axes.set_xlabel("x", labelpad=0)
+    axes.set_ylabel("y", labelpad=3, rotation=0, ha="right", va="center")
+    axes.tick_params(length=0, pad=1)
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _ticks(count: int) -> list[int]:
+    return list(range(0, count, 1 if count <= 12 else 2 if count <= 24 else 5))
+
+
+def _draw(axes: Axes, one: Outline | Word, cell_in: float, order: float) -> None:
+    from matplotlib.patches import Polygon
+
+    if isinstance(one, Word):
+        size = one.height * cell_in * _POINTS / 0.72  # a capital is 0.72 of a font's size
+        place: dict[str, Any] = {"ha": "center", "va": "center_baseline"}
+        axes.text(
+            one.x, one.y, one.text, fontsize=size, color=one.colour, weight="bold", zorder=order, **place
+        )
+        return
+    width = one.width * cell_in * _POINTS
+    if one.fill is None:
+        ends: dict[str, Any] = {"solid_capstyle": "butt", "solid_joinstyle": "miter"}
+        axes.plot(*one.points.T, color=one.line, lw=width, zorder=order, **ends)
+        return
+    edge, width = ("none", 0.0) if one.line is None else (one.line, width)
+    axes.add_patch(Polygon(one.points, facecolor=one.fill, edgecolor=edge, lw=width, zorder=order))
+
+
+def legend_of(grid: Grid, goal: Cell | None = None, design: Collection[Wanted] = ()) -> list[Patch]:
+    """Return what the signs mean that a world's picture has."""
+    return list(_legend(grid, goal, design))
+
+
+def _legend(grid: Grid, goal: Cell | None, design: Collection[Wanted]) -> Iterator[Patch]:
+    from matplotlib.patches import Patch
+
+    kinds = {Kind(int(kind)) for kind in np.unique(grid.kind)}
+    named = {
+        Kind.BLOCK: "block",
+        Kind.FSLOPE: "folded slope",
+        Kind.GEAR: "its gear",
+        Kind.BODY: "slope, upper half",
+        Kind.FOOT: "slope, lower half",
+        Kind.FLAG: "flag",
+        Kind.WALL: "wall",
+    }
+    for kind, words in named.items():
+        if kind in kinds:
+            yield Patch(facecolor=KIND_COLOURS[kind], edgecolor=LINE, lw=0.6, label=words)
+    if grid.n_cars:
+        yield Patch(facecolor=car_colour(0), edgecolor=LINE, lw=0.6, label="car, white at its front")
+    if grid.cars[:, CarField.LOAD].any():
+        yield Patch(facecolor="none", edgecolor=KIND_COLOURS[Kind.BLOCK], lw=2, label="what a car carries")
+    if design:
+        yield Patch(facecolor="none", edgecolor=GOAL, lw=1.4, ls=(0, (2, 1)), label="to be built")
+    if goal is not None:
+        yield Patch(facecolor="none", edgecolor=GOAL, lw=1.6, label="goal of the flag")

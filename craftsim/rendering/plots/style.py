@@ -1,0 +1,80 @@
+"""How figures look on paper, and what tells cars apart where there are no colours."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+from craftsim.discrete.colours import INK
+from craftsim.storage.writing import writable
+
+WIDTH_IN: Final = 7.2
+"""Of a figure: two columns of a paper."""
+ROW_IN: Final = 1.15
+"""Height of a diagram over time."""
+
+DASHES: Final = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1.2)))
+"""One a line of a diagram; lines beyond the last start over."""
+
+DENSE: Final[dict[str, Any]] = {
+    "font.size": 7.5,
+    "axes.linewidth": 0.6,
+    "axes.titlesize": 7.5,
+    "grid.linewidth": 0.5,
+    "legend.fontsize": 7,
+}
+"""Small letters and thin lines, for many diagrams in a figure."""
+
+_PAPER: Final[dict[str, Any]] = {
+    **DENSE,
+    "font.family": "DejaVu Sans",
+    "text.color": INK,
+    "text.parse_math": False,
+    "axes.edgecolor": "0.6",
+    "axes.labelcolor": "0.4",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "0.88",
+    "xtick.color": "0.6",
+    "ytick.color": "0.6",
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.size": 2,
+    "ytick.major.size": 2,
+    "legend.frameon": False,
+    "patch.linewidth": 0,
+    # Letters that a drawing program can edit.
+    "pdf.fonttype": 42,
+}
+
+
+@contextmanager
+def paper() -> Iterator[None]:
+    """Draw for paper within the block, whatever the user has set."""
+    from matplotlib import style
+
+    with style.context(_PAPER, after_reset=True), warnings.catch_warnings():
+        # A name may have letters that the font lacks; boxes stand for them.
+        warnings.filterwarnings("ignore", "Glyph .* missing")
+        yield
+
+
+def line_of(text: str) -> str:
+    """Return a text as one line that can be drawn, wherever it comes from."""
+    return writable(" ".join(text.split()))
+
+
+def shade(number: int) -> Any:
+    """Return the colour of line ``number`` that belongs to no car: that of text, or a softer one."""
+    from matplotlib import rcParams
+
+    return rcParams["axes.labelcolor" if number % 2 else "text.color"]
+
+
+def dash(number: int) -> Any:
+    """Return how line ``number`` of a diagram is dashed."""
+    return DASHES[number % len(DASHES)]

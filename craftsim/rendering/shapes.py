@@ -1,0 +1,210 @@
+"""What a level of a world looks like from above, as polygons and words: pictures and plots draw the same ones.
+
+Lengths are in cells: the centre of cell (x, y) is at (x, y), with x to the right and y up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.colours import FLAG_POST, GOAL, INK, KIND_COLOURS, LINE, TRIM, TYRE, Rgb, car_colour
+from craftsim.discrete.drawing import cars_by_cell
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.geometry import yaw_angle
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+
+Points = NDArray[np.float64]
+"""Shape (n, 2)."""
+
+WHITE: Final[Rgb] = (1.0, 1.0, 1.0)
+FRAME: Final = 0.44
+"""Half the side of the frame around a goal cell."""
+_DASH: Final = 0.11
+_ROUND: Final = np.array(
+    [(math.cos(a), math.sin(a)) for a in np.linspace(0, 2 * math.pi, 24, endpoint=False)]
+)
+_NOSE: Final = np.array([(0.22, 0.13), (0.33, 0.0), (0.22, -0.13)])
+_CHEVRON: Final = np.array([(-0.16, 0.20), (0.04, 0.0), (-0.16, -0.20)])
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A polygon, or an open line where it is not filled."""
+
+    points: Points
+    fill: Rgb | None = None
+    line: Rgb | None = None
+    width: float = 0.02
+
+
+@dataclass(frozen=True)
+class Word:
+    """A word, centred at a place."""
+
+    x: float
+    y: float
+    text: str
+    height: float
+    """Of a capital letter."""
+    colour: Rgb
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A cell of a design, and what it must hold."""
+
+    kind: Kind
+    cell: Cell
+    yaw: int
+    """Of a slope, -1 where any will do."""
+
+
+def wanted_of(design: Design | None) -> tuple[Wanted, ...]:
+    """Return the cells of a design; none of None."""
+    if design is None:
+        return ()
+    return tuple(Wanted(target.kind, target.cell, design.yaw(target)) for target in design.targets)
+
+
+def levels_of(
+    grids: Iterable[Grid], goal: Cell | None = None, design: Collection[Wanted] = ()
+) -> tuple[int, ...]:
+    """Return the levels on which anything is in one of the worlds, or is to be; the floor always."""
+    used = {1, *(one.cell[2] for one in design), *([] if goal is None else [goal[2]])}
+    for grid in grids:
+        used |= {z for z in range(1, grid.size[2] + 1) if grid.kind[:, :, z].any()}
+        used |= {int(z) for z in grid.cars[:, CarField.Z]}
+    return tuple(sorted(used))
+
+
+def level_shapes(
+    grid: Grid, z: int, goal: Cell | None = None, design: Collection[Wanted] = ()
+) -> Iterator[Outline]:
+    """Yield what is on a level but cars, in the order in which it is drawn: ground, things, designs."""
+    length, width, _ = grid.size
+    ground = KIND_COLOURS[Kind.GROUND] if z == 1 else WHITE
+    yield Outline(_box(-0.5, -0.5, length - 0.5, width - 0.5), fill=ground)
+    for x in range(length + 1):
+        yield Outline(np.array([(x - 0.5, -0.5), (x - 0.5, width - 0.5)]), line=LINE)
+    for y in range(width + 1):
+        yield Outline(np.array([(-0.5, y - 0.5), (length - 0.5, y - 0.5)]), line=LINE)
+    if z <= grid.size[2]:
+        for cell_x, cell_y in np.argwhere(grid.kind[:, :, z]):
+            cell = (int(cell_x), int(cell_y), z)
+            yield from _thing(grid.kind_at(cell), int(grid.yaw[cell]), cell)
+    for one in design:
+        if one.cell[2] == z:
+            yield from _wanted(one)
+    if goal is not None and goal[2] == z:
+        yield Outline(_closed(_square(goal, FRAME)), line=GOAL, width=0.06)
+
+
+def car_shapes(grid: Grid, z: int) -> Iterator[Outline | Word]:
+    """Yield the cars of a level: four wheels, a body in a car's colour with a light nose, its number, and its load."""
+    for cell, cars in cars_by_cell(grid).items():
+        if cell[2] == z:
+            for car in cars:
+                yield from _car(grid, car, cell)
+
+
+def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline | Word]:
+    row = grid.cars[car]
+    x, y, _ = cell
+    load = Kind(row[CarField.LOAD])
+    if load != Kind.AIR:
+        yield Outline(_closed(_square(cell, 0.38)), line=INK, width=0.13)
+        yield Outline(_closed(_square(cell, 0.38)), line=KIND_COLOURS[load], width=0.09)
+        if load == Kind.FSLOPE:
+            yaw = yaw_angle(int(row[CarField.LOAD_YAW]))
+            tip = np.array([(0.36, 0.1), (0.47, 0.0), (0.36, -0.1)])
+            yield Outline(_placed(tip, x, y, yaw), fill=INK)
+    turn = yaw_angle(int(row[CarField.YAW]))
+    for along in (-0.2, 0.2):
+        for across in (-0.26, 0.26):
+            wheel = _box(along - 0.1, across - 0.06, along + 0.1, across + 0.06)
+            yield Outline(_placed(wheel, x, y, turn), fill=TYRE)
+    body = _box(-0.33, -0.2, 0.33, 0.2)
+    yield Outline(_placed(body, x, y, turn), fill=car_colour(car), line=INK, width=0.015)
+    yield Outline(_placed(_NOSE, x, y, turn), fill=WHITE)
+    yield Word(x, y, str(car), 0.2, WHITE)
+
+
+def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
+    x, y, _ = cell
+    colour, turn = KIND_COLOURS[kind], yaw_angle(yaw)
+    match kind:
+        case Kind.WALL:
+            yield Outline(_square(cell, 0.5), fill=colour)
+            for shift in (-0.5, 0.0, 0.5):
+                ends = [(max(-0.5, shift - 0.5), max(-0.5, -shift - 0.5))]
+                ends += [(min(0.5, shift + 0.5), min(0.5, 0.5 - shift))]
+                yield Outline(_placed(np.array(ends), x, y), line=INK)
+        case Kind.BLOCK:
+            yield Outline(_square(cell, 0.45), fill=colour, line=TRIM, width=0.03)
+            yield Outline(_closed(_square(cell, 0.33)), line=TRIM)
+        case Kind.FLAG:
+            yield Outline(_square(cell, 0.4), fill=FLAG_POST, line=INK)
+            flag = np.array([(-0.18, 0.3), (0.26, 0.14), (-0.18, -0.02)])
+            yield Outline(_placed(flag, x, y), fill=colour, line=INK)
+            yield Outline(np.array([(x - 0.18, y + 0.32), (x - 0.18, y - 0.3)]), line=INK, width=0.05)
+        case Kind.FSLOPE:
+            yield Outline(_square(cell, 0.45), fill=colour, line=INK)
+            yield Outline(_placed(_CHEVRON, x, y, turn), line=WHITE, width=0.07)
+        case Kind.GEAR:
+            yield Outline(_placed(0.13 * _ROUND - np.array([0.4, 0]), x, y, turn), fill=colour, line=INK)
+        case Kind.BODY:
+            yield Outline(_placed(_box(-0.45, -0.45, 0.5, 0.45), x, y, turn), fill=colour, line=INK)
+            yield from _treads(x, y, turn)
+        case Kind.FOOT:
+            yield Outline(_placed(_box(-0.5, -0.45, 0.45, 0.45), x, y, turn), fill=colour, line=INK)
+            yield from _treads(x, y, turn)
+
+
+def _treads(x: float, y: float, turn: float) -> Iterator[Outline]:
+    """Yield two signs that point downhill."""
+    for along in (-0.14, 0.22):
+        yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=WHITE, width=0.07)
+
+
+def _wanted(one: Wanted) -> Iterator[Outline]:
+    x, y, _ = one.cell
+    for dash in _dashes(_square(one.cell, FRAME)):
+        yield Outline(dash, line=GOAL, width=0.06)
+    if one.yaw >= 0:
+        tip = np.array([(FRAME - 0.14, 0.11), (FRAME, 0.0), (FRAME - 0.14, -0.11)])
+        yield Outline(_placed(tip, x, y, yaw_angle(one.yaw)), fill=GOAL)
+
+
+def _dashes(corners: Points) -> Iterator[Points]:
+    """Yield pieces of a square's border, the same in each corner."""
+    for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        side = float(np.linalg.norm(second - first))
+        count = 2 * round(side / _DASH / 2) - 1
+        marks = np.linspace(first, second, count + 1)
+        yield from (marks[i : i + 2] for i in range(0, count, 2))
+
+
+def _box(left: float, low: float, right: float, high: float) -> Points:
+    return np.array([(left, low), (right, low), (right, high), (left, high)], np.float64)
+
+
+def _square(cell: Cell, half: float) -> Points:
+    x, y, _ = cell
+    return _box(x - half, y - half, x + half, y + half)
+
+
+def _closed(points: Points) -> Points:
+    """Return a polygon as a line that ends where it begins."""
+    return np.concatenate([points, points[:1]])
+
+
+def _placed(points: Points, x: float, y: float, turn_rad: float = 0.0) -> Points:
+    """Return points turned around the origin, and moved there."""
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    return points @ np.array([(c, s), (-s, c)]) + (x, y)

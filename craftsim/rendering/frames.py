@@ -184,14 +184,15 @@ class _Predicted:
     """The world that the rules predict, drawn level by level."""
 
     def __init__(self, trajectory: Trajectory, tile: Tile) -> None:
-        self._prediction, self._box = Prediction(trajectory), tile
+        self._prediction, self._tile, self._design = Prediction(trajectory), tile, trajectory.wanted
+        self._levels = levels_of(self._prediction.grids, design=self._design)
         self._drawn: tuple[int, Frame] | None = None
 
     def draw(self, sample: int, time_s: float) -> Frame:
         grid = self._prediction.at(time_s)
         if self._drawn is None or self._drawn[0] != id(grid):
             picture = world_image(grid, levels=self._levels, design=self._design)
-            self._drawn = id(grid), _fit(world_image(grid), self._box.size)
+            self._drawn = id(grid), _fit(picture, self._tile.size)
         return self._drawn[1]
 
     def close(self) -> None:

@@ -21,6 +21,7 @@ from craftsim.rendering.pacing import Pace, adapted_pace, even_pace, fitted_pace
 from craftsim.rendering.panel import PAPER, Frame, Panel
 from craftsim.rendering.prediction import Prediction
 from craftsim.rendering.renderer import make_renderer
+from craftsim.rendering.shapes import levels_of
 from craftsim.rendering.stage import Quality, Stage
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.rendering.world_image import world_image

@@ -33,7 +33,7 @@ _FOVY_DEG: Final = 45.0
 
 
 def read_aim(path: Path) -> Aim:
-    """Return the camera of a YAML file: lookat (x, y, z) and distance in metres, azimuth, elevation and fovy in degrees.
+    """Return the camera of a YAML file: lookat (x, y, z) and distance in metres, azimuth, elevation, fovy in degrees.
 
     Raises InputError, naming the file and line, for what is missing, unknown, no number or out of range.
     """

@@ -159,7 +159,7 @@ _POSTS: Final = {
     "follow": _Post(1.25, ((0.0, -32.0), (0.0, -48.0)), 45.0, 0.10, 0.4, 1.2, True),
     "closeup": _Post(
         0.85,
-        tuple((turn, elevation) for elevation in (-20.0, -35.0) for turn in (140.0, -140.0, 40.0, -40.0)),
+        tuple((turn, elevation) for elevation in (-20.0, -35.0) for turn in (116.0, -116.0, 64.0, -64.0)),
         *(30.0, 0.06, 0.15, 1.2, False),
     ),
 }

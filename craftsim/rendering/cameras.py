@@ -146,8 +146,9 @@ class _Post:
     """Turns of its direction from the car's heading, 0 looking the way the car does, and elevations, in degrees; it
     stands where the car is least hidden."""
     fovy_deg: float
+    ahead_m: float
     height_m: float
-    """Over the car's origin, at which it looks."""
+    """Of the point at which it looks: before the car's origin, and over it."""
     place_s: float
     """Standard deviation of the Gaussian low-pass of the car's place."""
     heading_s: float
@@ -156,11 +157,11 @@ class _Post:
 
 
 _POSTS: Final = {
-    "follow": _Post(1.25, ((0.0, -32.0), (0.0, -48.0)), 45.0, 0.10, 0.4, 1.2, True),
+    "follow": _Post(1.25, ((0.0, -32.0), (0.0, -48.0)), 45.0, 0.25, 0.10, 0.4, 1.2, True),
     "closeup": _Post(
         0.85,
         tuple((turn, elevation) for elevation in (-20.0, -35.0) for turn in (116.0, -116.0, 64.0, -64.0)),
-        *(30.0, 0.06, 0.15, 1.2, False),
+        *(30.0, 0.0, 0.06, 0.15, 1.2, False),
     ),
 }
 _LOOKS: Final = 40
@@ -170,8 +171,10 @@ _LOOKS: Final = 40
 def _beside(name: str, trajectory: Trajectory, car: int, post: _Post) -> View:
     poses, times = trajectory.pose(f"car {car}"), trajectory.time
     period_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    place = _smooth(poses[:, :3], post.place_s / period_s) + np.array([0.0, 0.0, post.height_m])
     heading = _smooth(np.unwrap(_headings(poses[:, 3:])), post.heading_s / period_s)
+    ahead = post.ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
+    place = _smooth(poses[:, :3], post.place_s / period_s)
+    place += np.column_stack([ahead, np.full(len(times), post.height_m)])
 
     def from_side(side: tuple[float, float]) -> Callable[[float], Aim]:
         turn, elevation = side

@@ -1,7 +1,6 @@
 """The stage has the positions of the physics, and what it adds is only to be seen."""
 
 import copy
-import math
 from dataclasses import replace
 
 import mujoco
@@ -13,7 +12,6 @@ from craftsim.checking.recipe import Recipe, start
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.rendering.cameras import make_view
-from craftsim.rendering.ghost import Ghost
 from craftsim.rendering.painting import floor, number_plate
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.renderer import make_renderer

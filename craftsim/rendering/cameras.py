@@ -18,6 +18,7 @@ from craftsim.errors import InputError, suggestion
 from craftsim.models.framing import Aim, fitted, overview, top
 from craftsim.rendering.camera_files import read_aim
 from craftsim.rendering.painting import label_strip_m
+from craftsim.rendering.playback import Playback
 from craftsim.rendering.trajectory import Trajectory
 
 AREA_VIEWS: Final = ("overview", "top", "orbit")
@@ -195,11 +196,10 @@ def _least_hidden(
 ) -> Callable[[float], Aim]:
     """Return the first of the aims from which nothing hides a car most often."""
     model, root = trajectory.model, trajectory.site.cars[car].base.body
-    data = mujoco.MjData(model)
+    playback = Playback(model, trajectory)
     seen, groups, hit = [0] * len(aims), np.array([0, 0, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
     for sample in np.linspace(0, len(trajectory) - 1, _LOOKS).astype(int):
-        data.qpos[:] = trajectory.qpos[sample]
-        mujoco.mj_kinematics(model, data)
+        data = playback.at(sample)
         for number, aim in enumerate(aims):
             found = aim(float(trajectory.time[sample]))
             ray = found.lookat - found.position

@@ -37,8 +37,8 @@ _ONLY_SEEN: Final = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 2}
 class Stage:
     """The model of which pictures of a trajectory are made, and what its scenes still lack.
 
-    Example of a picture: ``renderer.update_scene(data, camera)``, ``stage.finish(renderer.scene, data.qpos)``,
-    ``renderer.render()``.
+    A picture is made of the data of a :class:`~craftsim.rendering.playback.Playback` of its model:
+    ``renderer.update_scene(data, camera)``, ``stage.finish(renderer.scene, data.qpos)``, ``renderer.render()``.
     """
 
     def __init__(self, trajectory: Trajectory, quality: Quality) -> None:

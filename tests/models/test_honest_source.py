@@ -36,8 +36,8 @@ ALLOWED = {
     "craftsim/models/site.py": {"Site.reset", "Site.restore", "Site.awake_copy"},
     "craftsim/rendering/playback.py": {"Playback.at"},
 }
-"""Site.awake_copy writes a copy, and leaves the Site as it is (tests/checking/test_contact_log.py); a playback has data of
-its own, to be drawn."""
+"""Site.awake_copy writes a copy, and leaves the Site as it is (tests/checking/test_contact_log.py); a playback has data
+of its own, to be drawn."""
 
 
 def live_view(node: ast.AST) -> bool:

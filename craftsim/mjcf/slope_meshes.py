@@ -76,8 +76,8 @@ def slope_flap(p: SlopeParameters) -> Parts:
     end = start + p.side_m
     lip_x = (p.hinge_z_m - _LIP_M) / rise  # where the wedge is as thin as its lip
 
-    def ring(x: float, half_y: float, bevel: float, heel: float = 0.0) -> np.ndarray:
-        top, bottom = max(-rise * x, ground + _LIP_M), ground + heel
+    def ring(x: float, half_y: float, bevel: float, heel: float = 0.0, sunk: float = 0.0) -> np.ndarray:
+        top, bottom = max(-rise * x, ground + _LIP_M) - sunk, ground + heel
         low, high = bottom + bevel, top - bevel
         corners = [(half_y - bevel, bottom), (half_y, low), (half_y, high), (half_y - bevel, top)]
         outline = corners + [(-y, z) for y, z in corners[::-1]]
@@ -85,7 +85,14 @@ def slope_flap(p: SlopeParameters) -> Parts:
 
     notch = p.heel_m + 0.002
     # The heel is cut away: it would drag over the floor when the flap begins to turn.
-    root = loft([ring(start, half - 0.020, 0.002, heel=p.heel_m), ring(notch + 0.001, half - 0.020, 0.002)])
+    # It ends sunk into the wedge: where two faces lie in one another, lights that cast shadows count twice.
+    root = loft(
+        [
+            ring(start, half - 0.020, 0.002, heel=p.heel_m),
+            ring(notch, half - 0.020, 0.002),
+            ring(notch + 0.001, half - 0.020, 0.002, sunk=0.001),
+        ]
+    )
     wedge = loft(
         [
             ring(notch, half, 0.002),

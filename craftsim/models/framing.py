@@ -100,8 +100,7 @@ def overview(size: tuple[int, ...], height_m: float, aspect: float, strip_m: flo
     The longer side of the area runs along the longer one of the picture.
     """
     length, width = size[:2] if aspect >= 1 else (size[1], size[0])
-    turn = 30.0 * (width - length) / (length + width)
-    azimuth = 128.0 + turn if aspect >= 1 else 128.0 - turn
+    azimuth = 128.0 + 30.0 * (width - length) / (length + width)
     points = _with_strip(size, height_m, strip_m)
     return fitted(points, azimuth, OVERVIEW_ELEVATION_DEG, OVERVIEW_FOVY_DEG, aspect)
 
@@ -112,6 +111,9 @@ def top(size: tuple[int, ...], height_m: float, aspect: float, strip_m: float = 
 
 
 def _with_strip(size: tuple[int, ...], height_m: float, strip_m: float) -> NDArray[np.float64]:
-    length, width = size[0] * CELL_PITCH_M + strip_m, size[1] * CELL_PITCH_M
-    floor = [(x, y, 0.0) for x in (0.0, length) for y in (-strip_m, width)]
-    return np.vstack([box_corners(size, height_m), floor])
+    """Return the corners of an area, and the ends of what stands in the strip, in the middles of its cells."""
+    length, width = size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M
+    inset = 0.3 * CELL_PITCH_M
+    below = [(x, -strip_m, 0.0) for x in (inset, length - inset)]
+    right = [(length + strip_m, y, 0.0) for y in (inset, width - inset)]
+    return np.vstack([box_corners(size, height_m), below, right])

@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from craftsim.discrete.files.documents import Mapping, Sequence, Source, describe
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
 from craftsim.models.framing import Aim, fitted, overview, top
-from craftsim.models.parameter_files import numbers, read_keys
+from craftsim.rendering.camera_files import read_aim
 from craftsim.rendering.painting import label_strip_m
+from craftsim.rendering.playback import Playback
 from craftsim.rendering.trajectory import Trajectory
-from craftsim.storage.limits import Range
 
 AREA_VIEWS: Final = ("overview", "top", "orbit")
 CAR_VIEWS: Final = ("follow", "closeup")
@@ -28,14 +27,6 @@ CAR_VIEWS: Final = ("follow", "closeup")
 
 _ORBIT_S: Final = 60.0
 """An orbit takes the whole trajectory, and no less than this."""
-_FILE_RANGES: Final = {
-    "distance": Range(0.05, 1000.0),
-    "azimuth": Range(-360.0, 360.0),
-    "elevation": Range(-90.0, 90.0),
-    "fovy": Range(1.0, 120.0),
-}
-_LOOKAT: Final = Range(-1000.0, 1000.0)
-_FILE_FOVY_DEG: Final = 45.0
 
 
 @dataclass(frozen=True)
@@ -48,6 +39,8 @@ class View:
     """Vertical field of view; MuJoCo keeps a free camera's in ``model.vis.global_.fovy``."""
     aim: Callable[[float], Aim]
     """Gives where it stands and looks at a simulated time in seconds."""
+    ghost: bool = True
+    """Whether it is to show the ghost of the goal, which would hide more than it shows close to a car."""
 
     def camera(self, time_s: float) -> mujoco.MjvCamera:
         """Return MuJoCo's free camera at a simulated time."""
@@ -73,7 +66,7 @@ def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
         InputError: there is no such view or car, or the file is wrong.
     """
     if Path(text).suffix in (".yaml", ".yml"):
-        return _still(text, _read_aim(Path(text)))
+        return _still(text, read_aim(Path(text)))
     kind, _, car = text.partition(":")
     size = trajectory.story.recipe.grid.size
     if text in ("overview", "top"):
@@ -154,20 +147,22 @@ class _Post:
     """Turns of its direction from the car's heading, 0 looking the way the car does, and elevations, in degrees; it
     stands where the car is least hidden."""
     fovy_deg: float
+    ahead_m: float
     height_m: float
-    """Over the car's origin, at which it looks."""
+    """Of the point at which it looks: before the car's origin, and over it."""
     place_s: float
     """Standard deviation of the Gaussian low-pass of the car's place."""
     heading_s: float
     """That of its heading: a car turns by a right angle in less than a second, too fast for a camera."""
+    ghost: bool
 
 
 _POSTS: Final = {
-    "follow": _Post(1.25, ((0.0, -32.0), (0.0, -48.0)), 45.0, 0.10, 0.4, 1.2),
+    "follow": _Post(1.25, ((0.0, -32.0), (0.0, -48.0)), 45.0, 0.25, 0.10, 0.4, 1.2, True),
     "closeup": _Post(
         0.85,
-        tuple((turn, elevation) for elevation in (-20.0, -35.0) for turn in (140.0, -140.0, 40.0, -40.0)),
-        *(30.0, 0.06, 0.15, 1.2),
+        tuple((turn, elevation) for elevation in (-20.0, -35.0) for turn in (116.0, -116.0, 64.0, -64.0)),
+        *(30.0, 0.0, 0.06, 0.15, 1.2, False),
     ),
 }
 _LOOKS: Final = 40
@@ -177,8 +172,10 @@ _LOOKS: Final = 40
 def _beside(name: str, trajectory: Trajectory, car: int, post: _Post) -> View:
     poses, times = trajectory.pose(f"car {car}"), trajectory.time
     period_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    place = _smooth(poses[:, :3], post.place_s / period_s) + np.array([0.0, 0.0, post.height_m])
     heading = _smooth(np.unwrap(_headings(poses[:, 3:])), post.heading_s / period_s)
+    ahead = post.ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
+    place = _smooth(poses[:, :3], post.place_s / period_s)
+    place += np.column_stack([ahead, np.full(len(times), post.height_m)])
 
     def from_side(side: tuple[float, float]) -> Callable[[float], Aim]:
         turn, elevation = side
@@ -190,7 +187,8 @@ def _beside(name: str, trajectory: Trajectory, car: int, post: _Post) -> View:
 
         return aim
 
-    return View(name, post.fovy_deg, _least_hidden(trajectory, car, [from_side(side) for side in post.sides]))
+    aim = _least_hidden(trajectory, car, [from_side(side) for side in post.sides])
+    return View(name, post.fovy_deg, aim, post.ghost)
 
 
 def _least_hidden(
@@ -198,11 +196,10 @@ def _least_hidden(
 ) -> Callable[[float], Aim]:
     """Return the first of the aims from which nothing hides a car most often."""
     model, root = trajectory.model, trajectory.site.cars[car].base.body
-    data = mujoco.MjData(model)
+    playback = Playback(model, trajectory)
     seen, groups, hit = [0] * len(aims), np.array([0, 0, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
     for sample in np.linspace(0, len(trajectory) - 1, _LOOKS).astype(int):
-        data.qpos[:] = trajectory.qpos[sample]
-        mujoco.mj_kinematics(model, data)
+        data = playback.at(sample)
         for number, aim in enumerate(aims):
             found = aim(float(trajectory.time[sample]))
             ray = found.lookat - found.position
@@ -221,40 +218,3 @@ def _headings(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the headings (n,) in radians of the x axes of unit quaternions (n, 4), w first."""
     w, x, y, z = quaternions.T
     return np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
-
-
-def _read_aim(path: Path) -> Aim:
-    source, given = read_keys(path, ["lookat", *_FILE_RANGES])
-    missing = [key for key in ("lookat", "distance", "azimuth", "elevation") if key not in given.items]
-    if missing:
-        source.fail(None, f"a camera needs {', '.join(missing)}; fovy alone can be left out")
-    plain = {key: node for key, node in given.items.items() if key != "lookat"}
-    figures = numbers(source, Mapping(1, plain, given.key_lines), "camera", list(_FILE_RANGES))
-    values = {"fovy": _FILE_FOVY_DEG}
-    for key, (value, line) in figures.items():
-        values[key] = _within(source, line, f"camera.{key}", value, _FILE_RANGES[key])
-    return Aim(
-        _lookat(source, given), values["distance"], values["azimuth"], values["elevation"], values["fovy"]
-    )
-
-
-def _lookat(source: Source, given: Mapping) -> NDArray[np.float64]:
-    node = given.items["lookat"]
-    if not isinstance(node, Sequence) or len(node.items) != 3:
-        source.fail(node.line, f"camera.lookat must be a list of x, y and z in metres, not {describe(node)}")
-    entries = Mapping(node.line, dict(zip("xyz", node.items, strict=True)), dict.fromkeys("xyz", node.line))
-    found = numbers(source, entries, "camera.lookat", list("xyz"))
-    return np.array(
-        [
-            _within(source, line, f"camera.lookat.{axis}", value, _LOOKAT)
-            for axis, (value, line) in found.items()
-        ]
-    )
-
-
-def _within(source: Source, line: int, name: str, value: float, allowed: Range) -> float:
-    try:
-        allowed.check(name, value)
-    except InputError as error:
-        source.fail(line, str(error))
-    return value

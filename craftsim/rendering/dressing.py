@@ -1,4 +1,4 @@
-"""What ``paper`` quality adds to a scene: light and shadows, materials, a drawn floor."""
+"""What ``paper`` quality adds to a scene: light and shadows, and materials."""
 
 from __future__ import annotations
 
@@ -9,12 +9,8 @@ import mujoco
 import numpy as np
 
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.rendering.painting import FLOOR_RGB, floor, label_strip_m, painted, wood
+from craftsim.rendering.painting import painted, wood
 
-FLOORS: Final = ("ground", "area")
-"""Geoms that show shadows and must cast none."""
-_FLOOR_M: Final = 30.0
-"""How far the floor goes on around the area: further than any camera sees."""
 _MATERIALS: Final = {
     "plastic": (0.45, 0.55),
     "rubber": (0.10, 0.10),
@@ -53,7 +49,7 @@ _SUNS: Final = 3
 """Lights that make up the sun: together they blur the edges of its shadows. Each costs as much as a picture without."""
 _SUN_SPREAD: Final = 0.035
 """How far these stand from the middle of the sun."""
-_SHADOW_PIXELS: Final = 2048
+_SHADOW_PIXELS: Final = 3072
 _SHADOW_RADII: Final = 1.4
 """Half the width of what a map of shadows covers, over the radius of the area. MuJoCo reads its maps by up to a pixel
 too far out, which speckles faces with their own shadow towards the light, in the outer half of the map."""
@@ -65,7 +61,6 @@ _FAR_RADII: Final = 40.0
 
 def dress(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
     """Give a scene over an area of ``size`` cells, built up to a height, the looks of ``paper`` quality."""
-    _lay_floor(spec, size)
     _light(spec, size, height_m)
     _give_materials(spec)
     sky = spec.texture("sky")
@@ -73,30 +68,10 @@ def dress(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
     spec.visual.quality.offsamples = 8
 
 
-def _lay_floor(spec: mujoco.MjSpec, size: tuple[int, ...]) -> None:
-    bare = spec.add_material(name="bare", rgba=[*(c / 255 for c in FLOOR_RGB), 1.0])
-    drawn = painted(spec, "drawn", floor(*size[:2]))
-    for material in (bare, drawn):
-        material.specular = material.shininess = 0.0
-    strip = label_strip_m(*size[:2])
-    length, width = (n * CELL_PITCH_M / 2 for n in size[:2])
-    ground = spec.geom("ground")
-    ground.material, ground.size = "bare", [length + _FLOOR_M, width + _FLOOR_M, 0.05]
-    spec.worldbody.add_geom(
-        name="area",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        pos=[length, width, 0.0005],
-        size=[length + strip, width + strip, 0.05],
-        material="drawn",
-        contype=0,
-        conaffinity=0,
-    )
-
-
 def _light(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
     spec.delete(spec.light("sun"))
     head = spec.visual.headlight
-    head.ambient, head.diffuse, head.specular = [0.46] * 3, [0.16] * 3, [0.05] * 3
+    head.ambient, head.diffuse, head.specular = [0.52] * 3, [0.16] * 3, [0.05] * 3
     centre = np.array([size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M, height_m]) / 2
     radius = float(np.linalg.norm(centre))
     aside = _SHADOW_SHIFT * radius * np.array([*_SUN[:2], 0.0]) / float(np.hypot(*_SUN[:2]))
@@ -109,7 +84,7 @@ def _light(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
             pos=centre + aside + 3 * radius * towards,
             dir=-towards,
-            diffuse=[0.48 / _SUNS] * 3,
+            diffuse=[0.42 / _SUNS] * 3,
             specular=[0.30 / _SUNS] * 3,
             castshadow=True,
         )

@@ -22,7 +22,7 @@ _MESHES: Final = {
     "flap": ("slope", "slope_flap"),
 }
 """The part that each mesh is of, and its name there."""
-_RGBA: Final = np.array([0.16, 0.66, 0.46, 0.30], np.float32)
+_RGBA: Final = np.array([0.10, 0.62, 0.42, 0.16], np.float32)
 _NEAR_M: Final = 0.02
 """What stands nearer than this to its place fills it."""
 _NEAR_RAD: Final = 0.15

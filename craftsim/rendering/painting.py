@@ -14,13 +14,13 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 Pixels = NDArray[np.uint8]
 """A texture, shape (height, width, 3), red green blue."""
 
-STRIP_SHARE: Final = 0.10
+STRIP_SHARE: Final = 0.13
 """Width of the strip with the coordinates around an area, over the area's longer side."""
-STRIP_CELLS: Final = 0.45
+STRIP_CELLS: Final = 0.6
 """At most, in cells."""
-FLOOR_RGB: Final = (226, 226, 222)
-_AREA_RGB: Final = (238, 238, 235)
-_LINE_RGB: Final = (188, 191, 194)
+FLOOR_RGB: Final = (243, 243, 241)
+_AREA_RGB: Final = (253, 253, 251)
+_LINE_RGB: Final = (196, 199, 202)
 _EDGE_RGB: Final = (120, 126, 132)
 _TEXT_RGB: Final = (92, 98, 104)
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
@@ -58,7 +58,7 @@ def floor(length: int, width: int) -> Pixels:
     right, bottom = strip + length * pitch, strip + width * pitch
     picture = np.full((bottom + strip, right + strip, 3), FLOOR_RGB, np.uint8)
     picture[strip:bottom, strip:right] = _AREA_RGB
-    thin, thick = max(1, pitch // 60), max(2, pitch // 30)
+    thin, thick = max(1, pitch // 60), max(2, pitch // 40)
     for x in range(strip + pitch, right, pitch):
         cv2.line(picture, (x, strip), (x, bottom), _LINE_RGB, thin, cv2.LINE_AA)
     for y in range(strip + pitch, bottom, pitch):

@@ -1,6 +1,7 @@
 """The stage: the model that pictures are made of. It has the positions of the physics, and what is only to be seen.
 
-``draft`` is quick. ``paper`` has shadows, materials, a drawn floor and smoother edges.
+Both qualities have a floor with the grid and its coordinates, and numbers on the cars. ``draft`` is quick; ``paper``
+has shadows, materials and smoother edges.
 """
 
 from __future__ import annotations
@@ -18,25 +19,26 @@ from craftsim.models.parameters import Machines
 from craftsim.models.parts import CAR_COLOURS, load_part
 from craftsim.models.placement import placements
 from craftsim.rendering.cameras import reached_m
-from craftsim.rendering.dressing import FLOORS, dress
+from craftsim.rendering.dressing import dress
+from craftsim.rendering.floor import FLOORS, lay_floor
 from craftsim.rendering.ghost import Ghost, add_ghost_meshes
 from craftsim.rendering.painting import number_plate, painted
 from craftsim.rendering.trajectory import Trajectory
 
 Quality = Literal["draft", "paper"]
 
+_BRIGHTNESS: Final[dict[Quality, float]] = {"draft": 0.9, "paper": 1.0}
+"""Of the floor."""
 _PLATE_M: Final = 0.0004
 """Half of the thickness of a car's number plates."""
-
-
 _ONLY_SEEN: Final = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 2}
 
 
 class Stage:
     """The model of which pictures of a trajectory are made, and what its scenes still lack.
 
-    Example of a picture: ``renderer.update_scene(data, camera)``, ``stage.finish(renderer.scene, data.qpos)``,
-    ``renderer.render()``.
+    A picture is made of the data of a :class:`~craftsim.rendering.playback.Playback` of its model:
+    ``renderer.update_scene(data, camera)``, ``stage.finish(renderer.scene, data.qpos)``, ``renderer.render()``.
     """
 
     def __init__(self, trajectory: Trajectory, quality: Quality) -> None:
@@ -55,6 +57,7 @@ class Stage:
                 spec.delete(marker)  # the ghost shows them
         quads = spec.visual.quality
         quads.numslices, quads.numstacks = 14, 8  # of a roller: forty a car are most of a picture's cost
+        lay_floor(spec, recipe.grid.size, _BRIGHTNESS[quality])
         if quality == "paper":
             dress(spec, recipe.grid.size, reached_m(trajectory))
         self.model: mujoco.MjModel = spec.compile()

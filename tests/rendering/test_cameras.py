@@ -10,12 +10,13 @@ from craftsim import Trajectory
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
-from craftsim.discrete.geometry import LEVEL_HEIGHT_M
+from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid
 from craftsim.errors import InputError
 from craftsim.models.framing import MARGIN, box_corners, overview, top
 from craftsim.models.site import Site
 from craftsim.rendering.cameras import make_view, reached_m
+from craftsim.rendering.painting import label_strip_m
 from craftsim.rendering.recorder import Recorder
 
 AREAS = [(1, 1), (1, 8), (20, 10), (3, 12), (4, 4)]
@@ -48,6 +49,20 @@ def test_all_corners_are_in_the_picture_with_a_margin_and_fill_it(fit, levels, a
     seen = fit(area, height, aspect).project(box_corners(area, height), aspect)
     assert np.abs(seen).max() == pytest.approx(1 - 2 * MARGIN, abs=1e-9)
     assert _fills(seen) > 0.9
+
+
+@pytest.mark.parametrize("area", AREAS)
+@pytest.mark.parametrize("aspect", ASPECTS)
+@pytest.mark.parametrize("fit", [overview, top])
+def test_with_the_coordinates_beside_it_an_area_still_fills_the_picture(fit, aspect, area):
+    strip = label_strip_m(*area)
+    aim = fit(area, LEVEL_HEIGHT_M, aspect, strip)
+    seen = aim.project(box_corners(area, LEVEL_HEIGHT_M), aspect)
+    assert np.abs(seen).max() < 1 - 2 * MARGIN + 1e-9
+    assert _fills(seen) > 0.8
+    half = 0.5 * CELL_PITCH_M
+    labels = [(half, -strip, 0.0), (area[0] * CELL_PITCH_M + strip, half, 0.0)]
+    assert np.abs(aim.project(labels, aspect)).max() < 1 - MARGIN
 
 
 @pytest.mark.parametrize("aspect", ASPECTS)
@@ -104,6 +119,19 @@ def test_a_camera_that_follows_stays_behind_its_car_and_turns_slowly(turning):
 
 def test_a_height_that_is_reached_counts_the_swing_of_a_flap(turning):
     assert reached_m(turning) == pytest.approx(LEVEL_HEIGHT_M, abs=0.01)
+
+
+def test_a_car_is_seen_from_where_nothing_hides_it(turning):
+    view, car = make_view("closeup:0", turning, 16 / 9), turning.site.cars[0].base.body
+    model, data, hit = turning.model, mujoco.MjData(turning.model), np.zeros(1, np.int32)
+    for sample in (0, len(turning) - 1):
+        data.qpos[:] = turning.qpos[sample]
+        mujoco.mj_kinematics(model, data)
+        aim = view.aim(float(turning.time[sample]))
+        mujoco.mj_ray(model, data, aim.position, aim.lookat - aim.position, None, 1, -1, hit)
+        assert model.body_rootid[model.geom_bodyid[hit[0]]] == car
+    assert not view.ghost
+    assert make_view("follow:0", turning, 16 / 9).ghost
 
 
 def test_an_unknown_camera_is_refused_with_those_there_are(turning):

@@ -13,6 +13,7 @@ from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.rendering.cameras import make_view
 from craftsim.rendering.painting import floor, number_plate
+from craftsim.rendering.playback import Playback
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.renderer import make_renderer
 from craftsim.rendering.stage import Stage
@@ -121,9 +122,7 @@ def test_numbers_and_coordinates_differ():
 
 def test_paper_shows_shadows_on_a_light_floor_and_no_sky(rendering, standing):
     stage, view = Stage(standing, "paper"), make_view("overview", standing, SIZE[0] / SIZE[1])
-    renderer, data = make_renderer(stage.model, SIZE), mujoco.MjData(stage.model)
-    data.qpos[:] = standing.qpos[-1]
-    mujoco.mj_forward(stage.model, data)
+    renderer, data = make_renderer(stage.model, SIZE), Playback(stage.model, standing).at(-1)
     stage.model.vis.global_.fovy = view.fovy_deg
     pictures = []
     for shadows in (False, True):
@@ -139,3 +138,13 @@ def test_paper_shows_shadows_on_a_light_floor_and_no_sky(rendering, standing):
     edge = np.concatenate([shaded[0], shaded[:, 0], shaded[:, -1]])
     assert edge.min() > 180
     assert np.ptp(edge, axis=0).max() < 40
+
+
+def test_a_playback_shows_what_was_and_leaves_the_world_alone(standing):
+    before = standing.site.data.qpos.copy()
+    data = Playback(standing.model, standing).at(0)
+    assert np.array_equal(data.qpos, standing.qpos[0])
+    assert data.time == standing.time[0]
+    body = standing.site.cars[1].base.body
+    assert data.xpos[body] == pytest.approx(standing.pose("car 1")[0, :3])
+    assert np.array_equal(standing.site.data.qpos, before)

@@ -107,21 +107,20 @@ def _best(ways: dict[str, Callable[[], float]], repeats: int) -> dict[str, float
 def _bare(trajectory: Trajectory, look: Look, size: tuple[int, int]) -> float:
     from craftsim.rendering.cameras import make_view
     from craftsim.rendering.frames import pace_of
+    from craftsim.rendering.playback import Playback
     from craftsim.rendering.renderer import make_renderer
     from craftsim.rendering.stage import Stage
 
     stage = Stage(trajectory, look.quality)
     model = stage.model
-    data, view = mujoco.MjData(model), make_view("overview", trajectory, size[0] / size[1])
+    playback, view = Playback(model, trajectory), make_view("overview", trajectory, size[0] / size[1])
     model.vis.global_.fovy = view.fovy_deg
     renderer = make_renderer(model, size)
     renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = stage.shadows
     times = pace_of(trajectory, look).times
     begun = time.perf_counter()
     for moment in times:
-        data.qpos[:] = trajectory.qpos[trajectory.at(float(moment))]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_camlight(model, data)
+        data = playback.at(trajectory.at(float(moment)))
         renderer.update_scene(data, view.camera(float(moment)))
         stage.finish(renderer.scene, data.qpos)
         renderer.render()

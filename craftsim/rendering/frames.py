@@ -19,6 +19,7 @@ from craftsim.rendering.cards import end_card, title_card
 from craftsim.rendering.layout import Layout, Tile, arrange
 from craftsim.rendering.pacing import Pace, adapted_pace, even_pace, fitted_pace
 from craftsim.rendering.panel import PAPER, Frame, Panel
+from craftsim.rendering.playback import Playback
 from craftsim.rendering.prediction import Prediction
 from craftsim.rendering.renderer import make_renderer
 from craftsim.rendering.shapes import levels_of
@@ -138,26 +139,22 @@ class Frames:
 
 
 class _World:
-    """The model that pictures are taken of, and its state at the sample that was shown last."""
+    """The stage, and the trajectory that plays on it."""
 
     def __init__(self, trajectory: Trajectory, look: Look) -> None:
         self._trajectory = trajectory
         self.stage, self.ghost = Stage(trajectory, look.quality), look.ghost
         self.model = self.stage.model
-        self.data = mujoco.MjData(self.model)
-        self._sample = -1
+        self._playback = Playback(self.model, trajectory)
+        self._shown: tuple[int, mujoco.MjData] | None = None
 
     def view(self, camera: str, tile: Tile) -> _Seen:
         return _Seen(self, make_view(camera, self._trajectory, tile.width / tile.height), tile)
 
-    def show(self, sample: int) -> None:
-        if sample == self._sample:
-            return
-        self._sample = sample
-        self.data.qpos[:] = self._trajectory.qpos[sample]
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
+    def at(self, sample: int) -> mujoco.MjData:
+        if self._shown is None or self._shown[0] != sample:
+            self._shown = sample, self._playback.at(sample)
+        return self._shown[1]
 
 
 class _Seen:
@@ -169,11 +166,10 @@ class _Seen:
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = world.stage.shadows
 
     def draw(self, sample: int, time_s: float) -> Frame:
-        world, scene = self._world, self._renderer.scene
-        world.show(sample)
+        world, data = self._world, self._world.at(sample)
         world.model.vis.global_.fovy = self._view.fovy_deg
-        self._renderer.update_scene(world.data, self._view.camera(time_s))
-        world.stage.finish(scene, world.data.qpos, world.ghost)
+        self._renderer.update_scene(data, self._view.camera(time_s))
+        world.stage.finish(self._renderer.scene, data.qpos, ghost=world.ghost and self._view.ghost)
         picture: Frame = self._renderer.render()
         return picture
 

@@ -14,7 +14,6 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules.table import ACTIONS
-from craftsim.errors import InputError
 from craftsim.rendering.plots.figures import plots_of, write_figures
 from craftsim.rendering.plots.signals import Signals, path_points, thinned
 from craftsim.rendering.plots.timeline import SIGNS, notes_of
@@ -111,12 +110,6 @@ def test_a_car_that_was_thrown_far_away_is_drawn_at_the_edge(recorded: Trajector
     qpos = recorded.qpos.copy()
     qpos[-1, recorded.story.poses["car 0"] : recorded.story.poses["car 0"] + 3] = 1e12
     assert (Signals.of(replace(recorded, qpos=qpos)).cars[0].place <= (4, 2, 2)).all()
-
-
-def test_a_design_of_an_unknown_kind_is_refused(recorded: Trajectory) -> None:
-    story = replace(recorded.story, design=(GoalCell("castle", (0, 0, 1), -1),))
-    with pytest.raises(InputError, match="a design of 'castle'; allowed: block, fslope"):
-        Signals.of(replace(recorded, story=story))
 
 
 def test_a_run_s_folder_has_its_trajectories_by_name(run: Path) -> None:

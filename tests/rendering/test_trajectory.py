@@ -128,3 +128,15 @@ def test_an_unknown_machine_is_named(recorded: Trajectory) -> None:
 
 def test_the_archive_has_no_pickles(file: Path) -> None:
     assert np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)["qpos"].size
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        ({"kind": "castle", "cell": [0, 0, 1], "yaw": -1}, "kind"),
+        ({"kind": "block", "cell": [0, 9, 1], "yaw": -1}, "outside of the area"),
+    ],
+)
+def test_a_design_that_cannot_be_is_refused(file: Path, goal: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        Trajectory.read(_retold(file, design=[goal]))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, cell_position, yaw_angle
-from craftsim.discrete.readback import nearest_yaw
+from craftsim.discrete.reading import nearest_yaw
 from craftsim.discrete.rotation import wrap
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.driving_law import drive_law

@@ -57,6 +57,8 @@ class SkillSetup:
 
     def on(self, terrain: Terrain) -> SkillSetup:
         """Return the same for a move on other ground."""
+        if terrain == self.terrain:
+            return self
         setup = copy.copy(self)
         object.__setattr__(setup, "terrain", terrain)
         return setup

@@ -20,7 +20,7 @@ from craftsim.discrete.readback import Poses, Reading, read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Order, Schedule, ScheduledAction, make_schedule
 from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, own_differences
-from craftsim.models.sensing import read_poses
+from craftsim.models.sensing import PoseReader
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
@@ -98,6 +98,7 @@ class CheckedSite:
             executor.step_observer = self.log.look
             # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
             executor.guard = partial(is_unsafe, self.log)
+        self._poses = PoseReader(self.site)
         self._look()
 
     @property
@@ -193,7 +194,7 @@ class CheckedSite:
 
     def _look(self) -> None:
         self._looked_s = self.site.time_s
-        self.poses: Poses = read_poses(self.site)
+        self.poses: Poses = self._poses.read()
         self.reading: Reading = read_grid(self.poses, self.site.size, self.site.walls)
 
     def _unsafe(self) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete import reading as found
-from craftsim.discrete.cells import RuleFlags, World, derive_marks
+from craftsim.discrete.cells import RuleFlags, World
 from craftsim.discrete.compiled import records
 from craftsim.discrete.grid import Grid, Kind
 
@@ -113,7 +113,6 @@ def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.intege
         reads,
         problems,
     )
-    derive_marks(world)
     things = [_placed(*read) for read in reads.tolist()]
     words = tuple(_in_words(poses, *problem) for problem in problems[:n_problems].tolist())
     return Reading(grid, tuple(things[:n_cars]), tuple(things[n_cars:]), words)

@@ -22,6 +22,7 @@ from craftsim.discrete.cells import (
     FSLOPE,
     GEAR,
     World,
+    derive_marks,
     dir_x,
     dir_y,
 )
@@ -43,7 +44,6 @@ SEAT_TOLERANCE_M: Final = 0.005
 """How far a carried thing may be from its car's centre line: ten times what the boss leaves it to play."""
 LIFT_RANGE_M: Final = (0.016, 0.050)
 """Height of a load above its car that counts as carried; a board lifts blocks by 0.032, slopes by 0.042."""
-
 
 
 READ: Final = np.dtype(
@@ -94,7 +94,7 @@ def read_things(
     reads: Records,
     problems: Records,
 ) -> int:
-    """Put all cars and objects into a world that has only its ground and walls, and return how many problems there are.
+    """Put all cars and objects into a world of ground and walls, with their marks; return how many problems there are.
 
     Args:
         w: the world.
@@ -111,6 +111,7 @@ def read_things(
     for i in range(n_cars, len(positions)):
         kind, hinge = kinds[i - n_cars], hinges[i - n_cars]
         found = _read_object(w, i, positions, quaternions, kind, hinge, reads, problems, found)
+    derive_marks(w)
     return found
 
 
@@ -122,13 +123,20 @@ def _axes(quaternion: Floats) -> tuple[Axis, Axis, Axis]:
 @compiled
 def nearest_yaw(heading: float) -> tuple[int, float]:
     """Return the grid yaw nearest to a heading in radians, and the heading's excess over it in (-pi/4, pi/4]."""
-    yaw = int(round(heading / (math.pi / 2))) % 4
+    yaw = round(heading / (math.pi / 2)) % 4
     return yaw, wrap(heading - (yaw if yaw < 3 else -1) * (math.pi / 2))
 
 
 @compiled
 def _note(
-    problems: Records, found: int, what: int, thing: int, a: float, b: float = 0.0, c: float = 0.0, d: float = 0.0
+    problems: Records,
+    found: int,
+    what: int,
+    thing: int,
+    a: float,
+    b: float = 0.0,
+    c: float = 0.0,
+    d: float = 0.0,
 ) -> int:
     problem = problems[found]
     problem.what, problem.thing, details = what, thing, problem.details
@@ -139,7 +147,7 @@ def _note(
 @compiled
 def _place(w: World, thing: int, position: Floats, read: Record, problems: Records, found: int) -> int:
     """Find the column of a position, and its place there."""
-    x, y = int(math.floor(position[0] / CELL_PITCH_M)), int(math.floor(position[1] / CELL_PITCH_M))
+    x, y = math.floor(position[0] / CELL_PITCH_M), math.floor(position[1] / CELL_PITCH_M)
     ahead, aside = position[0] - (x + 0.5) * CELL_PITCH_M, position[1] - (y + 0.5) * CELL_PITCH_M
     read.ahead_m, read.aside_m = ahead, aside
     offset = math.sqrt(ahead * ahead + aside * aside)
@@ -155,7 +163,7 @@ def _place(w: World, thing: int, position: Floats, read: Record, problems: Recor
 @compiled
 def _level(thing: int, height: float, top: int, read: Record, problems: Records, found: int) -> int:
     """Find the level up to ``top`` whose floor is nearest to a height in metres, and the height above that floor."""
-    level = int(round(height / LEVEL_HEIGHT_M)) + 1
+    level = round(height / LEVEL_HEIGHT_M) + 1
     excess = height - (level - 1) * LEVEL_HEIGHT_M
     if abs(excess) > HEIGHT_TOLERANCE_M:
         found = _note(problems, found, OFF_FLOOR, thing, excess * 1e3, level)
@@ -200,9 +208,7 @@ def _read_car(
 
 
 @compiled
-def _find_carrier(
-    positions: Floats, quaternions: Floats, n_cars: int, thing: int, read: Record
-) -> None:
+def _find_carrier(positions: Floats, quaternions: Floats, n_cars: int, thing: int, read: Record) -> None:
     """Find the car that carries a thing, if any, and how far that is from the car's centre line."""
     read.carrier = -1
     at = positions[thing]
@@ -258,9 +264,7 @@ def _read_object(
 
 
 @compiled
-def _read_load(
-    w: World, thing: int, kind: int, yaw: int, read: Record, problems: Records, found: int
-) -> int:
+def _read_load(w: World, thing: int, kind: int, yaw: int, read: Record, problems: Records, found: int) -> int:
     car, excess = read.carrier, read.heading_rad
     row = w.cars[car]
     if row[F_LOAD] != AIR:

@@ -28,7 +28,7 @@ ALLOWED = {
         "training.policy",
     },
     "envs": {"storage", "checking", "skills", "models", "discrete", "rendering"},
-    "training": {"storage", "discrete", "envs", "report"},
+    "training": {"storage", "discrete", "models.parameters", "envs", "report"},
     "rendering": {"storage", "checking", "skills", "models", "discrete"},
     "testing": {"envs", "discrete"},
     "report": {"storage"},

@@ -243,7 +243,8 @@ class CheckedSite:
         What sways under a car that still drives is not looked at now, but held against that car's action at its end.
         """
         then, now = one.poses, self.poses
-        ways = np.linalg.norm(now.car_positions - then.car_positions, axis=1).tolist()
+        way = now.car_positions - then.car_positions
+        ways = np.sqrt((way * way).sum(axis=1)).tolist()
         moved = [(way, f"car {car}") for car, way in enumerate(ways) if car not in acting]
         excused = one.meant | swaying
         things = [
@@ -252,7 +253,8 @@ class CheckedSite:
             if not (index in excused or was.carrier in acting or reads.carrier in acting)
         ]
         if things:
-            ways = np.linalg.norm(now.positions - then.positions, axis=1).tolist()
+            way = now.positions - then.positions
+            ways = np.sqrt((way * way).sum(axis=1)).tolist()
             furthest = max(things, key=ways.__getitem__)
             moved.append((ways[furthest], then.name(furthest)))
         return max(moved, default=(0.0, ""))

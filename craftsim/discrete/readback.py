@@ -7,7 +7,7 @@ origin on the floor under its centre, z up, a slope's x downhill.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -55,7 +55,8 @@ class Poses:
 
     def copy(self) -> Poses:
         """Return a copy whose positions may be written to."""
-        return replace(self, car_positions=self.car_positions.copy(), positions=self.positions.copy())
+        cars, things = self.car_positions.copy(), self.positions.copy()
+        return Poses(cars, self.car_quaternions, self.kinds, things, self.quaternions, self.hinges)
 
     def name(self, index: int) -> str:
         """Return the name of an object for people, counted by kind: ``block 0``, ``flag 0``, ``slope 1``."""

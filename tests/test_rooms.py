@@ -29,7 +29,7 @@ ALLOWED = {
         "training.policy",
     },
     "envs": {"storage", "checking", "skills", "models", "discrete", "rendering", "report"},
-    "training": {"storage", "discrete", "envs", "report"},
+    "training": {"storage", "discrete", "models.parameters", "envs", "report"},
     "rendering": {"storage", "checking", "skills", "models", "discrete", "report"},
     "testing": {"envs", "discrete"},
     "report": {"storage"},

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+from craftsim.commands.bench_calibration import Rate
+
 SPEED = Path(__file__).parents[1] / "docs/speed"
 PAGE = (SPEED.parent / "speed.md").read_text(encoding="utf-8")
 
@@ -22,6 +24,24 @@ def test_the_tables_of_physics_are_those_of_its_report():
         assert f"{what} {row['joint_steps_a_second']:.1f} | {row['units_a_step']:.1f} |" in table
     for workers in wall["workers"].values():
         assert f"two workers do {workers['free_ratio']:.2f} times" in table
+
+
+def test_the_tables_of_rules_and_environments_are_those_of_their_reports():
+    rules, env = ((SPEED / f"{name}/{name}.md").read_text(encoding="utf-8") for name in ("rules", "env"))
+    for table, rates in ((rules, _wall("rules")["rates"]), (env, _wall("env")["rates"])):
+        for task, by_work in rates.items():
+            lines = [line for line in table.splitlines() if line.startswith(f"| {task} |")]
+            for rate in by_work.values():
+                cells = " | ".join(Rate(**rate).cells())
+                assert any(line.endswith(f"| {cells} |") for line in lines)
+    for timing in _wall("env")["physics"].values():
+        assert f"| {timing['ratio']:.2f} (bar" in env
+
+
+def test_what_handing_over_costs_is_what_was_measured():
+    for engine, who in (("local", "a process"), ("ray", "an actor of Ray")):
+        over = _wall("workers")["handing_over"][engine]
+        assert f"| {who} | {over['joint_step_cpu_us']:.0f} us | {over['trial_cpu_us']:.0f} us |" in PAGE
 
 
 def test_what_a_million_runs_cost_is_what_was_measured():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
@@ -20,7 +20,7 @@ from craftsim.discrete.readback import Poses, Reading, read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Order, Schedule, ScheduledAction, make_schedule
 from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, own_differences
-from craftsim.models.sensing import read_poses
+from craftsim.models.sensing import PoseReader
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
@@ -49,6 +49,8 @@ class _Running:
     poses: Poses
     """Of what has been moved by an action that ended meanwhile: where that left it."""
     reading: Reading
+    about: list[int]
+    """Objects that the action is about, by their index."""
     cars: set[int]
     """Those that act meanwhile, its own included."""
     meant: set[int]
@@ -58,7 +60,7 @@ class _Running:
 
     def expect_rest(self, other: _Running, now: Poses) -> None:
         """From here on hold it against this action if what another one was about moves: that one has ended."""
-        car, things = other.step.car, handled(other.reading, other.step.after, other.step.car)
+        car, things = other.step.car, other.about
         self.poses.car_positions[car] = now.car_positions[car]
         self.poses.positions[things] = now.positions[things]
         self.meant.difference_update(things)
@@ -96,6 +98,7 @@ class CheckedSite:
             executor.step_observer = self.log.look
             # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
             executor.guard = partial(is_unsafe, self.log)
+        self._poses = PoseReader(self.site)
         self._look()
 
     @property
@@ -122,7 +125,7 @@ class CheckedSite:
 
     def perform_tick(self, joint: Joint, order: Order = "concurrent", tick: int = 0) -> tuple[Attempt, ...]:
         """Perform one tick of many cars, each as early as ``order`` lets it; return the attempts in acting order."""
-        return tuple(replace(attempt, tick=tick) for attempt in self.perform_plan([joint], order))
+        return self._perform(make_schedule(self.grid, [joint], self.rules, order, tick))
 
     def perform_plan(self, ticks: Iterable[Joint], order: Order) -> tuple[Attempt, ...]:
         """Perform the ticks of a plan as one schedule and return an attempt for each action, in their order.
@@ -175,23 +178,23 @@ class CheckedSite:
         one = self._now(step, index)
         for other in running.values():
             other.cars |= one.cars
-            other.meant.update(handled(self.reading, step.after, step.car))
-            one.meant.update(handled(other.reading, other.step.after, other.step.car))
+            other.meant.update(one.about)
+            one.meant.update(other.about)
         one.cars.update(running)
         self.executor.begin(step.car, step.action, Terrain(*step.inclines))
         return one
 
     def _now(self, step: ScheduledAction, index: int = -1) -> _Running:
-        meant = set(handled(self.reading, step.after, step.car))
+        about = handled(self.reading, step.after, step.car)
         below, site = set(under(self.reading, step.after, step.car)), self.site
         return _Running(
             *(index, step, site.time_s, site.capped_steps, self.poses.copy(), self.reading),
-            *({step.car}, meant, below),
+            *(about, {step.car}, set(about), below),
         )
 
     def _look(self) -> None:
         self._looked_s = self.site.time_s
-        self.poses: Poses = read_poses(self.site)
+        self.poses: Poses = self._poses.read()
         self.reading: Reading = read_grid(self.poses, self.site.size, self.site.walls)
 
     def _unsafe(self) -> bool:
@@ -209,7 +212,7 @@ class CheckedSite:
         self, one: _Running, outcome: Outcome | None, legal: bool, acting: set[int], swaying: set[int]
     ) -> Evidence:
         step, car, log = one.step, one.step.car, self.log
-        placed, about = self.reading.cars[car], handled(one.reading, step.after, car)
+        placed, about = self.reading.cars[car], one.about
         # What the car should not carry afterwards is set down, folded, unfolded or shoved.
         set_down = about[0] if about and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
         moved_m, moved = self._furthest_moved(one, acting, swaying)
@@ -240,12 +243,20 @@ class CheckedSite:
         What sways under a car that still drives is not looked at now, but held against that car's action at its end.
         """
         then, now = one.poses, self.poses
-        ways = np.linalg.norm(now.car_positions - then.car_positions, axis=1).tolist()
+        way = now.car_positions - then.car_positions
+        ways = np.sqrt((way * way).sum(axis=1)).tolist()
         moved = [(way, f"car {car}") for car, way in enumerate(ways) if car not in acting]
-        ways = np.linalg.norm(now.positions - then.positions, axis=1).tolist()
-        for index, (was, reads) in enumerate(zip(one.reading.objects, self.reading.objects, strict=True)):
-            if index not in one.meant | swaying and not acting & {was.carrier, reads.carrier}:
-                moved.append((ways[index], then.name(index)))
+        excused = one.meant | swaying
+        things = [
+            index
+            for index, (was, reads) in enumerate(zip(one.reading.objects, self.reading.objects, strict=True))
+            if not (index in excused or was.carrier in acting or reads.carrier in acting)
+        ]
+        if things:
+            way = now.positions - then.positions
+            ways = np.sqrt((way * way).sum(axis=1)).tolist()
+            furthest = max(things, key=ways.__getitem__)
+            moved.append((ways[furthest], then.name(furthest)))
         return max(moved, default=(0.0, ""))
 
     def _world_verdict(self, before: Grid, predicted: Grid, settled: bool, capped: int) -> Verdict:
@@ -281,9 +292,11 @@ class CheckedSite:
             if not one.legal:
                 why = f"the rules forbid it: {self.rules.explain(one.step.before, car, action).why}"
             return Verdict(Finding.NOT_EXECUTED, (why,))
+        if world.agrees:
+            return world
         tried = [other for other in all_evidence if other.legal or other.outcome is not None]
         nobodys = len(tried) == 1 or all(other.applied for other in tried)
-        if world.agrees or (one.applied and not nobodys):
+        if one.applied and not nobodys:
             return Verdict(Finding.AGREES)
         if nobodys or world.finding in (Finding.UNSAFE, Finding.NUMERICS, Finding.DIVERGED):
             return world

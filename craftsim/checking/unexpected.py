@@ -62,11 +62,11 @@ def shoved(before: Reading, predicted: Grid, car: int) -> list[int]:
 
 def under(before: Reading, predicted: Grid, car: int) -> list[int]:
     """Return the objects, by their index, that a car stands and drives on, down to the ground."""
-    ways = (_cell(before.grid, car), _cell(predicted, car))
+    tops = {cell[:2]: cell[2] for cell in sorted((_cell(before.grid, car), _cell(predicted, car)))}
     return [
         index
         for index, thing in enumerate(before.objects)
-        if thing.carrier is None and any(thing.cell[:2] == way[:2] and thing.cell[2] < way[2] for way in ways)
+        if thing.carrier is None and thing.cell[2] < tops.get(thing.cell[:2], 0)
     ]
 
 
@@ -79,7 +79,7 @@ def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
 
 
 def _cell(grid: Grid, car: int) -> Cell:
-    x, y, z = (int(grid.cars[car, field]) for field in (CarField.X, CarField.Y, CarField.Z))
+    x, y, z = grid.cars[car, : CarField.YAW].tolist()
     return x, y, z
 
 

@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-import resource
-import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import tyro
 
-from craftsim.commands.text import say
 from craftsim.discrete.rules import RuleSet
-from craftsim.errors import CraftsimError
 from craftsim.models.parameters import Drive
 from craftsim.storage.limits import BATCH, BENCH_RUNS, BENCH_S, BENCH_TICKS, SEED
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-    from rich.console import Console
-
-    from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
 """Those with two and with four cars."""
@@ -65,8 +52,9 @@ def bench(
 
     trials: the CPU time of a trial of the audit, stage by stage, over contexts taken evenly from all that it tries.
 
-    workers: two worker processes against one, building a task again and again, their start included; and what a single
-    run costs in a campaign, apart from such starts.
+    workers: two worker processes against one, building a task again and again, their start included; what a single
+    run costs in a campaign, apart from such starts; and what processes and actors of Ray cost beyond their work, on a
+    cluster of this machine alone that is started for it, where Ray is installed.
 
     render: frames a second of a film with its captions, encoded, beside a bare loop over MuJoCo's renderer; two
     processes against one; what recording a run adds to its CPU time.
@@ -84,7 +72,7 @@ def bench(
         contexts: how many contexts of the audit are tried; steps and trials only.
         drive: of the cars; steps and trials only.
         seed: decides starts, actions and orders.
-        out: folder for report.json; for physics.png and physics.md, too.
+        out: folder for report.json; for the tables in rules.md, env.md or physics.md, and physics.png, too.
     """
     from craftsim.commands.terminal import Terminal
     from craftsim.report import output_directory, write_report
@@ -97,13 +85,17 @@ def bench(
     config: dict[str, Any] = {"what": what}
     match what:
         case "rules":
+            from craftsim.commands.bench_rules import bench_rules
+
             config |= {"rules": rules, "worlds": worlds, "depth": DEPTH}
-            figures, wall = _bench_rules(console, rules, worlds, seconds, memory_worlds, seed)
+            figures, wall = bench_rules(
+                console, TASKS, DEPTH, rules, worlds, seconds, memory_worlds, seed, out
+            )
         case "env":
             from craftsim.commands.bench_env import bench_env
 
             config |= {"worlds": worlds, "depth": DEPTH, "episode": episode}
-            wall = bench_env(console, TASKS, DEPTH, worlds, seconds, episode, seed)
+            wall = bench_env(console, TASKS, DEPTH, worlds, seconds, episode, seed, out)
         case "physics":
             from craftsim.commands.bench_physics import bench_physics
 
@@ -120,8 +112,10 @@ def bench(
             config |= {"contexts": contexts, "drive": drive}
             wall = bench_trials(console, drive, contexts, seed)
         case "workers":
+            from craftsim.commands.bench_workers import bench_workers
+
             config |= {"runs": runs}
-            wall = _bench_workers(console, runs, seed)
+            wall = bench_workers(console, TASKS[0], runs, seed)
         case "render":
             from craftsim.commands.bench_render import bench_render
 
@@ -136,137 +130,3 @@ def bench(
     if out is not None:
         write_report(out, figures, command="bench", seed=seed, config=config, wall=wall)
     return 0
-
-
-def _bench_rules(
-    console: Console, rules: RuleSet, worlds: int, seconds: float, memory_worlds: int, seed: int
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Print the rates of the rules; return the figures that are the same every time, and what the clock said."""
-    import numpy as np
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    from craftsim.commands.bench_calibration import COLUMNS, measure
-    from craftsim.discrete.tasks import make_task
-    from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
-
-    table = Table("task", "work", "worlds", *COLUMNS, box=SIMPLE)
-    rates: dict[str, dict[str, Any]] = {}
-    state, peak_mib, grown_mib = _memory(memory_worlds, rules, seed)
-    for name in TASKS:
-        task = make_task(name, reward="published_code")
-        rates[name] = {}
-        for depth, n in ((None, worlds), (DEPTH, worlds), (DEPTH, 1)):
-            rng = np.random.default_rng(seed)
-            if n == 1:
-                step = _single_step(GridEpisode(task, rng, rules, depth), rng)
-            else:
-                step = _batch_step(Episodes(task, rng, n, rules, depth), rng)
-            rate = measure(step, n, seconds, name, helper=depth is not None)
-            work = "primitive" if depth is None else "helper"
-            rates[name][f"{work}, {n} world{'s' if n > 1 else ''}"] = rate
-            table.add_row(name, work, str(n), *rate.cells())
-    console.print(table)
-    say(
-        f"{memory_worlds:,} worlds of {TASKS[1]}: {state * memory_worlds / 2**20:.1f} MiB of state, {state} bytes each"
-    )
-    say(
-        f"peak memory {peak_mib:.0f} MiB, {grown_mib:.0f} MiB more than one world "
-        "(helper masks and observations included)"
-    )
-    figures = {"memory_worlds": memory_worlds, "bytes_a_world": state}
-    return figures, {"rates": rates, "peak_mib": peak_mib, "grown_mib": grown_mib}
-
-
-def _pick(rng: np.random.Generator, mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return for each car one of its allowed actions, uniformly; 0 where there is none."""
-    import numpy as np
-
-    picked: NDArray[np.int64] = (rng.random(mask.shape, dtype=np.float32) * mask).argmax(-1)
-    return picked
-
-
-def _batch_step(episodes: Episodes, rng: np.random.Generator) -> Callable[[], None]:
-    helper = episodes.worlds.depth is not None
-    masks = [episodes.reachable() if helper else episodes.legal()]
-
-    def step() -> None:
-        done = episodes.step(_pick(rng, masks[0])).done
-        if done.any():
-            episodes.reset(done.nonzero()[0])
-        masks[0] = episodes.reachable() if helper else episodes.legal()
-        if helper:
-            episodes.vectors()
-
-    return step
-
-
-def _single_step(episode: GridEpisode, rng: np.random.Generator) -> Callable[[], None]:
-    masks = [episode.reachable()]
-
-    def step() -> None:
-        if episode.step(_pick(rng, masks[0])).done:
-            episode.reset()
-        masks[0] = episode.reachable()
-        episode.vectors()
-
-    return step
-
-
-def _peak_mib() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def _memory(n: int, rules: RuleSet, seed: int) -> tuple[int, float, float]:
-    """Return what n worlds of the complex two-story task take: bytes each, and peak memory and its growth in MiB.
-
-    The growth is that of a step with helper masks and observations, after a batch of one has compiled everything.
-    """
-    import numpy as np
-
-    from craftsim.discrete.tasks import make_task
-    from craftsim.discrete.tasks.episodes import Episodes
-
-    task = make_task(TASKS[1])
-    peaks = []
-    for size in (1, n):
-        rng = np.random.default_rng(seed)
-        episodes = Episodes(task, rng, size, rules, DEPTH)
-        _batch_step(episodes, rng)()
-        peaks.append(_peak_mib())
-    arrays = episodes.worlds.arrays
-    state = sum(a.nbytes for a in (arrays.kind, arrays.yaw, arrays.top, arrays.back, arrays.cars))
-    return state // n, peaks[1], peaks[1] - peaks[0]
-
-
-def _bench_workers(console: Console, runs: int, seed: int) -> dict[str, float]:
-    """Build ``strip`` so many times with one worker and with two; return wall times, and CPU times of a single run."""
-    from craftsim.commands.bench_campaign import cost_of_a_trial
-    from craftsim.validation.validation import validate
-
-    seconds, lines = [], []
-    for workers in (1, 2):
-        with tempfile.TemporaryDirectory() as folder:
-            out = Path(folder)
-            begun = time.perf_counter()
-            validate("strip", randomize="mild", trials=runs, seed=seed, workers=workers, out=out)
-            seconds.append(time.perf_counter() - begun)
-            lines.append((out / "trials.jsonl").read_bytes())
-        console.print(f"{workers} workers: {runs} runs in {seconds[-1]:.1f} s")
-    if lines[0] != lines[1]:
-        raise CraftsimError("two workers gave other results than one")
-    console.print(f"Two are {seconds[0] / seconds[1]:.2f} times faster than one, with equal results.")
-    cost = cost_of_a_trial("strip", max(1, runs // 4), seed)
-    console.print(
-        f"A run takes {cost.trial_s:.2f} s of CPU, {1e3 * cost.handing_out_s:.1f} ms of them for handing it out and "
-        f"writing it down: {cost.million_h:.0f} CPU hours for a million.",
-        soft_wrap=True,
-    )
-    return {
-        "one_worker_s": seconds[0],
-        "two_workers_s": seconds[1],
-        "ratio": seconds[0] / seconds[1],
-        "cpu_s_a_run": cost.trial_s,
-        "cpu_s_of_handing_out": cost.handing_out_s,
-        "cpu_h_a_million": cost.million_h,
-    }

@@ -1,4 +1,4 @@
-"""Measure what many worlds in physics cost: workers, handing over their work, memory."""
+"""Measure what many worlds in physics cost: workers, memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.physics_vector import PhysicsVectorEnv
@@ -25,7 +24,6 @@ WORLDS: Final = 8
 """That workers share, and that memory is divided by."""
 _TICKS: Final = 4
 """Of each world in a turn."""
-_CALLS: Final = 500
 
 
 @dataclass(frozen=True)
@@ -39,8 +37,6 @@ class WorkersTiming:
     """CPU seconds a joint step: of the worker, and of the process that chooses the actions."""
     two_workers_cpu_s: float
     """The same of the busier of the two workers, while the other one works beside it."""
-    handing_over_us: float
-    """CPU time that a joint step takes more in another process than in this one, in microseconds, both together."""
     load: float
     """How many processes wanted a processor in the last minute, those measured included."""
     processors: int
@@ -78,13 +74,11 @@ def time_workers(task: str, options: Mapping[str, Any], seconds: float, seed: in
                 cpus[envs.workers].append(cpu_s)
             if not np.array_equal(one.car_vectors(), two.car_vectors()):
                 raise CraftsimError("two workers gave other results than one")
-        over_us = _handing_over_us(one, task, options)
     return WorkersTiming(
         one_worker=1 / min(walls[1]),
         two_workers=1 / min(walls[2]),
         one_worker_cpu_s=min(cpus[1]),
         two_workers_cpu_s=min(cpus[2]),
-        handing_over_us=over_us,
         load=os.getloadavg()[0],
         processors=len(os.sched_getaffinity(0)),
     )
@@ -126,34 +120,6 @@ def _cpu_s(envs: PhysicsVectorEnv) -> list[float]:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         seconds.append((int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"))
     return seconds
-
-
-def _handing_over_us(envs: PhysicsVectorEnv, task: str, options: Mapping[str, Any]) -> float:
-    """Return how much longer a joint step in which nothing moves costs in another process."""
-    here = CentralConstruction(task, **options)
-    here.reset(seed=0)
-    envs.reset(seed=0)
-    still = np.full(here.core.n_cars, Action.STOP)
-
-    def step_here() -> None:
-        _, _, terminated, truncated, _ = here.step(still)
-        if terminated or truncated:
-            here.reset()
-
-    def step_there() -> None:
-        envs.send(still[None], [0])
-        envs.recv()
-
-    began_s = sum(_cpu_s(envs))
-    for _ in range(_CALLS):
-        step_there()
-    there_s = sum(_cpu_s(envs)) - began_s
-    began_s = time.process_time()
-    for _ in range(_CALLS):
-        step_here()
-    here_s = time.process_time() - began_s
-    here.close()
-    return 1e6 * (there_s - here_s) / _CALLS
 
 
 def mib_a_world(task: str, options: Mapping[str, Any]) -> float:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import resource
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from craftsim.commands.options import Engine
 from craftsim.validation.campaign import Done, Header, Item, run_campaign
 from craftsim.validation.validation import validate
 
@@ -39,17 +41,17 @@ def cost_of_a_trial(task: str, runs: int, seed: int) -> TrialCost:
             begun = _cpu_s()
             validate(task, randomize="mild", trials=trials, seed=seed, out=Path(folder))
             seconds.append(_cpu_s() - begun)
-    empty = [_of_nothing(n) for n in (_FEW, _MANY)]
+    empty = [of_nothing(n, "local", _cpu_s) for n in (_FEW, _MANY)]
     return TrialCost((seconds[1] - seconds[0]) / runs, (empty[1] - empty[0]) / (_MANY - _FEW))
 
 
-def _of_nothing(n: int) -> float:
-    """Return the CPU time of a campaign of so many trials in which nothing is done."""
+def of_nothing(n: int, engine: Engine, cpu_s: Callable[[], float]) -> float:
+    """Return the CPU time of a campaign of so many trials in which nothing is done, by a clock of CPU seconds."""
     items = [Item(f"item {i}", "all", i, i) for i in range(n)]
     with tempfile.TemporaryDirectory() as folder:
-        begun = _cpu_s()
-        run_campaign(items, _nothing, Path(folder), Header("bench", 0, {}))
-        return _cpu_s() - begun
+        begun = cpu_s()
+        run_campaign(items, _nothing, Path(folder), Header("bench", 0, {}), engine=engine)
+        return cpu_s() - begun
 
 
 def _nothing(job: int) -> Done:

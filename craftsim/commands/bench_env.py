@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ def bench_env(
     seconds: float,
     episode: int,
     seed: int,
+    out: Path | None,
 ) -> dict[str, Any]:
     """Print the rates of the environments and return them.
 
@@ -37,19 +39,21 @@ def bench_env(
         seconds: how long each measurement on the grid runs.
         episode: ticks of the episode that is timed in physics, 2 or more.
         seed: seed of starts, actions and orders.
-    """
-    from rich.box import SIMPLE
-    from rich.table import Table
+        out: folder for the tables in Markdown, if there are to be any.
 
+    Raises:
+        InputError: the disk does not take the file.
+    """
     from craftsim.commands.bench_calibration import COLUMNS, measure
+    from craftsim.commands.bench_cells import Cells, show
     from craftsim.discrete.tasks import make_task
     from craftsim.envs import parallel_env
     from craftsim.envs.timing import parallel_step, time_physics, vector_step
     from craftsim.envs.vector import GridVectorEnv
 
-    table = Table("task", "form", "helper", *COLUMNS, title="grid", box=SIMPLE)
     rates: dict[str, dict[str, Rate]] = {}
-    physics = Table("task", "cars", "step ms", "bare ms", "times", title="physics", box=SIMPLE)
+    on_grid: list[tuple[str, ...]] = []
+    physics: list[tuple[str, ...]] = []
     ratios = {}
     for task in tasks:
         rates[task] = {}
@@ -63,12 +67,15 @@ def bench_env(
             ):
                 rate = measure(step, n, seconds, task, helper=True)
                 rates[task][f"{form}, helper {helper}"] = rate
-                table.add_row(task, form.split(",")[0], helper, *rate.cells())
+                on_grid.append((task, form.split(",")[0], helper, *rate.cells()))
         timing = time_physics(make_task(task, max_steps=episode - 2), seed)
         ratios[task] = asdict(timing) | {"ratio": timing.ratio}
         env_ms, bare_ms = (1e3 * total / timing.n_steps for total in (timing.env_s, timing.bare_s))
         numbers = f"{env_ms:.1f}", f"{bare_ms:.1f}", f"{timing.ratio:.2f} (bar {BAR})"
-        physics.add_row(task, str(timing.n_cars), *numbers)
-    console.print(table)
-    console.print(physics)
+        physics.append((task, str(timing.n_cars), *numbers))
+    tables = (
+        Cells("Environments on the grid", ("task", "form", "helper", *COLUMNS), tuple(on_grid)),
+        Cells("Environments in physics", ("task", "cars", "step ms", "bare ms", "times"), tuple(physics)),
+    )
+    show(tables, (), console, None if out is None else out / "env.md")
     return {"rates": rates, "physics": ratios}

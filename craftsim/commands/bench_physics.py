@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.commands.bench_batches import mib_a_world, time_workers
 from craftsim.commands.bench_calibration import Rate, measure, pace, repeat
+from craftsim.commands.bench_cells import listed
 from craftsim.commands.bench_text import batch_lines, rate_table, yard_lines, yard_table
 from craftsim.commands.bench_worlds import to_and_fro, yard
 from craftsim.envs.options import Options
@@ -114,7 +115,7 @@ def bench_physics(
         from craftsim.commands.bench_plot import plot_physics
 
         plot_physics(out / "physics.png", yards)
-        paragraphs = [table.as_markdown() for table in tables] + ["\n".join(f"- {line}" for line in lines)]
+        paragraphs = [*(table.as_markdown() for table in tables), *listed(lines)]
         write_whole(out / "physics.md", "\n\n".join(paragraphs) + "\n")
     return {
         "joint_steps": {

@@ -3,42 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from craftsim.commands.bench_batches import WORLDS, WorkersTiming
 from craftsim.commands.bench_calibration import Rate
+from craftsim.commands.bench_cells import Cells
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from craftsim.commands.bench_physics import YardTiming
-
-
-@dataclass(frozen=True)
-class Cells:
-    """A table of texts."""
-
-    title: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-    def for_terminal(self) -> Table:
-        """Return it as the terminal shows it."""
-        from rich.box import SIMPLE
-        from rich.table import Table
-
-        table = Table(title=self.title, box=SIMPLE)
-        for name in self.head:
-            table.add_column(name, no_wrap=True)
-        for row in self.rows:
-            table.add_row(*row)
-        return table
-
-    def as_markdown(self) -> str:
-        """Return it as Markdown has it, its title above it."""
-        lines = [self.head, ("---",) * len(self.head), *self.rows]
-        return "\n".join([f"{self.title}:", "", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
 def rate_table(rates: Sequence[tuple[str, str, Rate]]) -> Cells:
@@ -99,7 +71,7 @@ def batch_lines(
         lines += [
             f"{drive}, {WORLDS} worlds of {task}: by CPU times two workers do {timing.free_ratio:.2f} times the joint "
             "steps of one, each on a processor of its own, with equal results; a joint step takes "
-            f"{1e3 * timing.one_worker_cpu_s:.1f} ms, handing it to another process {timing.handing_over_us:.0f} us.",
+            f"{1e3 * timing.one_worker_cpu_s:.1f} ms.",
             f"{drive}: by the clock, {timing.one_worker:.1f} joint steps a second with one worker, "
             f"{timing.two_workers:.1f} with two, {timing.ratio:.2f} times as many ({timing.processors} processors, "
             f"load {timing.load:.1f}). A world takes {mib_a_world[drive]:.1f} MiB.",

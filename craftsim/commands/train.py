@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.errors import InputError
+from craftsim.models.parameters import Drive
 from craftsim.report import output_directory, write_report
 from craftsim.storage.limits import (
     BATCH,
@@ -48,6 +49,7 @@ def train(
     backend: TrainBackend = "grid",
     worlds: Annotated[int | None, BATCH] = None,
     workers: Annotated[int | None, WORKERS] = None,
+    drive: Drive | None = None,
     novelty: Annotated[float, BONUS] = 0.0,
     cars: Annotated[int | None, CARS] = None,
     blocks: Annotated[int | None, BLOCKS] = None,
@@ -72,6 +74,8 @@ def train(
         worlds: how many are stepped side by side in a rollout; 500 on the grid and 32 in physics unless given.
         workers: processes that share the worlds in physics, one for each processor unless given; results do not depend
             on it.
+        drive: how cars touch the ground in physics: by forty free rollers, or reduced to one body, which is several
+            times as fast; reduced unless given.
         novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
         cars: other than the task's number of cars; those that its start does not list are drawn at random.
         blocks: the same for blocks.
@@ -85,9 +89,16 @@ def train(
 
     if backend == "grid" and workers is not None:
         raise InputError("--workers is for physics; on the grid one process steps all worlds: leave it out")
+    if backend == "grid" and drive is not None:
+        raise InputError("--drive is for physics; on the grid nothing rolls: leave it out")
     worlds = WORLDS[backend] if worlds is None else worlds
     config = TrainConfig(
-        task, algo, seed, worlds, novelty=novelty, n_cars=cars, n_blocks=blocks, backend=backend
+        *(task, algo, seed, worlds),
+        novelty=novelty,
+        n_cars=cars,
+        n_blocks=blocks,
+        backend=backend,
+        drive=drive or "reduced",
     )
     learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:

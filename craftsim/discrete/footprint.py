@@ -42,7 +42,7 @@ class Footprint:
             self.space & other.space
             or self.changes & (other.changes | other.relies)
             or self.relies & other.changes
-            or _beside(self.loads) & other.loads
+            or (self.loads and other.loads and _beside(self.loads) & other.loads)
         )
 
 
@@ -88,7 +88,7 @@ def of_flap(before: Grid, after: Grid, car: int) -> Footprint:
 
 def cell_of(grid: Grid, car: int) -> Cell:
     """Return the cell of a car."""
-    x, y, z = (int(grid.cars[car, field]) for field in (CarField.X, CarField.Y, CarField.Z))
+    x, y, z = grid.cars[car, : CarField.YAW].tolist()
     return x, y, z
 
 
@@ -107,10 +107,9 @@ def _along_slope(grid: Grid, car: int) -> tuple[Cell, Cell, Cell]:
 
 def standing(grid: Grid, car: int) -> Footprint:
     """Return what a car needs where it stands."""
-    row = grid.cars[car]
-    x, y, z, slope = (int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z, CarField.SLOPE))
+    x, y, z, _, load, _, slope = grid.cars[car].tolist()
     loads: frozenset[Cell] = frozenset()
-    if row[CarField.LOAD] != Kind.AIR:
+    if load != Kind.AIR:
         loads = frozenset({(x, y, z)}) | _gear(grid, car)
         if slope:
             # A load leans downhill with its car, by 40 to 60 mm at its height: into the next cell.

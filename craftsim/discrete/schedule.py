@@ -59,19 +59,26 @@ class Schedule:
 
 
 def make_schedule(
-    grid: Grid, ticks: Iterable[Sequence[tuple[int, Action]]], rules: Rules, order: Order = "concurrent"
+    grid: Grid,
+    ticks: Iterable[Sequence[tuple[int, Action]]],
+    rules: Rules,
+    order: Order = "concurrent",
+    first: int = 0,
 ) -> Schedule:
-    """Return the schedule of a plan's ticks, each a sequence of (car, action) in acting order, from a world."""
+    """Return the schedule of a plan's ticks, each a sequence of (car, action) in acting order, from a world.
+
+    ``first`` is the number of the first tick.
+    """
     steps: list[ScheduledAction] = []
     forbidden = []
     acts = []
-    for tick, joint in enumerate(ticks):
+    for tick, joint in enumerate(ticks, first):
         for car, action in joint:
             acts.append((tick, car))
-            if not rules.legal(grid, car, action):
+            after, applied = rules.tick(grid, [(car, action)])
+            if not applied[0]:
                 forbidden.append(ScheduledAction(tick, car, action, grid, grid))
                 continue
-            after = rules.apply(grid, car, action)
             needs = footprint(grid, after, car, action)
             waits = frozenset(_predecessors(steps, tick, car, needs, order))
             steps.append(ScheduledAction(tick, car, action, grid, after, needs, waits))

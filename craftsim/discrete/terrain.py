@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import INCLINE_RAD
-from craftsim.discrete.grid import CarField, Grid
+from craftsim.discrete.grid import Grid
 
 
 def incline_under(grid: Grid, car: NDArray[np.int64]) -> float:
@@ -16,9 +16,7 @@ def incline_under(grid: Grid, car: NDArray[np.int64]) -> float:
         grid: the world.
         car: (7,) a row of ``grid.cars`` or of another grid with the same slopes.
     """
-    x, y, z, yaw, slope = (
-        int(car[f]) for f in (CarField.X, CarField.Y, CarField.Z, CarField.YAW, CarField.SLOPE)
-    )
+    x, y, z, yaw, _, _, slope = car.tolist()
     if slope == 0:
         return 0.0
     downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])

@@ -63,10 +63,12 @@ def compare(before: Grid, predicted: Grid, reading: Reading) -> Verdict:
 
 def own_differences(before: Grid, predicted: Grid, read: Grid, car: int) -> list[str]:
     """Return a line for each thing that a car's action was to change and that reads otherwise than predicted."""
-    changes = (before.kind != predicted.kind) | (before.yaw != predicted.yaw)
-    wrong = changes & ((predicted.kind != read.kind) | (predicted.yaw != read.yaw))
-    lines = [_describe_cell(predicted, read, cell) for cell in np.argwhere(wrong).tolist()]
-    if not np.array_equal(predicted.cars[car], read.cars[car]):
+    lines = []
+    wrong = (predicted.kind != read.kind) | (predicted.yaw != read.yaw)
+    if wrong.any():
+        wrong &= (before.kind != predicted.kind) | (before.yaw != predicted.yaw)
+        lines = [_describe_cell(predicted, read, cell) for cell in np.argwhere(wrong).tolist()]
+    if (predicted.cars[car] != read.cars[car]).any():
         lines.append(_describe_cars(predicted, read, car))
     return lines
 
@@ -102,7 +104,7 @@ def _describe_cars(predicted: Grid, read: Grid, car: int) -> str:
 
 def describe_car(grid: Grid, car: int) -> str:
     """Return a car's cell, heading, load and place on a slope in brief, such as ``2,3,1 +y block``."""
-    x, y, z, yaw, load, load_yaw, slope = (int(v) for v in grid.cars[car])
+    x, y, z, yaw, load, load_yaw, slope = grid.cars[car].tolist()
     words = [f"{x},{y},{z} {HEADINGS[yaw]}"]
     if load != Kind.AIR:
         words.append(Kind(load).name.lower() + (HEADINGS[load_yaw] if load == Kind.FSLOPE else ""))

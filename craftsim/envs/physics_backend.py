@@ -55,8 +55,9 @@ class PhysicsBackend:
         self._start: Grid | None = None
         self._pictures, self._records = pictures or Pictures(), records
         self.checked: CheckedSite
-        self.recipe: Recipe
-        """How the episode starts, and all its ticks so far: it is re-run bit for bit from this."""
+        self._seed: Seed
+        self._joints: list[list[tuple[int, Action]]]
+        """What the cars have done in each tick of the episode."""
         self.ticks: list[tuple[Attempt, ...]]
         """The attempts of the episode's ticks, in acting order."""
 
@@ -69,12 +70,18 @@ class PhysicsBackend:
             self._start = grid.copy()
         self.checked = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
         self.checked.executor.observers += [self._pictures.watch, *self.observers]
-        self.recipe = Recipe(blueprint_text(grid), (), self.setup, seed, self.goals)
-        self.ticks = []
+        self._seed, self._joints, self.ticks = seed, [], []
         self._pictures.begin(self.checked.site)
         if self._records is not None:
             self._records.begin(self.checked)
         return self.checked.grid
+
+    @property
+    def recipe(self) -> Recipe:
+        """How the episode starts, and all its ticks so far: it is re-run bit for bit from this."""
+        assert self._start is not None, "no episode has begun"
+        steps = tuple(Step.joint(number, joint) for number, joint in enumerate(self._joints))
+        return Recipe(blueprint_text(self._start), steps, self.setup, self._seed, self.goals)
 
     def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Run all cars' skills to their end, each as early as the others allow, and read the world from poses."""
@@ -82,7 +89,7 @@ class PhysicsBackend:
         joint = self._primitives(worlds.queue[0], actions, order)
         attempts = self.checked.perform_tick(joint, tick=number)
         self.ticks.append(attempts)
-        self.recipe = self.recipe.then(Step.joint(number, joint))
+        self._joints.append(joint)
         queue = worlds.queue[0].copy()
         worlds.put(0, self.checked.grid)
         worlds.queue[0] = queue

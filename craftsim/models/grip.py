@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from craftsim.discrete.compiled import compiled
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.parts import WHEELS, Car
 
@@ -23,60 +23,52 @@ from craftsim.models.parts import WHEELS, Car
 class Grip:
     """The limits of the wheel motors of all cars of a compiled model with the reduced drive."""
 
-    def __init__(self, model: mujoco.MjModel, cars: Sequence[Car]) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, cars: Sequence[Car]) -> None:
         """Take the motors' own limits as they are in the model now."""
-        self._model = model
+        self._model, self._data = model, data
         self._limits = model.actuator_forcerange.copy()
         prefixes = [model.body(car.base.body).name.rpartition("/")[0] + "/" for car in cars]
         wheels = [prefix + wheel for prefix in prefixes for wheel in WHEELS]
         geoms = np.array([model.geom(name).id for name in wheels], np.int32)
-        self._wheel = np.full(model.ngeom, -1, np.int32)
-        self._wheel[geoms] = np.arange(len(wheels))
-        """By geom: its wheel, counted over all cars, or -1."""
-        self._motors = np.array([model.actuator(name).id for name in wheels], np.intp)
-        self._gears = np.array(
-            [model.actuator(p + w.replace("wheel", "gear")).id for p in prefixes for w in WHEELS], np.intp
-        )
-        self._trees = np.repeat([car.base.tree for car in cars], len(WHEELS))
+        wheel = np.full(model.ngeom, -1, np.int32)
+        wheel[geoms] = np.arange(len(wheels))
+        gears = [model.actuator(p + w.replace("wheel", "gear")).id for p in prefixes for w in WHEELS]
+        motors = np.array([model.actuator(name).id for name in wheels], np.intp)
         radii = np.repeat([car.parameters.wheel_radius_m for car in cars], len(WHEELS))
         spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in cars], len(WHEELS))
-        self._nm_per_n = model.geom_friction[geoms, 0] * radii / math.sqrt(2)
-        """By wheel: the torque that a newton of load lets it pass on."""
-        self._inertia = spin[:, None] * model.actuator_gear[self._motors]
-        """By wheel: the torque that an acceleration of the car, in its own frame, takes to turn wheel and motor."""
-        self._dofs = np.repeat([car.base.dof for car in cars], len(WHEELS))
-        self._bodies = np.repeat([car.base.body for car in cars], len(WHEELS))
+        self._arrays = (
+            *(model.actuator_forcerange, self._limits),
+            *(data.actuator_force, data.tree_asleep, data.qacc, data.xmat),
+            # By geom its wheel, counted over all cars, or -1; by wheel its motors.
+            *(wheel, motors, np.array(gears, np.intp)),
+            np.repeat([car.base.tree for car in cars], len(WHEELS)),
+            # By wheel: the torque that a newton of load lets it pass on.
+            model.geom_friction[geoms, 0] * radii / math.sqrt(2),
+            # By wheel: the torque that an acceleration of the car, in its own frame, takes to turn wheel and motor.
+            spin[:, None] * model.actuator_gear[motors],
+            np.repeat([car.base.dof for car in cars], len(WHEELS)),
+            np.repeat([car.base.body for car in cars], len(WHEELS)),
+            np.zeros(len(wheels)),
+        )
 
     def begin(self) -> None:
         """Give the motors their own limits."""
         self._model.actuator_forcerange[:] = self._limits
 
-    def limit(self, data: mujoco.MjData) -> None:
+    def limit(self) -> None:
         """Limit all motors for what their wheels carry now; of cars that sleep, the loads of which MuJoCo leaves out,
         not at all, so that limits depend on the state alone."""
-        contact = data.contact
-        _limit(
-            self._model.actuator_forcerange,
-            self._limits,
-            contact.geom,
-            contact.efc_address,
-            data.efc_force,
-            data.actuator_force,
-            data.tree_asleep,
-            data.qacc,
-            data.xmat,
-            *(self._wheel, self._motors, self._gears, self._trees, self._nm_per_n),
-            *(self._inertia, self._dofs, self._bodies),
-        )
+        contact = self._data.contact
+        _limit(contact.geom, contact.efc_address, self._data.efc_force, *self._arrays)
 
 
-@njit(cache=True)
+@compiled
 def _limit(
-    forcerange: NDArray[np.float64],
-    limits: NDArray[np.float64],
     geoms: NDArray[np.int32],
     addresses: NDArray[np.int32],
     forces: NDArray[np.float64],
+    forcerange: NDArray[np.float64],
+    limits: NDArray[np.float64],
     motor_forces: NDArray[np.float64],
     asleep: NDArray[np.int32],
     qacc: NDArray[np.float64],
@@ -89,8 +81,10 @@ def _limit(
     inertia: NDArray[np.float64],
     dofs: NDArray[np.int64],
     bodies: NDArray[np.int64],
+    load: NDArray[np.float64],
 ) -> None:
-    load = np.zeros(len(motors))
+    for wheel in range(len(load)):
+        load[wheel] = 0.0
     for contact in range(len(geoms)):
         if addresses[contact] < 0:
             continue

@@ -71,25 +71,18 @@ class Wiring:
         self.reach[0]["any_m"] = machines.docking_reach_m
         self.reach[0]["across_m"] = machines.slope.docking_range_m
         self.reach[0]["above_m"] = machines.block.underside_m / 2
+        model, data = site.model, site.data
+        self.arrays = (
+            *(data.qpos, data.qvel, data.act, data.qvel if self.on_axles else data.actuator_velocity),
+            *(model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange),
+            *(self.cars, self.plugs, self.reach),
+        )
+        """What compiled code reads, in place: MuJoCo's own arrays, which stay where they are, and these."""
 
 
 def read_cars(site: Site, wiring: Wiring, out: Records) -> None:
     """Measure all cars exactly, as they are now; ``out``, shape (n,) of READING, takes it."""
-    model, data = site.model, site.data
-    _read_cars(
-        data.time,
-        data.qpos,
-        data.qvel,
-        data.act,
-        data.qvel if wiring.on_axles else data.actuator_velocity,
-        model.actuator_gainprm,
-        model.actuator_biasprm,
-        model.actuator_forcerange,
-        wiring.cars,
-        wiring.plugs,
-        wiring.reach,
-        out,
-    )
+    _read_cars(site.data.time, *wiring.arrays, out)
 
 
 @compiled

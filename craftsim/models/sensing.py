@@ -121,22 +121,34 @@ class Sensors:
         return self._true
 
 
+class PoseReader:
+    """Reads the true poses of everything that moves on a Site: cars by id; then blocks, flags and slopes."""
+
+    def __init__(self, site: Site) -> None:
+        """Look up where they are."""
+        loose = [*site.blocks, *site.flags, *(slope.base for slope in site.slopes)]
+        n_still = len(site.blocks) + len(site.flags)
+        self._kinds = (Kind.BLOCK,) * len(site.blocks) + (Kind.FLAG,) * len(site.flags)
+        self._kinds += (Kind.FSLOPE,) * len(site.slopes)
+        self._n_cars, self._qpos = len(site.cars), site.data.qpos
+        starts = [*(car.base.qpos for car in site.cars), *(body.qpos for body in loose)]
+        self._places = np.array(starts, np.intp)[:, None] + np.arange(7)
+        self._hinges = np.array([slope.hinge.qpos for slope in site.slopes], np.intp)
+        self._without_hinge = np.full(n_still, math.nan)
+
+    def read(self) -> Poses:
+        """Return the poses of this moment."""
+        poses, n = self._qpos[self._places], self._n_cars
+        return Poses(
+            car_positions=poses[:n, :3],
+            car_quaternions=poses[:n, 3:],
+            kinds=self._kinds,
+            positions=poses[n:, :3],
+            quaternions=poses[n:, 3:],
+            hinges=np.concatenate((self._without_hinge, self._qpos[self._hinges])),
+        )
+
+
 def read_poses(site: Site) -> Poses:
-    """Return the true poses of everything that moves: cars by id; then blocks, flags and slopes."""
-    loose = [*site.blocks, *site.flags, *(slope.base for slope in site.slopes)]
-    kinds = [Kind.BLOCK] * len(site.blocks) + [Kind.FLAG] * len(site.flags)
-    kinds += [Kind.FSLOPE] * len(site.slopes)
-    n = len(site.cars)
-    starts = [*(car.base.qpos for car in site.cars), *(body.qpos for body in loose)]
-    poses = site.data.qpos[np.array(starts, np.intp)[:, None] + np.arange(7)]
-    hinges = np.full(len(loose), math.nan)
-    if site.slopes:
-        hinges[-len(site.slopes) :] = site.data.qpos[[slope.hinge.qpos for slope in site.slopes]]
-    return Poses(
-        car_positions=poses[:n, :3],
-        car_quaternions=poses[:n, 3:],
-        kinds=tuple(kinds),
-        positions=poses[n:, :3],
-        quaternions=poses[n:, 3:],
-        hinges=hinges,
-    )
+    """Return the true poses of everything that moves on a Site now."""
+    return PoseReader(site).read()

@@ -120,7 +120,8 @@ class Site:
             for car in parts.cars:
                 car.add_spin(self.model)
             mujoco.mj_setConst(self.model, self.data)
-            self._grip = Grip(self.model, parts.cars)
+            self._grip = Grip(self.model, self.data, parts.cars)
+        self._ctrl, self._steps_per_period = self.data.ctrl, self.config.steps_per_period
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = np.full(self.model.nu, UNKNOWN, np.int8)
         """Which motors had a command in the last period; UNKNOWN where the policies may not fit it."""
@@ -157,7 +158,7 @@ class Site:
     def take_figures(self) -> None:
         """Take over what somebody has changed in the model, such as motors' limits, before a reset."""
         if self._grip is not None:
-            self._grip = Grip(self.model, self.cars)
+            self._grip = Grip(self.model, self.data, self.cars)
 
     @property
     def diverged(self) -> bool:
@@ -184,15 +185,15 @@ class Site:
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Run one control period of physics under the commands that stand; ``observe`` is called after every step."""
         if self._grip is not None:
-            self._grip.limit(self.data)
-        if self.config.sleep and self._rouse():
+            self._grip.limit()
+        if note_commanded(self._ctrl, self._commanded) and self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
             self.model.opt.enableflags &= ~_SLEEP
             self._step(1, observe)
             self.model.opt.enableflags |= _SLEEP
-            self._step(self.config.steps_per_period - 1, observe)
+            self._step(self._steps_per_period - 1, observe)
         else:
-            self._step(self.config.steps_per_period, observe)
+            self._step(self._steps_per_period, observe)
 
     def _step(self, count: int, observe: Callable[[], None] | None = None) -> None:
         """Run physics steps one by one: within ``mj_step`` of many, the figures of all but the last are lost."""
@@ -244,8 +245,6 @@ class Site:
 
     def _rouse(self) -> bool:
         """Keep commanded trees awake, let the others sleep; return whether a commanded one is asleep."""
-        if not note_commanded(self.data.ctrl, self._commanded):
-            return False
         self.model.tree_sleep_policy[self._tree_of_motor] = _MAY_SLEEP
         busy = self._tree_of_motor[self._commanded == 1]
         self.model.tree_sleep_policy[busy] = _STAY_AWAKE

@@ -10,13 +10,13 @@ import math
 from abc import abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
-from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, cell_position, yaw_angle
-from craftsim.discrete.readback import nearest_yaw
+from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
+from craftsim.discrete.reading import nearest_yaw
 from craftsim.discrete.rotation import wrap
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.driving_law import drive_law
+from craftsim.skills.mecanum import Triple
 from craftsim.skills.profile import Profile
 from craftsim.skills.skill import CompiledSkill, SkillSetup
 from craftsim.skills.state import DRIVE, GRAVITY
@@ -40,7 +40,7 @@ class DrivingSkill(CompiledSkill):
         self._start = now
         self._loaded = self.feels_load(now)
         self._load_kg = max(0.0, now.board_force_n) / GRAVITY if self._loaded else 0.0
-        x, y, heading = self._target(now).tolist()
+        x, y, heading = self._target(now)
         self._delta = (x - now.x, y - now.y, wrap(heading - now.heading))
         profile = self._make_profile()
         travel = profile.distance(profile.duration_s)
@@ -53,8 +53,8 @@ class DrivingSkill(CompiledSkill):
         drive["before"], drive["wheels_before"] = drive["origin"], now.wheel_speeds
 
     @abstractmethod
-    def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
-        """Return the target pose (x, y, heading), shape (3,), in the world frame."""
+    def _target(self, now: CarMeasurement) -> Triple:
+        """Return the target pose (x, y, heading) in the world frame."""
 
     @abstractmethod
     def _make_profile(self) -> Profile:
@@ -67,6 +67,12 @@ class DrivingSkill(CompiledSkill):
         weight = (self._mass_kg + self._load_kg) * GRAVITY
         force = 4 * torque / car.wheel_radius_m - weight * math.sin(abs(incline_rad))
         return share * car.wheel_speed_rad_s * car.wheel_radius_m, max(force, 1.0)
+
+
+def cell_middle(now: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 0) -> Triple:
+    """Return the middle of the cell so many away from the one that a car is in, and the heading of a yaw."""
+    x, y = math.floor(now.x / CELL_PITCH_M) + along_x, math.floor(now.y / CELL_PITCH_M) + along_y
+    return (x + 0.5) * CELL_PITCH_M, (y + 0.5) * CELL_PITCH_M, yaw_angle(yaw)
 
 
 class Move(DrivingSkill):
@@ -83,10 +89,9 @@ class Move(DrivingSkill):
             *(terrain.sloping, terrain.start_rad, terrain.end_rad),
         )
 
-    def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
-        cell = np.floor(np.array([now.x, now.y]) / CELL_PITCH_M) + DIRECTIONS[self.direction]
+    def _target(self, now: CarMeasurement) -> Triple:
         yaw, _ = nearest_yaw(now.heading)
-        return np.array([*cell_position(cell[0], cell[1], 1)[:2], yaw_angle(yaw)])
+        return cell_middle(now, yaw, *DIRECTIONS[self.direction].tolist())
 
     def _make_profile(self) -> Profile:
         gains = self.gains
@@ -111,10 +116,9 @@ class Rotate(DrivingSkill):
         super().__init__(setup)
         self.quarter = quarter
 
-    def _target(self, now: CarMeasurement) -> NDArray[np.float64]:
-        cell = np.floor(np.array([now.x, now.y]) / CELL_PITCH_M)
+    def _target(self, now: CarMeasurement) -> Triple:
         yaw, _ = nearest_yaw(now.heading)
-        return np.array([*cell_position(cell[0], cell[1], 1)[:2], yaw_angle(yaw + self.quarter)])
+        return cell_middle(now, yaw + self.quarter)
 
     def _make_profile(self) -> Profile:
         gains = self.gains

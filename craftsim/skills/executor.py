@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from craftsim.skills.skill import CompiledSkill, Skill, SkillSetup, Terrain, n_p
 from craftsim.skills.state import COMMAND, CONSTANTS, HOLD, IDLE, OWN, TASK
 
 Observer = Callable[[Site], None]
+_NO_TASK: Final = np.zeros((), TASK)
 Guard = Callable[[], bool]
 """Returns whether something unsafe has happened."""
 
@@ -82,6 +84,12 @@ class Executor:
         self._past = np.zeros((n, n_past(self.gains, period)))
         self._docked = np.full(n, -1)
         """The slope that each car commands, -1 for none."""
+        wiring = self.sensors.wiring
+        self._arrays = (
+            *(self._tasks, self._past, self._constants, self._commands, wiring.cars, wiring.plugs),
+            *(self._docked, self.motors.speeds, self.motors.share, site.data.ctrl),
+        )
+        """What the compiled laws work on."""
         self._skills: dict[int, Skill] = {}
         self._own: list[int] = []
         """The cars whose skills are in Python."""
@@ -141,7 +149,7 @@ class Executor:
         for car in self._own:
             command = self._skills[car].step(measurement_of(readings[car]))
             self._commands[car] = (command.wheels, command.board, command.hinge)
-        n_ended = self._step(readings)
+        n_ended = step_cars(readings, *self._arrays)
         ended = self._end(readings) if self._own or n_ended else {}
         self.site.advance(self.step_observer)
         self.sensors.observe()
@@ -151,23 +159,6 @@ class Executor:
         if self._skills and self.guard is not None and self.guard():
             ended |= self._stop_all()
         return ended
-
-    def _step(self, readings: Records) -> int:
-        """Step the compiled laws, and command all motors; return how many compiled tasks have ended."""
-        wiring, motors = self.sensors.wiring, self.motors
-        return step_cars(
-            readings,
-            self._tasks,
-            self._past,
-            self._constants,
-            self._commands,
-            wiring.cars,
-            wiring.plugs,
-            self._docked,
-            motors.speeds,
-            motors.share,
-            self.site.data.ctrl,
-        )
 
     def _end(self, readings: Records) -> dict[int, Outcome]:
         """Let go of the skills that have ended, and return their outcomes."""
@@ -197,7 +188,7 @@ class Executor:
         if car in self._own:
             self._own.remove(car)
         now = readings[car]
-        self._tasks[car] = np.zeros((), TASK)
+        self._tasks[car] = _NO_TASK
         self._tasks[car]["law"] = HOLD if on_incline(now["pitch"], now["roll"], self.gains.hold) else IDLE
 
     def _look(self) -> None:

@@ -57,6 +57,8 @@ class SkillSetup:
 
     def on(self, terrain: Terrain) -> SkillSetup:
         """Return the same for a move on other ground."""
+        if terrain == self.terrain:
+            return self
         setup = copy.copy(self)
         object.__setattr__(setup, "terrain", terrain)
         return setup
@@ -90,6 +92,8 @@ class Skill(ABC):
         """(1,) TASK: what the skill remembers."""
         self.task[0]["law"] = OWN
         self._reading = records(1, READING)
+        self._read: CarMeasurement | None = None
+        """What ``_reading`` holds."""
 
     @property
     def elapsed_s(self) -> float:
@@ -123,8 +127,14 @@ class Skill(ABC):
 
     def feels_load(self, now: CarMeasurement) -> bool:
         """Return whether the raised board feels a good share of the lightest load's weight beyond its own."""
-        write_reading(now, self._reading)
+        self._take(now)
         return feels_load(self._reading, self.setup.constants, 0)
+
+    def _take(self, now: CarMeasurement) -> None:
+        """Write a measurement into the record that compiled code reads, if it is not there yet."""
+        if now is not self._read:
+            write_reading(now, self._reading)
+            self._read = now
 
     def _succeed(self) -> None:
         self.outcome = Outcome(None, self.elapsed_s)
@@ -133,13 +143,13 @@ class Skill(ABC):
         self.outcome = Outcome(reason, self.elapsed_s, detail)
 
     def _check_health(self, now: CarMeasurement) -> None:
-        write_reading(now, self._reading)
+        self._take(now)
         check_health(self._reading, self.task, self.setup.constants, 0)
         self.conclude()
 
     def _check_load(self, now: CarMeasurement) -> None:
         """Fail when the board has not felt its load for a while: shorter dips come from bumps and acceleration."""
-        write_reading(now, self._reading)
+        self._take(now)
         check_load(self._reading, self.task, self.setup.constants, 0)
         self.conclude()
 
@@ -167,7 +177,7 @@ class CompiledSkill(Skill):
         self._command = records(1, COMMAND)
 
     def _control(self, now: CarMeasurement) -> Command:
-        write_reading(now, self._reading)
+        self._take(now)
         self._command[0] = ((0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
         self._law(self._reading, self.task, self.past, self.setup.constants, self._command, 0)
         self.conclude()

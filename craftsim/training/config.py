@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal, get_args
 
 from craftsim.errors import InputError
+from craftsim.models.parameters import DRIVES, Drive
 from craftsim.storage.limits import BATCH, BONUS, NETWORK_WIDTH, SEED
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql"]
@@ -36,10 +37,14 @@ class TrainConfig:
     """The same for blocks."""
     backend: TrainBackend = "grid"
     """Where it is trained and evaluated: on the grid, or in nominal contact physics."""
+    drive: Drive = "reduced"
+    """How cars touch the ground in physics; the grid knows no drives."""
 
     def __post_init__(self) -> None:
         if self.backend not in get_args(TrainBackend):
             raise InputError(f"backend is {self.backend!r}; allowed: {', '.join(get_args(TrainBackend))}")
+        if self.drive not in DRIVES:
+            raise InputError(f"drive is {self.drive!r}; allowed: {', '.join(DRIVES)}")
         SEED.check("seed", self.seed)
         BATCH.check("worlds", self.worlds)
         NETWORK_WIDTH.check("width", self.width)

@@ -72,7 +72,7 @@ class Trainer:
         if config.backend == "grid":
             self.env = GridEnv(starts or self.task, config.worlds)
         else:
-            self.env = PhysicsEnv(starts or self.task, config.worlds, workers)
+            self.env = PhysicsEnv(starts or self.task, config.worlds, workers, config.drive)
         self.iteration = 0
         self.curve: list[Point] = []
         self.wall_s = 0.0
@@ -114,7 +114,8 @@ class Trainer:
             return evaluate(net, self.task, episodes, seed)
         if not self.starts:
             return evaluate_in_physics(net, self.env.worlds, episodes, seed)
-        with closing(PhysicsVectorEnv(self.task, self.config.worlds, workers=self.workers)) as worlds:
+        n_worlds, drive = self.config.worlds, self.config.drive
+        with closing(PhysicsVectorEnv(self.task, n_worlds, workers=self.workers, drive=drive)) as worlds:
             return evaluate_in_physics(net, worlds, episodes, seed)
 
     def close(self) -> None:

@@ -27,7 +27,7 @@ def test_in_a_yard_all_cars_drive_to_and_fro_as_the_rules_allow_and_blocks_stay(
 
 
 def test_the_bench_of_physics_prints_plots_and_says_what_grows(tmp_path, monkeypatch):
-    for name, few in (("WORLDS", 2), ("_TICKS", 1), ("_CALLS", 20)):
+    for name, few in (("WORLDS", 2), ("_TICKS", 1)):
         monkeypatch.setattr(bench_batches, name, few)
     for name, few in (("_REPEATS", 1), ("_RESETS_S", 0.05), ("_PACE_S", 0.05)):
         monkeypatch.setattr(bench_physics, name, few)
@@ -49,5 +49,4 @@ def test_the_bench_of_physics_prints_plots_and_says_what_grows(tmp_path, monkeyp
         assert row["resets_a_second"] > 10
     workers = figures["workers"]["rollers"]
     assert 0.5 < workers["free_ratio"] < 4.0
-    assert workers["handing_over_us"] < 50_000
     assert 0 < figures["mib_a_world"]["rollers"] < 50

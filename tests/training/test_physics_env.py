@@ -51,12 +51,28 @@ def test_a_run_in_physics_is_the_same_with_one_worker_and_with_two_and_resumes(t
     with closing(Trainer.resume(tmp_path, task=SHORT, workers=1)) as resumed:
         assert resumed.iteration == 1
         assert resumed.config == config
-    with pytest.raises(InputError, match="it was begun with"):
-        Trainer.resume(tmp_path, task=SHORT, config=replace(config, backend="grid"))
+    for other in ({"backend": "grid"}, {"drive": "rollers"}):
+        with pytest.raises(InputError, match="it was begun with"):
+            Trainer.resume(tmp_path, task=SHORT, config=replace(config, **other))
 
 
-def test_where_training_runs_is_one_of_two_and_workers_are_for_physics(capsys):
+def test_a_run_plays_with_the_drive_of_its_configuration(monkeypatch):
+    asked = []
+
+    def note(task, n_worlds, workers, drive):
+        asked.append(drive)
+
+    monkeypatch.setattr("craftsim.training.physics_env.PhysicsVectorEnv", note)
+    for drive in ("reduced", "rollers"):
+        Trainer(TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive), task=SHORT)
+    assert asked == ["reduced", "rollers"]
+
+
+def test_where_training_runs_is_one_of_two_and_workers_and_drives_are_for_physics(capsys):
     with pytest.raises(InputError, match="allowed: grid, physics"):
         TrainConfig("strip", backend="grit")
-    assert main(["train", "--workers", "2"]) == 2
-    assert "--workers is for physics" in capsys.readouterr().err
+    with pytest.raises(InputError, match="allowed: rollers, reduced"):
+        TrainConfig("strip", drive="tracks")
+    for option, value in (("workers", "2"), ("drive", "rollers")):
+        assert main(["train", f"--{option}", value]) == 2
+        assert f"--{option} is for physics" in capsys.readouterr().err

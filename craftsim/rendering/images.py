@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from craftsim.errors import InputError, suggestion
 from craftsim.models.overlaps import MachineNames
 from craftsim.rendering.image_kinds import FAR_M, IMAGE_KINDS, LABELS, PIXELS, ImageKind, check_images
+from craftsim.rendering.playback import Posed
 from craftsim.rendering.renderer import make_renderer
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ Images = dict[str, NDArray[Any]]
 
 _NEAR_M: Final = 0.005
 """What is nearer to a camera is cut away: a car's comes close to what the car docks with."""
-_DRAWN: Final = ("ngeom", "nsite", "geom_dataid", "mesh_vert", "mesh_face", "tex_data")
+_DRAWN: Final = ("ngeom", "nsite", "geom_dataid", "mesh_vert", "mesh_normal", "mesh_face", "tex_data")
 """Of a model: worlds in which these are equal are drawn by one renderer."""
 
 
@@ -93,11 +94,7 @@ class CameraImages:
         """
         if model is not self._model:
             self._begin(model)
-        data = self._data
-        data.qpos[:] = qpos
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_camlight(model, data)
+        data = self._posed.at(qpos)
         width, height = self.size
         taken: Images = {
             kind: np.empty((len(self.cameras), height, width, *PIXELS[kind].shape), PIXELS[kind].dtype)
@@ -105,7 +102,7 @@ class CameraImages:
         }
         for place, number in enumerate(self._numbers):
             for kind, images in taken.items():
-                images[place] = self._image(kind, number)
+                images[place] = self._image(kind, number, data)
         return taken
 
     def _begin(self, model: mujoco.MjModel) -> None:
@@ -113,7 +110,7 @@ class CameraImages:
         if self._renderer is None or not _drawn_alike(self._renderer.model, model):
             self.close()
             self._renderer = make_renderer(self._plain(model), self.size)
-        self._model, self._data = model, mujoco.MjData(model)
+        self._model, self._posed = model, Posed(model)
         names = MachineNames.of(model)
         label = [LABELS.index(name.split()[0]) for name in names.names]
         self._labels = np.column_stack([names.of_geom, np.array(label)[names.of_geom]]).astype(np.int16)
@@ -126,7 +123,7 @@ class CameraImages:
         plain.stat.extent, plain.vis.map.znear, plain.vis.map.zfar = 1.0, _NEAR_M, FAR_M
         return plain
 
-    def _image(self, kind: ImageKind | str, camera: int) -> NDArray[Any]:
+    def _image(self, kind: str, camera: int, data: mujoco.MjData) -> NDArray[Any]:
         assert self._renderer is not None
         renderer, scene = self._renderer, self._renderer.scene
         seen = mujoco.MjvCamera()
@@ -134,7 +131,7 @@ class CameraImages:
         options = mujoco.MjvOption() if kind == "rgb" else self._solids
         # Not the renderer's own: that draws the world for which it was made.
         mujoco.mjv_updateScene(
-            self._model, self._data, options, None, seen, mujoco.mjtCatBit.mjCAT_ALL.value, scene
+            self._model, data, options, None, seen, mujoco.mjtCatBit.mjCAT_ALL.value, scene
         )
         for eye in scene.camera:
             nearer = _NEAR_M / eye.frustum_near

@@ -94,7 +94,7 @@ def test_on_the_grid_the_list_has_one_picture_a_tick():
 
 def test_the_camera_and_the_size_are_chosen_and_an_unknown_camera_is_refused_with_those_there_are():
     pictures = {}
-    for camera in ("overview", "top"):
+    for camera in ("overview", "top", "front:0"):
         env = parallel_env(
             "strip", "physics", render_mode="rgb_array", render_camera=camera, render_size=(100, 60)
         )
@@ -103,6 +103,7 @@ def test_the_camera_and_the_size_are_chosen_and_an_unknown_camera_is_refused_wit
         env.close()
     assert pictures["top"].shape == (60, 100, 3)
     assert (pictures["top"] != pictures["overview"]).any()
+    assert (pictures["front:0"] != pictures["top"]).any()
     env = parallel_env("strip", "physics", render_mode="rgb_array", render_camera="topp")
     with pytest.raises(InputError, match=r"did you mean 'top'.*there are overview, top"):
         env.reset(seed=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError, suggestion
 from craftsim.models.overlaps import MachineNames
+from craftsim.rendering.cameras import View
 from craftsim.rendering.image_kinds import FAR_M, IMAGE_KINDS, LABELS, PIXELS, ImageKind, check_images
 from craftsim.rendering.playback import Posed
 from craftsim.rendering.renderer import make_renderer
@@ -75,9 +77,12 @@ class CameraImages:
     """
 
     def __init__(
-        self, cameras: Sequence[str], size: tuple[int, int], kinds: Sequence[ImageKind] = IMAGE_KINDS
+        self, cameras: Sequence[str | View], size: tuple[int, int], kinds: Sequence[ImageKind] = IMAGE_KINDS
     ) -> None:
-        """Prepare for cameras; the arguments, and what is raised, are as in :func:`take_images`."""
+        """Prepare for cameras, a world's own by name, or views as films have them.
+
+        The other arguments, and what is raised, are as in :func:`take_images`.
+        """
         check_images(size, kinds)
         self.cameras, self.size, self.kinds = tuple(cameras), size, tuple(kinds)
         self._solids = mujoco.MjvOption()
@@ -85,12 +90,13 @@ class CameraImages:
         self._model: mujoco.MjModel | None = None
         self._renderer: mujoco.Renderer | None = None
 
-    def take(self, model: mujoco.MjModel, qpos: NDArray[np.float64]) -> Images:
+    def take(self, model: mujoco.MjModel, qpos: NDArray[np.float64], time_s: float = 0.0) -> Images:
         """Return what the cameras see of a world, each array with a leading dimension of one entry a camera.
 
         Args:
             model: of a Site, or of a trajectory.
             qpos: (nq,) MuJoCo's positions of everything.
+            time_s: simulated time, which moves views.
         """
         if model is not self._model:
             self._begin(model)
@@ -100,13 +106,14 @@ class CameraImages:
             kind: np.empty((len(self.cameras), height, width, *PIXELS[kind].shape), PIXELS[kind].dtype)
             for kind in self.kinds
         }
-        for place, number in enumerate(self._numbers):
+        for place, camera in enumerate(self.cameras):
+            shot = camera.camera(time_s) if isinstance(camera, View) else _fixed(model, camera)
+            zoom = _zoom(model, camera) if isinstance(camera, View) else 1.0
             for kind, images in taken.items():
-                images[place] = self._image(kind, number, data)
+                images[place] = self._image(kind, shot, zoom, data)
         return taken
 
     def _begin(self, model: mujoco.MjModel) -> None:
-        self._numbers = [camera_number(model, camera) for camera in self.cameras]
         if self._renderer is None or not _drawn_alike(self._renderer.model, model):
             self.close()
             self._renderer = make_renderer(self._plain(model), self.size)
@@ -123,20 +130,18 @@ class CameraImages:
         plain.stat.extent, plain.vis.map.znear, plain.vis.map.zfar = 1.0, _NEAR_M, FAR_M
         return plain
 
-    def _image(self, kind: str, camera: int, data: mujoco.MjData) -> NDArray[Any]:
+    def _image(self, kind: str, shot: mujoco.MjvCamera, zoom: float, data: mujoco.MjData) -> NDArray[Any]:
         assert self._renderer is not None
         renderer, scene = self._renderer, self._renderer.scene
-        seen = mujoco.MjvCamera()
-        seen.type, seen.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
         options = mujoco.MjvOption() if kind == "rgb" else self._solids
         # Not the renderer's own: that draws the world for which it was made.
         mujoco.mjv_updateScene(
-            self._model, data, options, None, seen, mujoco.mjtCatBit.mjCAT_ALL.value, scene
+            self._model, data, options, None, shot, mujoco.mjtCatBit.mjCAT_ALL.value, scene
         )
         for eye in scene.camera:
-            nearer = _NEAR_M / eye.frustum_near
-            eye.frustum_bottom, eye.frustum_top = nearer * eye.frustum_bottom, nearer * eye.frustum_top
-            eye.frustum_center, eye.frustum_width = nearer * eye.frustum_center, nearer * eye.frustum_width
+            scale = zoom * _NEAR_M / eye.frustum_near
+            eye.frustum_bottom, eye.frustum_top = scale * eye.frustum_bottom, scale * eye.frustum_top
+            eye.frustum_center, eye.frustum_width = scale * eye.frustum_center, scale * eye.frustum_width
             eye.frustum_near, eye.frustum_far = _NEAR_M, FAR_M
         if kind == "depth":
             renderer.enable_depth_rendering()
@@ -172,6 +177,18 @@ def camera_number(model: mujoco.MjModel, camera: str) -> int:
             f"unknown camera '{camera}'{suggestion(str(camera), names)}; there are {', '.join(names)}"
         )
     return names.index(camera)
+
+
+def _fixed(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
+    shot = mujoco.MjvCamera()
+    shot.type, shot.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera_number(model, camera)
+    return shot
+
+
+def _zoom(model: mujoco.MjModel, view: View) -> float:
+    """Return how much wider a view is than MuJoCo's free camera is for this model."""
+    wide, usual = (math.tan(math.radians(fovy) / 2) for fovy in (view.fovy_deg, model.vis.global_.fovy))
+    return wide / usual
 
 
 def _spoken(name: str) -> str:

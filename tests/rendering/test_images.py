@@ -6,11 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
+from craftsim.models.framing import overview
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
+from craftsim.rendering.cameras import View
 from craftsim.rendering.image_kinds import FAR_M, LABELS
 from craftsim.rendering.images import CameraImages, take_images
 
@@ -114,6 +116,16 @@ def test_one_renderer_after_the_other_or_the_same_for_all_worlds_gives_the_same_
     assert (together[1]["rgb"] != together[3]["rgb"]).any(), "a goal shows in the colours"
     for kind in ("depth", "segmentation"):
         np.testing.assert_array_equal(together[1][kind], together[3][kind])
+
+
+def test_a_view_of_films_is_a_camera_too(site):
+    """The site's own overview, once as its camera and once as a view."""
+    aim = overview(site.size, 2 * LEVEL_HEIGHT_M, SIZE[0] / SIZE[1])
+    view = View("the same", aim.fovy_deg, lambda time_s: aim)
+    with CameraImages(["overview", view], SIZE, ("depth", "segmentation")) as images:
+        taken = images.take(site.model, site.data.qpos)
+    assert (np.abs(np.diff(taken["depth"], axis=0)) > 1e-4).mean() < 0.01, "but for pixels at edges"
+    assert np.diff(taken["segmentation"], axis=0).any(axis=-1).mean() < 0.01
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from .models.parameters import SmartcarParameters as SmartcarParameters
 from .models.randomization import DomainRandomization as DomainRandomization
 from .models.sensing import Sensors as Sensors
 from .models.site import Site as Site
+from .rendering.images import take_images as take_images
 from .rendering.trajectory import Trajectory as Trajectory
 from .skills.executor import Executor as Executor
 from .skills.gains import Gains as Gains

@@ -58,6 +58,7 @@ PHRASES = {
     "BENCH_TICKS": "1 to 10000, {} |",
     "SHOWN": "| `conformance --show` | {} |",
     "FRAME_PIXELS": "| a frame of a film | {} pixels",
+    "IMAGE_PIXELS": "| an image for learning | {} pixels",
     "FRAME_RATE": "| `render`: fps, speed, at | {},",
     "FILM_SPEED": "| `render`: fps, speed, at | 1 to 120, {},",
     "MOMENT_S": "1 to 120, 0.01 to 1000, {} s |",

@@ -41,6 +41,9 @@ class Backend(Protocol):
     def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""
 
+    def images(self) -> dict[str, NDArray[Any]]:
+        """Return what cameras see now, by kind of image, of each camera; empty where no images are observed."""
+
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return the world as a picture, shape (height, width, 3)."""
 

@@ -39,7 +39,7 @@ class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
         self.core = Core(task, chosen)
         self.metadata = type(self).metadata | {"render_fps": chosen.render_fps}
         self.render_mode = render_mode
-        self.observation_space = central_space(self.core.task)
+        self.observation_space = central_space(self.core.task, chosen.images)
         self.action_space = joint_action_space(self.core.task)
 
     def reset(
@@ -63,7 +63,9 @@ class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
         return self._observe(), result.reward, result.terminated, result.truncated, info
 
     def _observe(self) -> Observation:
-        return {"observation": self.core.state(), "action_mask": self.core.masks.copy()}
+        observation: Observation = {"observation": self.core.state(), "action_mask": self.core.masks.copy()}
+        images = self.core.options.images
+        return observation if images is None else observation | images.of_all(self.core.images)
 
     def render(self) -> Any:
         """Return a picture (``rgb_array``), all since the last call (``rgb_array_list``) or text (``ansi``).

@@ -119,6 +119,8 @@ class Core:
         """(n, 15): what each car is offered; STOP, which then does nothing, where the rules leave it nothing."""
         self.rows: NDArray[np.int32] = self.worlds.entity_rows(self.layout)[0]
         """(n_rows, 13): what is where."""
+        self.images = self.backend.images()
+        """What cameras see, by kind of image, of each camera."""
 
     def vectors(self) -> NDArray[np.int32]:
         """Return (n, length): each car's observation, its own row first."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +25,10 @@ class GridBackend:
         before = worlds.arrays.cars[0].copy()
         applied = worlds.tick(actions[None], order[None])[0]
         return Tick(applied, float(tick_durations(before, worlds.arrays.cars[0], actions, applied)))
+
+    def images(self) -> dict[str, NDArray[Any]]:
+        """Return nothing: there are no cameras."""
+        return {}
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return the levels of the world side by side."""

@@ -13,6 +13,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.envs.backend import MOTION_FPS, Backend
 from craftsim.envs.grid_backend import GridBackend
+from craftsim.envs.images import Images
 from craftsim.envs.observe import Observe
 from craftsim.errors import InputError, suggestion
 
@@ -38,7 +39,7 @@ _PHYSICS_KINDS: Final = {
     "gains": ("craftsim.skills.gains", "Gains"),
     "machines": ("craftsim.models.parameters", "Machines"),
 }
-_PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "drive", "render_camera", "render_size", "record")
+_PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "drive", "render_camera", "render_size", "record", "images")
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Options:
     """What a simulated second costs."""
     render_mode: RenderMode | None = None
     render_camera: str | None = None
-    """Name of one of the world's cameras, ``overview`` unless given; physics only."""
+    """``overview`` unless given, ``top``, or ``front:CAR``, that of a car; physics only."""
     render_size: tuple[int, int] | None = None
     """Width and height of a picture in pixels, 640 x 480 unless given; physics only."""
     noise: SensorNoise | None = None
@@ -79,6 +80,8 @@ class Options:
     """Folder that takes a trajectory of each episode, as :class:`craftsim.Trajectory` reads it; physics only."""
     observe: Observe | None = None
     """What cars observe instead of the rows of all entities; PettingZoo forms only."""
+    images: Images | None = None
+    """What cameras see, beside that; physics only."""
 
     def __post_init__(self) -> None:
         choices = {"backend": get_args(BackendName), "render_mode": (None, *RENDER_MODES)}
@@ -116,6 +119,8 @@ class Options:
             )
         if self.observe is not None and not isinstance(self.observe, Observe):
             raise InputError(f"the option 'observe' must be an Observe, not {self.observe!r}")
+        if self.images is not None and not isinstance(self.images, Images):
+            raise InputError(f"the option 'images' must be an Images, not {self.images!r}")
 
     @classmethod
     def named(cls, **options: Any) -> Options:
@@ -141,7 +146,7 @@ class Options:
         """Return the backend; only here does the physics get imported."""
         if self.backend == "grid":
             return GridBackend()
-        if self.render_mode in ("rgb_array", "rgb_array_list"):
+        if self.images is not None or self.render_mode in ("rgb_array", "rgb_array_list"):
             from craftsim.rendering.backend import choose_backend
 
             choose_backend()
@@ -152,6 +157,7 @@ class Options:
         from craftsim.models.config import SimulationConfig
         from craftsim.models.noise import EXACT
         from craftsim.models.parameters import NOMINAL
+        from craftsim.rendering.images import CameraImages
 
         for name, (module, kind) in _PHYSICS_KINDS.items():
             value = getattr(self, name)
@@ -170,7 +176,16 @@ class Options:
             machines=machines,
         )
         pictures = Pictures(self.render_camera, self.render_size, self._shows_motion)
+        seen, n_cars = self.images, task.layout.n_cars
+        images = None if seen is None else CameraImages(seen.cameras(n_cars), seen.size, seen.kinds)
         records = None if self.record is None else EpisodeRecords(Path(self.record), task.name, task.design)
         return PhysicsBackend(
-            setup, self.helper_depth, task.goal_cells, self.observers, self.check_contacts, pictures, records
+            setup,
+            self.helper_depth,
+            task.goal_cells,
+            self.observers,
+            self.check_contacts,
+            pictures,
+            records,
+            images,
         )

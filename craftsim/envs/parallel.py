@@ -31,7 +31,8 @@ class Observations(dict[str, Observation]):
 class ParallelConstruction(ParallelEnv[str, Observation, int]):
     """A task for cars that share one reward; ``car_0``, ``car_1``, ... are the agents.
 
-    An agent observes ``{"observation", "action_mask"}``; docs/envs.md describes both, and the infos.
+    An agent observes ``{"observation", "action_mask"}``, and images if asked to; docs/envs.md describes them, and the
+    infos.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -50,8 +51,11 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
         self.agents: list[str] = []
         self.state_space = state_space(self.core.task)
         self._own = options.observe
+        self._images = options.images
         space = None if self._own is None else self._own.space
-        self._observation_spaces = {agent: car_space(self.core.task, space) for agent in self.possible_agents}
+        self._observation_spaces = {
+            agent: car_space(self.core.task, space, self._images) for agent in self.possible_agents
+        }
         self._action_spaces = {agent: spaces.Discrete(N_ACTIONS) for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> spaces.Dict:
@@ -111,6 +115,9 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
             agent: {"observation": seen[car], "action_mask": masks[car]}
             for car, agent in enumerate(self.possible_agents)
         }
+        if self._images is not None:
+            for car, observation in enumerate(of_cars.values()):
+                observation |= self._images.of_car(self.core.images, car)
         return Observations(of_cars, self.core.task)
 
     def state(self) -> NDArray[np.int32]:

@@ -22,6 +22,7 @@ from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
 from craftsim.envs.pictures import Pictures
 from craftsim.envs.records import EpisodeRecords
+from craftsim.rendering.images import CameraImages
 from craftsim.skills.executor import Observer
 
 
@@ -37,6 +38,7 @@ class PhysicsBackend:
         watch_contacts: bool = False,
         pictures: Pictures | None = None,
         records: EpisodeRecords | None = None,
+        images: CameraImages | None = None,
     ) -> None:
         """Prepare for episodes.
 
@@ -48,12 +50,13 @@ class PhysicsBackend:
             watch_contacts: whether the judge logs contacts, 3 % of the time; unsafe actions then end at once.
             pictures: shows the world to people.
             records: writes down what moves in each episode.
+            images: takes what cars observe by cameras.
         """
         self.setup, self.goals = setup, tuple(goals)
         self.observers, self.watch_contacts = observers, watch_contacts
         self._planner = None if helper_depth is None else Planner(Rules(setup.rules), helper_depth)
         self._start: Grid | None = None
-        self._pictures, self._records = pictures or Pictures(), records
+        self._pictures, self._records, self._images = pictures or Pictures(), records, images
         self.checked: CheckedSite
         self._seed: Seed
         self._joints: list[list[tuple[int, Action]]]
@@ -117,6 +120,11 @@ class PhysicsBackend:
             grid = self.checked.rules.apply(grid, car, due)
         return primitives
 
+    def images(self) -> dict[str, NDArray[Any]]:
+        """Return what the cameras see now, by kind, one entry a camera; empty without any."""
+        site = self.checked.site
+        return {} if self._images is None else self._images.take(site.model, site.data.qpos)
+
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return what the camera sees."""
         return self._pictures.picture()
@@ -130,8 +138,10 @@ class PhysicsBackend:
         self._pictures.show()
 
     def close(self) -> None:
-        """Close the viewer and the renderer, and write what is recorded."""
+        """Close the viewer and the renderers, and write what is recorded."""
         self._end_record()
+        if self._images is not None:
+            self._images.close()
         self._pictures.close()
 
     def _end_record(self) -> None:

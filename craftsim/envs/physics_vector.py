@@ -15,6 +15,7 @@ from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import ROW, car_vectors
 from craftsim.envs.actions import checked
 from craftsim.envs.central import CentralConstruction
+from craftsim.envs.options import Options
 from craftsim.envs.vector import Bools, Observation, TaskVectorEnv
 from craftsim.envs.world_processes import WorldProcesses
 from craftsim.envs.world_requests import (
@@ -74,7 +75,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
         Raises:
             InputError: there is no such task, option or option value, or no Ray cluster.
         """
-        super().__init__(task, num_envs)
+        super().__init__(task, num_envs, Options.named(**options).images)
         if workers is not None and not isinstance(workers, int):
             raise InputError(f"workers is {workers!r}; allowed: None, or {WORKERS}")
         if workers is not None:

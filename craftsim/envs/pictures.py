@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.envs.backend import MOTION_FPS
-from craftsim.errors import InputError, suggestion
+from craftsim.errors import InputError
+from craftsim.rendering.images import camera_number
 from craftsim.rendering.renderer import make_renderer
 
 if TYPE_CHECKING:
@@ -44,12 +45,7 @@ class Pictures:
         """Look at a Site from now on, at the start of an episode; raises InputError for a camera that it lacks."""
         if site is not self._site:
             self.close()
-            names = [site.model.camera(i).name for i in range(site.model.ncam)]
-            if self.camera not in names:
-                raise InputError(
-                    f"unknown render_camera '{self.camera}'{suggestion(self.camera, names)}; "
-                    f"there are {', '.join(names)}"
-                )
+            self._number = camera_number(site.model, self.camera)
             self._site = site
         self._kept.clear()
         self._due_s = site.time_s
@@ -68,7 +64,7 @@ class Pictures:
         assert self._site is not None, "begin() comes first"
         if self._renderer is None:
             self._renderer = make_renderer(self._site.model, self.size)
-        self._renderer.update_scene(self._site.data, self.camera)
+        self._renderer.update_scene(self._site.data, self._number)
         taken: Picture = self._renderer.render()
         return taken
 

@@ -10,6 +10,7 @@ from gymnasium import spaces
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import ROW
 from craftsim.envs.actions import N_ACTIONS
+from craftsim.envs.images import Images
 
 
 def entity_space(task: Task, n_rows: int) -> spaces.Box:
@@ -23,25 +24,27 @@ def state_space(task: Task) -> spaces.Box:
     return entity_space(task, task.layout.n_rows)
 
 
-def car_space(task: Task, own: spaces.Space[Any] | None = None) -> spaces.Dict:
+def car_space(task: Task, own: spaces.Space[Any] | None = None, images: Images | None = None) -> spaces.Dict:
     """Return one car's observation space, and the actions that it is offered.
 
-    What it observes is its own row, then all rows, or an observation of one's ``own``.
+    What it observes is its own row, then all rows, or an observation of one's ``own``; and images.
     """
     return spaces.Dict(
         {
             "observation": own or entity_space(task, 1 + task.layout.n_rows),
             "action_mask": spaces.Box(0, 1, (N_ACTIONS,), np.int8),
+            **({} if images is None else images.spaces()),
         }
     )
 
 
-def central_space(task: Task) -> spaces.Dict:
-    """Return the observation space of one who acts for all cars: the global state, and all masks."""
+def central_space(task: Task, images: Images | None = None) -> spaces.Dict:
+    """Return the observation space of one who acts for all cars: the global state, all masks and all images."""
     return spaces.Dict(
         {
             "observation": state_space(task),
             "action_mask": spaces.Box(0, 1, (task.layout.n_cars, N_ACTIONS), np.int8),
+            **({} if images is None else images.spaces(task.layout.n_cars)),
         }
     )
 

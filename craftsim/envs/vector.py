@@ -15,6 +15,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked, illegal
+from craftsim.envs.images import Images
 from craftsim.envs.options import Options
 from craftsim.envs.spaces import central_space, joint_action_space
 from craftsim.errors import InputError
@@ -36,13 +37,13 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         "render_modes": [],
     }
 
-    def __init__(self, task: Task | str, num_envs: int) -> None:
+    def __init__(self, task: Task | str, num_envs: int, images: Images | None = None) -> None:
         """Make the spaces; raises InputError for a task that there is not and for a number that is none."""
         if not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")
         self.task = as_task(task)
         self.num_envs = num_envs
-        self.single_observation_space = central_space(self.task)
+        self.single_observation_space = central_space(self.task, images)
         self.single_action_space = joint_action_space(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -54,6 +54,9 @@ def _environment() -> Environment:
         "n": _number,
         "m": _rounded,
         "points": _points,
+        "sin": math.sin,
+        "cos": math.cos,
+        "degrees": math.degrees,
         "both": lambda limit: f"{_number(-limit)} {_number(limit)}",
     }
     return environment

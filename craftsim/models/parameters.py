@@ -30,6 +30,7 @@ _SEAT: Final = fixed("the pockets of blocks and the pads of slopes fit this boar
 _GRID: Final = fixed("the grid's cells and levels have this size")
 _SHAPE: Final = fixed("the boards and bosses of all cars fit this shape")
 _FRICTION: Final = Allowed(most=3.0)
+_PITCH: Final = Allowed(-math.pi / 2, math.pi / 2)
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,22 @@ class SmartcarParameters:
     wheel_damping_nms_rad: float = assumed(0.002, "oil in the gear: 0.04 Nm at full speed")
     gear_friction_nm: float = assumed(
         0.45, "self-locking gear: a car carrying a slope needs 0.39 Nm a wheel to stand on the incline"
+    )
+    camera_proud_m: float = assumed(
+        0.003, "a lens in the nose, by so much before it; its few grams are left out"
+    )
+    camera_z_m: float = assumed(
+        0.030,
+        "below the board and above the chamfer: it sees between the legs of a block",
+        Allowed(-math.inf),
+    )
+    camera_pitch_rad: float = assumed(
+        -0.1, "upwards; it sees the floor from 0.1 m before it, and what is one level up from 0.2 m", _PITCH
+    )
+    camera_fovy_rad: float = assumed(
+        1.17,
+        "vertical field of view: the 67 degrees of a Raspberry Pi Camera Module 3 Wide",
+        Allowed(most=2.8),
     )
 
     def __post_init__(self) -> None:

@@ -54,7 +54,7 @@ def failure(backend: str) -> str | None:
     try:
         child = subprocess.run(
             [sys.executable, "-c", _ONE_FRAME],
-            env={**os.environ, "MUJOCO_GL": backend},
+            env={**_without_choice(), "MUJOCO_GL": backend},
             capture_output=True,
             text=True,
             timeout=60,
@@ -68,6 +68,11 @@ def failure(backend: str) -> str | None:
         return f"crashed with signal {-child.returncode}"
     lines = child.stderr.strip().splitlines()
     return lines[-1] if lines else f"exit status {child.returncode}"
+
+
+def _without_choice() -> dict[str, str]:
+    # MuJoCo's import leaves its backend for PyOpenGL in the environment, and refuses another one then.
+    return {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
 
 
 def choose_backend() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import importlib
+import os
 import sys
 import weakref
 from typing import Any, Final
@@ -46,8 +47,17 @@ def make_renderer(model: mujoco.MjModel, size: tuple[int, int]) -> mujoco.Render
 def _use(backend: str) -> None:
     # MuJoCo reads MUJOCO_GL once, at its import, and keeps the class of contexts that it then found in a module
     # that its Renderer looks into whenever one is made. That class is what has to follow a later choice.
+    _let_opengl_follow(backend)
     contexts: Any = vars(sys.modules[mujoco.Renderer.__module__])["gl_context"]
     contexts.GLContext = importlib.import_module(f"mujoco.{backend}").GLContext
+
+
+def _let_opengl_follow(backend: str) -> None:
+    # PyOpenGL chooses at its import, too, and MuJoCo's contexts ask it for the functions of their backend.
+    os.environ["PYOPENGL_PLATFORM"] = backend
+    platform: Any = sys.modules.get("OpenGL.platform")
+    if platform is not None and backend not in type(platform.PLATFORM).__name__.lower():
+        platform._load()
 
 
 def _close_all() -> None:

@@ -169,6 +169,8 @@ FILM_SPEED: Final = Range(0.01, 1000)
 MOMENT_S: Final = Range(0, 1_000_000)
 """Of simulated time."""
 FRAME_PIXELS: Final = 4096 * 2304
+IMAGE_PIXELS: Final = 2048 * 2048
+"""Of an image for learning."""
 
 
 def size_text(n_bytes: int) -> str:

@@ -9,6 +9,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.starts import starting_from
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
+from craftsim.envs.images import Images
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
 
@@ -40,11 +41,26 @@ STOP = int(Action.STOP)
         ({"backend": "physics", "observers": 3}, "functions of a Site"),
         ({"observers": [print]}, "no control periods"),
         ({"observe": print}, "must be an Observe"),
+        ({"backend": "physics", "images": "front"}, "must be an Images"),
+        ({"images": Images()}, "backend='physics'"),
     ],
 )
 def test_wrong_options_are_refused(options, words):
     with pytest.raises(InputError, match=words):
         parallel_env(**({"task": "strip", "backend": "grid"} | options))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"camera": "frond"}, "did you mean 'front'"),
+        ({"size": (64, 0)}, "width, height"),
+        ({"kinds": "rgb"}, "one or more of rgb, depth, segmentation"),
+    ],
+)
+def test_images_that_there_are_not_are_refused(arguments, words):
+    with pytest.raises(InputError, match=words):
+        Images(**arguments)
 
 
 def _start(change):

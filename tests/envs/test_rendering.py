@@ -3,14 +3,19 @@
 import os
 import subprocess
 import sys
+from contextlib import closing
 from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.wrappers import RecordVideo
 
 from craftsim.discrete.actions import Action
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
+from craftsim.envs import env as turns_env
 from craftsim.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("rendering")
@@ -89,7 +94,7 @@ def test_on_the_grid_the_list_has_one_picture_a_tick():
 
 def test_the_camera_and_the_size_are_chosen_and_an_unknown_camera_is_refused_with_those_there_are():
     pictures = {}
-    for camera in ("overview", "top"):
+    for camera in ("overview", "top", "front:0"):
         env = parallel_env(
             "strip", "physics", render_mode="rgb_array", render_camera=camera, render_size=(100, 60)
         )
@@ -98,29 +103,88 @@ def test_the_camera_and_the_size_are_chosen_and_an_unknown_camera_is_refused_wit
         env.close()
     assert pictures["top"].shape == (60, 100, 3)
     assert (pictures["top"] != pictures["overview"]).any()
+    assert (pictures["front:0"] != pictures["top"]).any()
     env = parallel_env("strip", "physics", render_mode="rgb_array", render_camera="topp")
     with pytest.raises(InputError, match=r"did you mean 'top'.*there are overview, top"):
         env.reset(seed=0)
 
 
-def test_gymnasiums_recording_tools_take_pictures_and_lists_of_them(tmp_path):
-    pytest.importorskip("moviepy")
-    from gymnasium.utils.save_video import save_video
-    from gymnasium.wrappers import RecordVideo
+@pytest.fixture
+def clips(monkeypatch):
+    """MoviePy's clip, which the recording wrappers write films with, as they call it: pictures, rate and path.
 
-    options = {"backend": "physics", "render_size": (64, 48), "disable_env_checker": True}
-    env = RecordVideo(
-        gymnasium.make(GYMNASIUM_IDS["strip"], render_mode="rgb_array", **options), str(tmp_path / "ticks")
+    MoviePy itself wants an older Pillow than matplotlib brings.
+    """
+    written = {}
+
+    class Clip:
+        def __init__(self, pictures, fps):
+            self.pictures, self.fps = list(pictures), fps
+
+        def write_videofile(self, path, logger):
+            written[Path(path).name] = self
+
+    module = ModuleType("moviepy.video.io.ImageSequenceClip")
+    module.ImageSequenceClip = Clip
+    for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    yield written
+    sys.modules.pop("gymnasium.utils.save_video", None)  # it took the clip at its import
+
+
+SMALL = {"backend": "physics", "render_size": (64, 48)}
+JOINT = np.array([Action.MOVE_LEFT, Action.STOP])
+
+
+def test_gymnasiums_recorder_takes_a_picture_a_step_in_either_mode(clips, tmp_path):
+    for mode in ("rgb_array", "rgb_array_list"):
+        made = gymnasium.make(GYMNASIUM_IDS["strip"], render_mode=mode, disable_env_checker=True, **SMALL)
+        with closing(RecordVideo(made, str(tmp_path / mode), name_prefix=mode)) as env:
+            env.reset(seed=0)
+            env.step(JOINT)
+            last = made.unwrapped.core.backend.picture(env.unwrapped.core.grid, None)
+            fps = env.metadata["render_fps"]
+        clip = clips[f"{mode}-episode-0.mp4"]
+        assert (len(clip.pictures), clip.fps) == (2, fps)
+        # The last picture of the motion is up to a tenth of a second old.
+        change = np.abs(clip.pictures[1].astype(int) - last)
+        assert change.max() == 0 if mode == "rgb_array" else change.mean() < 0.5
+        assert np.abs(clip.pictures[0].astype(int) - last).mean() > 1
+
+
+def test_gymnasium_saves_the_motion_between_ticks(clips, tmp_path):
+    from gymnasium.utils.save_video import save_video
+
+    made = gymnasium.make(
+        GYMNASIUM_IDS["strip"], render_mode="rgb_array_list", disable_env_checker=True, **SMALL
     )
-    env.reset(seed=0)
-    env.step(np.array([Action.MOVE_LEFT, Action.STOP]))
-    env.close()
-    assert list((tmp_path / "ticks").glob("*.mp4"))
-    env = gymnasium.make(GYMNASIUM_IDS["strip"], render_mode="rgb_array_list", **options)
-    env.reset(seed=0)
-    env.step(np.array([Action.MOVE_LEFT, Action.STOP]))
-    save_video(
-        env.render(), str(tmp_path / "motion"), fps=env.metadata["render_fps"], episode_trigger=lambda n: True
-    )
-    assert list((tmp_path / "motion").glob("*.mp4"))
-    env.close()
+    with closing(made) as env:
+        env.reset(seed=0)
+        duration_s = env.step(JOINT)[4]["duration_s"]
+        fps = env.metadata["render_fps"]
+        save_video(env.render(), str(tmp_path), fps=fps, episode_trigger=lambda number: True)
+    clip = clips["rl-video-episode-0.mp4"]
+    assert len(clip.pictures) / clip.fps == pytest.approx(duration_s, abs=2 / fps)
+
+
+@pytest.mark.parametrize(("form", "pictures"), [("parallel", 2), ("turns", 3)])
+def test_pettingzoos_recorders_take_a_picture_a_step(clips, tmp_path, form, pictures):
+    """A step of the form with turns is one agent's."""
+    wrappers = pytest.importorskip("pettingzoo.utils.wrappers")
+    if not hasattr(wrappers, "RecordVideo"):
+        pytest.skip("PettingZoo records from 1.27 on")
+    make, record = {
+        "parallel": (parallel_env, wrappers.RecordVideoParallel),
+        "turns": (turns_env, wrappers.RecordVideo),
+    }[form]
+    with closing(record(make("strip", render_mode="rgb_array", **SMALL), str(tmp_path / form))) as env:
+        env.reset(seed=0)
+        if form == "parallel":
+            env.step(MOVE)
+        else:
+            for action in MOVE.values():
+                env.step(action)
+    clip = clips["rl-video-episode-0.mp4"]
+    assert (len(clip.pictures), clip.fps) == (pictures, 2)
+    assert (clip.pictures[0] != clip.pictures[-1]).any()

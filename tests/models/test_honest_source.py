@@ -34,10 +34,10 @@ ARRAY_METHODS = {
 ARRAY_WRITERS = {"copyto", "put", "place", "putmask", "put_along_axis", "fill_diagonal"}
 ALLOWED = {
     "craftsim/models/site.py": {"Site.reset", "Site.restore", "Site.awake_copy"},
-    "craftsim/rendering/playback.py": {"Playback.at"},
+    "craftsim/rendering/playback.py": {"Posed.at"},
 }
-"""Site.awake_copy writes a copy, and leaves the Site as it is (tests/checking/test_contact_log.py); a playback has data
-of its own, to be drawn."""
+"""Site.awake_copy writes a copy, and leaves the Site as it is (tests/checking/test_contact_log.py); what is posed
+has data of its own, to be drawn."""
 
 
 def live_view(node: ast.AST) -> bool:

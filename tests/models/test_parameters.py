@@ -50,6 +50,10 @@ OTHER = Machines(
             wheel_speed_rad_s=22.0,
             wheel_gain_nms_rad=4.5,
             gear_friction_nm=0.5,
+            camera_proud_m=0.004,
+            camera_z_m=0.02,
+            camera_pitch_rad=0.3,
+            camera_fovy_rad=0.9,
         ),
     ),
     block=BlockParameters(deck_mass_kg=0.8, leg_mass_kg=0.002, friction=0.5, foot_friction=0.9),
@@ -120,6 +124,15 @@ def spin_inertia(model: mujoco.MjModel, wheel: str) -> float:
     return float(matrix[dof, dof] - model.dof_armature[dof])
 
 
+def looking_up(model: mujoco.MjModel, camera: str) -> float:
+    """Return the angle by which a camera, which looks along its own -z, looks over the horizon, and forward."""
+    forward = np.empty(3)
+    mujoco.mju_rotVecQuat(forward, np.array([0.0, 0.0, -1.0]), model.camera(camera).quat)
+    assert forward[0] > 0
+    assert abs(forward[1]) < 1e-9
+    return math.asin(forward[2])
+
+
 SMARTCAR_FIGURES: Figures = {
     "wheel_radius_m": lambda m: m.geom("guard_fl").size[0],
     "wheel_width_m": lambda m: 2 * m.geom("guard_fl").size[1],
@@ -158,6 +171,10 @@ SMARTCAR_FIGURES: Figures = {
     "roller_friction": lambda m: m.geom("roller_fl00").friction[0],
     "board_friction": lambda m: m.geom("plate").friction[0],
     "chassis_friction": lambda m: m.geom("hull").friction[0],
+    "camera_proud_m": lambda m: m.camera("front").pos[0] - level(m, "hull", np.max, axis=0),
+    "camera_z_m": lambda m: m.camera("front").pos[2] - axle(m),
+    "camera_pitch_rad": lambda m: looking_up(m, "front"),
+    "camera_fovy_rad": lambda m: math.radians(m.camera("front").fovy[0]),
 }
 
 BLOCK_FIGURES: Figures = {

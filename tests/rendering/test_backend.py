@@ -51,6 +51,7 @@ def test_a_users_choice_is_kept_when_it_works_and_refused_when_not(machine, monk
 @pytest.mark.usefixtures("rendering")
 def test_pictures_come_whatever_was_imported_before_the_choice():
     code = """
+import OpenGL.GL
 import mujoco
 from craftsim.rendering.renderer import make_renderer
 model = mujoco.MjModel.from_xml_string(

@@ -1,0 +1,200 @@
+"""Images as arrays for learning, from any camera of a world: colours, depth in metres, and what is seen where."""
+
+from __future__ import annotations
+
+import copy
+import math
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.errors import InputError, suggestion
+from craftsim.models.overlaps import MachineNames
+from craftsim.rendering.cameras import View
+from craftsim.rendering.image_kinds import FAR_M, IMAGE_KINDS, LABELS, PIXELS, ImageKind, check_images
+from craftsim.rendering.playback import Posed
+from craftsim.rendering.renderer import make_renderer
+
+if TYPE_CHECKING:
+    from craftsim.models.site import Site
+
+Images = dict[str, NDArray[Any]]
+"""By kind."""
+
+_NEAR_M: Final = 0.005
+"""What is nearer to a camera is cut away: a car's comes close to what the car docks with."""
+_DRAWN: Final = ("ngeom", "nsite", "geom_dataid", "mesh_vert", "mesh_normal", "mesh_face", "tex_data")
+"""Of a model: worlds in which these are equal are drawn by one renderer."""
+
+
+def take_images(
+    site: Site,
+    camera: str = "overview",
+    size: tuple[int, int] = (640, 480),
+    kinds: Sequence[ImageKind] = IMAGE_KINDS,
+) -> Images:
+    """Return what a camera of a Site sees, as arrays by kind.
+
+    Who takes many keeps a :class:`craftsim.rendering.images.CameraImages`: preparing takes a hundred times as long as
+    an image.
+
+    Args:
+        site: the world, as it stands.
+        camera: ``overview``, ``top``, or ``front:CAR``, the one in the nose of a car, given by its number.
+        size: width and height in pixels.
+        kinds: ``rgb``, shape (height, width, 3), uint8; ``depth``, (height, width), float32, metres from the image
+            plane along the camera's axis, not along each pixel's ray, and 100 where there is nothing; ``segmentation``,
+            (height, width, 2), int16: the number of the machine in ``site.machine_names.names``, then that of its kind
+            (0 ground, 1 wall, 2 car, 3 block, 4 flag, 5 slope), both -1 where there is nothing. Markers of goals show
+            in the colours only.
+
+    Raises:
+        InputError: there is no such camera, size or kind.
+        RenderingUnavailable: nothing renders on this machine.
+
+    Example:
+        >>> import craftsim
+        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> seen = craftsim.take_images(site, "top", size=(64, 48))
+        >>> {kind: (array.shape, str(array.dtype)) for kind, array in seen.items()}
+        {'rgb': ((48, 64, 3), 'uint8'), 'depth': ((48, 64), 'float32'), 'segmentation': ((48, 64, 2), 'int16')}
+        >>> site.machine_names.names[seen["segmentation"][24, 10, 0]]
+        'car 0'
+    """
+    with CameraImages([camera], size, kinds) as images:
+        return {kind: taken[0] for kind, taken in images.take(site.model, site.data.qpos).items()}
+
+
+class CameraImages:
+    """Takes images from cameras, of one world after the other; a context manager that closes its renderer.
+
+    Images have no shadows and no anti-aliasing, which take three times as long where no GPU draws: each pixel shows
+    what its depth and its label are of. Equal worlds give equal images, bit for bit on one machine.
+    """
+
+    def __init__(
+        self, cameras: Sequence[str | View], size: tuple[int, int], kinds: Sequence[ImageKind] = IMAGE_KINDS
+    ) -> None:
+        """Prepare for cameras, a world's own by name, or views as films have them.
+
+        The other arguments, and what is raised, are as in :func:`take_images`.
+        """
+        check_images(size, kinds)
+        self.cameras, self.size, self.kinds = tuple(cameras), size, tuple(kinds)
+        self._solids = mujoco.MjvOption()
+        self._solids.sitegroup[:] = 0
+        self._model: mujoco.MjModel | None = None
+        self._renderer: mujoco.Renderer | None = None
+
+    def take(self, model: mujoco.MjModel, qpos: NDArray[np.float64], time_s: float = 0.0) -> Images:
+        """Return what the cameras see of a world, each array with a leading dimension of one entry a camera.
+
+        Args:
+            model: of a Site, or of a trajectory.
+            qpos: (nq,) MuJoCo's positions of everything.
+            time_s: simulated time, which moves views.
+        """
+        if model is not self._model:
+            self._begin(model)
+        data = self._posed.at(qpos)
+        width, height = self.size
+        taken: Images = {
+            kind: np.empty((len(self.cameras), height, width, *PIXELS[kind].shape), PIXELS[kind].dtype)
+            for kind in self.kinds
+        }
+        for place, camera in enumerate(self.cameras):
+            shot = camera.camera(time_s) if isinstance(camera, View) else _fixed(model, camera)
+            zoom = _zoom(model, camera) if isinstance(camera, View) else 1.0
+            for kind, images in taken.items():
+                images[place] = self._image(kind, shot, zoom, data)
+        return taken
+
+    def _begin(self, model: mujoco.MjModel) -> None:
+        if self._renderer is None or not _drawn_alike(self._renderer.model, model):
+            self.close()
+            self._renderer = make_renderer(self._plain(model), self.size)
+        self._model, self._posed = model, Posed(model)
+        names = MachineNames.of(model)
+        label = [LABELS.index(name.split()[0]) for name in names.names]
+        self._labels = np.column_stack([names.of_geom, np.array(label)[names.of_geom]]).astype(np.int16)
+
+    def _plain(self, model: mujoco.MjModel) -> mujoco.MjModel:
+        """Return a copy of a model, to be drawn without anti-aliasing, whose depths are those of :meth:`_image`."""
+        plain = copy.copy(model)
+        plain.vis.quality.offsamples = 0
+        plain.vis.global_.offwidth, plain.vis.global_.offheight = self.size
+        plain.stat.extent, plain.vis.map.znear, plain.vis.map.zfar = 1.0, _NEAR_M, FAR_M
+        return plain
+
+    def _image(self, kind: str, shot: mujoco.MjvCamera, zoom: float, data: mujoco.MjData) -> NDArray[Any]:
+        assert self._renderer is not None
+        renderer, scene = self._renderer, self._renderer.scene
+        options = mujoco.MjvOption() if kind == "rgb" else self._solids
+        # Not the renderer's own: that draws the world for which it was made.
+        mujoco.mjv_updateScene(
+            self._model, data, options, None, shot, mujoco.mjtCatBit.mjCAT_ALL.value, scene
+        )
+        for eye in scene.camera:
+            scale = zoom * _NEAR_M / eye.frustum_near
+            eye.frustum_bottom, eye.frustum_top = scale * eye.frustum_bottom, scale * eye.frustum_top
+            eye.frustum_center, eye.frustum_width = scale * eye.frustum_center, scale * eye.frustum_width
+            eye.frustum_near, eye.frustum_far = _NEAR_M, FAR_M
+        if kind == "depth":
+            renderer.enable_depth_rendering()
+            depth: NDArray[Any] = renderer.render()
+            renderer.disable_depth_rendering()
+            return np.clip(depth, 0.0, FAR_M, out=depth)
+        if kind == "segmentation":
+            renderer.enable_segmentation_rendering()
+            geoms = renderer.render()[:, :, 0]
+            renderer.disable_segmentation_rendering()
+            return np.where(geoms[:, :, None] < 0, np.int16(-1), self._labels[geoms])
+        picture: NDArray[Any] = renderer.render()
+        return picture
+
+    def close(self) -> None:
+        """Close the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = self._model = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def camera_number(model: mujoco.MjModel, camera: str) -> int:
+    """Return the number of a camera of a world; raise InputError for one that it lacks."""
+    names = [_spoken(model.camera(number).name) for number in range(model.ncam)]
+    if camera not in names:
+        raise InputError(
+            f"unknown camera '{camera}'{suggestion(str(camera), names)}; there are {', '.join(names)}"
+        )
+    return names.index(camera)
+
+
+def _fixed(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
+    shot = mujoco.MjvCamera()
+    shot.type, shot.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera_number(model, camera)
+    return shot
+
+
+def _zoom(model: mujoco.MjModel, view: View) -> float:
+    """Return how much wider a view is than MuJoCo's free camera is for this model."""
+    wide, usual = (math.tan(math.radians(fovy) / 2) for fovy in (view.fovy_deg, model.vis.global_.fovy))
+    return wide / usual
+
+
+def _spoken(name: str) -> str:
+    """Return ``front:0`` for ``car0/front``."""
+    return re.sub(r"car(\d+)/(.+)", r"\2:\1", name)
+
+
+def _drawn_alike(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in _DRAWN)

@@ -1,0 +1,20 @@
+"""The library that only the viewer needs."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from craftsim.errors import InputError
+
+
+def has_viser() -> bool:
+    """Return whether it is installed here."""
+    return find_spec("viser") is not None
+
+
+def need_viser() -> None:
+    """Raise InputError with the command that installs what is missing."""
+    if not has_viser():
+        raise InputError(
+            "the viewer needs viser, not installed here; in a checkout of craftsim try: pip install '.[view]'"
+        )

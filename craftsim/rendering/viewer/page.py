@@ -1,0 +1,139 @@
+"""The page of the viewer: the scene, what plays it, and what is known of the car that is looked at.
+
+What people do in their browsers arrives in threads of the server; it waits in a queue until :meth:`Page.attend`.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.checking.attempt import Attempt
+from craftsim.discrete.grid import Cell
+from craftsim.models.site import Site
+from craftsim.rendering.viewer.moment import Moment
+from craftsim.rendering.viewer.scene import Scene
+from craftsim.rendering.viewer.words import car_html, list_html
+
+if TYPE_CHECKING:
+    from viser import GuiEvent, ViserServer
+
+FRAMES_HZ: Final = 25.0
+"""How often poses are sent at most."""
+_TEXT_S: Final = 0.15
+"""Real time between two updates of texts and the slider; eyes do not follow faster ones."""
+SPEEDS: Final = {"1/8 x": 0.125, "1/4 x": 0.25, "1/2 x": 0.5, "1 x": 1.0, "2 x": 2.0, "4 x": 4.0, "8 x": 8.0}
+AS_FAST: Final = "as fast as it goes"
+
+
+class Page:
+    """What all browsers of a server show; all share one state."""
+
+    def __init__(self, server: ViserServer) -> None:
+        """Add the panel; a scene comes with :meth:`show_world`."""
+        self._server = server
+        self._pending: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self.scene: Scene | None = None
+        self.car = 0
+        """The one that is looked at."""
+        self._next_text_s = 0.0
+        gui = server.gui
+        server.scene.world_axes.visible = False
+        gui.configure_theme(control_layout="collapsible", show_logo=False, show_share_button=False)
+        gui.set_panel_label("craftsim")
+        self.title = gui.add_markdown("")
+        self.run = gui.add_dropdown("Run", ("",), visible=False)
+        self.play = gui.add_button("Play", icon="player-play")
+        self.back = gui.add_button("Previous action", icon="player-skip-back")
+        self.forward = gui.add_button("Next action", icon="player-skip-forward")
+        self.speed = gui.add_dropdown("Speed", (*SPEEDS, AS_FAST), initial_value="1 x")
+        self.slider = gui.add_slider("Time (s)", min=0.0, max=1.0, step=0.02, initial_value=0.0)
+        with gui.add_folder("Car"):
+            self._cars = gui.add_dropdown("Car", ("0",))
+            self._state = gui.add_html("")
+        with gui.add_folder("Actions"):
+            self._list = gui.add_html("")
+        self.when(self._cars.on_update, lambda: self.look_at(int(self._cars.value)))
+
+    def when(self, register: Callable[[Callable[[GuiEvent[Any]], None]], Any], do: Callable[[], None]) -> None:
+        """Do something, in :meth:`attend`, after somebody has used a part of the panel."""
+
+        def note(event: GuiEvent[Any]) -> None:
+            # What this program sets has no client.
+            if event.client is not None:
+                self._pending.put(do)
+
+        register(note)
+
+    def attend(self) -> bool:
+        """Do what people asked for since the last call; return whether there was anything."""
+        asked = not self._pending.empty()
+        while not self._pending.empty():
+            self._pending.get()()
+        return asked
+
+    def show_world(self, title: str, site: Site, design: Sequence[Cell]) -> None:
+        """Show another world."""
+        self.title.content = f"**{_plain(title)}**"
+        self.scene = Scene(self._server, site, design, lambda car: self._pending.put(lambda: self.look_at(car)))
+        self._cars.options = tuple(str(car) for car in range(len(site.cars))) or ("0",)
+        self.look_at(0)
+
+    def look_at(self, car: int) -> None:
+        """Choose the car whose state is shown."""
+        self.car = car
+        self._cars.value = str(car)
+        self.hurry()
+
+    def show(self, qpos: NDArray[np.float64], moment: Callable[[], Moment], attempts: Sequence[Attempt]) -> None:
+        """Show a moment: poses at once, words not more often than they can be read."""
+        assert self.scene is not None, "show_world() comes first"
+        self.scene.show(qpos)
+        if (now := time.monotonic()) < self._next_text_s:
+            return
+        self._next_text_s = now + _TEXT_S
+        found = moment()
+        with self._server.atomic():
+            _put(self.slider, "value", _within(found.time_s, self.slider.min, self.slider.max))
+            if found.cars:
+                _put(self._state, "content", car_html(found, self.car))
+            _put(self._list, "content", list_html(attempts, found.time_s))
+
+    def show_playing(self, playing: bool) -> None:
+        """Let the button say what it does now."""
+        _put(self.play, "label", "Pause" if playing else "Play")
+        _put(self.play, "icon", "player-pause" if playing else "player-play")
+
+    def hurry(self) -> None:
+        """Show words with the next moment, however short ago they were shown."""
+        self._next_text_s = 0.0
+
+    def complain(self, text: str) -> None:
+        """Show what is wrong to everybody."""
+        for client in self._server.get_clients().values():
+            client.add_notification("This cannot be shown", text, color="red")
+
+    @property
+    def chosen_speed(self) -> float | None:
+        """Simulated seconds in a second; None is as fast as it goes."""
+        return SPEEDS.get(self.speed.value)
+
+
+def _put(handle: Any, name: str, value: object) -> None:
+    """Set a property of a part of the panel; the same value is not sent again."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
+
+
+def _within(value: float, low: float, high: float) -> float:
+    return round(min(max(value, low), high), 3)
+
+
+def _plain(text: str) -> str:
+    """Return a text with nothing in it that Markdown takes for more than text."""
+    return "".join(f"\\{sign}" if sign in "\\`*_{}[]()<>#+-.!|~" else sign for sign in text)

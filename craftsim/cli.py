@@ -27,6 +27,7 @@ COMMANDS: Final[dict[str, str]] = {
     "audit": "Try in physics what the rules allow, and what they forbid.",
     "clearance": "Compare what each action sweeps with what the rules forbid.",
     "replay": "Re-run a recorded failure bit for bit, and compare the two.",
+    "view": "Watch a recorded run or a running one in the browser.",
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",
     "bench": "Measure how fast rules, environments and workers are.",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,12 @@ from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
-from craftsim.envs.pictures import Pictures
+from craftsim.envs.pictures import Pictures, has_display
+from craftsim.rendering.viewer.extra import has_viser
 from craftsim.skills.executor import Observer
+
+if TYPE_CHECKING:
+    from craftsim.rendering.viewer.live import LiveView
 
 
 class PhysicsBackend:
@@ -51,6 +55,7 @@ class PhysicsBackend:
         self._planner = None if helper_depth is None else Planner(Rules(setup.rules), helper_depth)
         self._start: Grid | None = None
         self._pictures = pictures or Pictures()
+        self._view: LiveView | None = None
         self.checked: CheckedSite
         self.recipe: Recipe
         """How the episode starts, and all its ticks so far: it is re-run bit for bit from this."""
@@ -68,6 +73,8 @@ class PhysicsBackend:
         self.recipe = Recipe(blueprint_text(grid), (), self.setup, seed, self.goals)
         self.ticks = []
         self._pictures.begin(self.checked.site)
+        if self._view is not None:
+            self._show_in(self._view)
         return self.checked.grid
 
     def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
@@ -113,12 +120,34 @@ class PhysicsBackend:
         return self._pictures.taken()
 
     def show(self, grid: Grid, goal: Cell | None) -> None:
-        """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
-        self._pictures.show()
+        """Show the world to people, who follow the simulation from now on: in MuJoCo's viewer, or without a display in
+        the browser. Raises InputError where neither works."""
+        if has_display() or not has_viser():
+            self._pictures.show()
+        elif self._view is None:
+            from craftsim.rendering.viewer.live import LiveView
+
+            view = LiveView.anywhere()
+            print(f"Watch at {view.address}", flush=True)
+            self.follow(view)
+
+    def follow(self, view: LiveView) -> None:
+        """Show this episode, if one has begun, and all later ones in the browser."""
+        self._view = view
+        if self._start is not None:
+            self._show_in(view)
+
+    def _show_in(self, view: LiveView) -> None:
+        view.follow(
+            self.checked, "", self.goals, lambda: [attempt for tick in self.ticks for attempt in tick]
+        )
 
     def close(self) -> None:
-        """Close the viewer and the renderer."""
+        """Close viewers and the renderer."""
         self._pictures.close()
+        if self._view is not None:
+            self._view.close()
+            self._view = None
 
 
 def _info(attempt: Attempt) -> dict[str, Any]:

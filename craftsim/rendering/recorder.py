@@ -13,7 +13,7 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe
 from craftsim.discrete.files.design import Design
 from craftsim.models.site import Site
-from craftsim.rendering.trajectory import SCHEMA_VERSION, Story, GoalCell, Trajectory, motors_of, poses_of
+from craftsim.rendering.trajectory import SCHEMA_VERSION, GoalCell, Story, Trajectory, motors_of, poses_of
 from craftsim.report import versions
 
 _Samples = list[NDArray[np.float64]]

@@ -1,10 +1,15 @@
-"""The library that only the viewer needs."""
+"""The library that only the viewer needs, and where the viewer listens unless told otherwise."""
 
 from __future__ import annotations
 
 from importlib.util import find_spec
+from typing import Final
 
 from craftsim.errors import InputError
+
+LOOPBACK: Final = "127.0.0.1"
+"""The address that only this machine reaches."""
+PORT: Final = 8080
 
 
 def has_viser() -> bool:

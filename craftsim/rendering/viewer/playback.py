@@ -1,12 +1,10 @@
-"""Where the playing of a recorded run stands: at which moment, whether it goes on, and how fast."""
+"""Where the playing of a recorded run stands: at which moment, and whether it goes on."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
-
-from craftsim.rendering.trajectory import Trajectory
 
 _SAME_S = 1e-6
 
@@ -22,20 +20,12 @@ class Playback:
     time_s: float
     """Of the moment that is shown."""
     playing: bool = False
-    speed: float = 1.0
-    """Simulated seconds in a second."""
 
     @classmethod
     def between(cls, start_s: float, end_s: float, begins: Iterable[float] = ()) -> Self:
         """Return a playback that stands at its start; ``begins`` are the times at which actions begin."""
         inside = {begin for begin in begins if start_s <= begin < end_s}
         return cls(start_s, end_s, (*sorted(inside), end_s), start_s)
-
-    @classmethod
-    def of(cls, trajectory: Trajectory) -> Self:
-        """Return the playback of a trajectory, at its start."""
-        begins = (attempt.start_s for attempt in trajectory.story.attempts)
-        return cls.between(float(trajectory.time[0]), float(trajectory.time[-1]), begins)
 
     def toggle(self) -> None:
         """Play, from the start if it is at its end, or pause."""
@@ -58,8 +48,8 @@ class Playback:
         earlier = (stop for stop in reversed(self.stops) if stop < self.time_s - _SAME_S)
         self.time_s = next(earlier, self.start_s)
 
-    def advance(self, wall_s: float) -> None:
-        """Let some real time pass; at its end it pauses."""
+    def advance(self, wall_s: float, speed: float) -> None:
+        """Let some real time pass, in seconds, at a speed in simulated seconds a second; at its end it pauses."""
         if self.playing:
-            self.seek(self.time_s + self.speed * wall_s)
+            self.seek(self.time_s + speed * wall_s)
             self.playing = self.time_s < self.end_s

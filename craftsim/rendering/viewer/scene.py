@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import mujoco
@@ -21,8 +22,14 @@ if TYPE_CHECKING:
 _MOVED_M: Final = 1e-5
 _TURNED: Final = 1e-4
 """Of a quaternion's part. What has moved less since it was last sent is not sent again."""
+_FURTHER: Final = 1.3
+"""How much further away than the camera: the panel takes a part of the window."""
 _LABEL_M: Final = 0.16
 """Height of a car's number above its centre."""
+
+
+def _pick(on_pick: Callable[[int], None], car: int, event: object) -> None:
+    on_pick(car)
 
 
 class Scene:
@@ -73,17 +80,18 @@ class Scene:
         # An environment map looks better, but browsers without a GPU take seconds for a frame with it.
         scene.configure_environment_map(None)
         scene.configure_default_lights(True, cast_shadow=True)
-        scene.add_light_ambient("/light", intensity=1.2)
+        for number, side in enumerate([(-2.0, -3.0, 1.5), (3.0, 1.0, 1.0), (-1.0, 3.0, 1.0)]):
+            scene.add_light_directional(f"/light/{number}", intensity=1.1, position=side)
 
     def _add_ground(self, size: Cell) -> None:
         position, half = ground_pose_and_size(size)
         extent = 2 * np.array([half[0], half[1], 0.005])
-        below = position - [0, 0, 0.006]
+        below = position - np.array([0, 0, 0.006])
         self._server.scene.add_box("/ground", (214, 216, 219), extent, position=below, cast_shadow=False)
         nx, ny, _ = size
         across = [[(x, 0, 0), (x, ny, 0)] for x in range(nx + 1)]
         along = [[(0, y, 0), (nx, y, 0)] for y in range(ny + 1)]
-        lines = np.array(across + along) * CELL_PITCH_M + [0, 0, 0.001]
+        lines = np.array(across + along) * CELL_PITCH_M + np.array([0, 0, 0.001])
         self._server.scene.add_line_segments("/grid", lines, (120, 124, 130), thickness=0.006)
         corners = [(x, -0.9, str(x)) for x in range(nx)] + [(-0.9, y, str(y)) for y in range(ny)]
         for x, y, text in corners:
@@ -98,25 +106,26 @@ class Scene:
         car_of = {int(self._model.dof_bodyid[car.base.dof]): number for number, car in enumerate(site.cars)}
         for shape in shapes_of(self._model):
             name = self._model.body(shape.body).name
-            node = self._server.scene.add_mesh_trimesh(
-                f"/machines/{name}", shape.mesh, receive_shadow=False
-            )
+            node = self._server.scene.add_mesh_trimesh(f"/machines/{name}", shape.mesh, receive_shadow=False)
             if shape.body:
                 self._nodes[shape.body] = node
             root = int(self._model.body_rootid[shape.body])
             if root not in car_of:
                 continue
             car = car_of[root]
-            node.on_click(lambda event, car=car: on_pick(car))
+            node.on_click(partial(_pick, on_pick, car))
             if shape.body == root:
                 self._server.scene.add_label(
-                    f"/machines/{name}/number", f"car {car}", position=(0, 0, _LABEL_M), anchor="bottom-center"
+                    f"/machines/{name}/number",
+                    f"car {car}",
+                    position=(0, 0, _LABEL_M),
+                    anchor="bottom-center",
                 )
 
     def _add_cells(self, design: Iterable[Cell]) -> None:
         extent = np.array([0.98 * CELL_PITCH_M, 0.98 * CELL_PITCH_M, 0.98 * LEVEL_HEIGHT_M])
         for number, cell in enumerate(design):
-            position = cell_position(*cell) + [0, 0, LEVEL_HEIGHT_M / 2]
+            position = cell_position(*cell) + np.array([0, 0, LEVEL_HEIGHT_M / 2])
             self._server.scene.add_box(
                 f"/design/{number}", (64, 168, 96), extent, position=position, opacity=0.16, cast_shadow=False
             )
@@ -130,6 +139,7 @@ class Scene:
         number = model.camera("overview").id
         position, forward = data.cam_xpos[number].copy(), -data.cam_xmat[number].reshape(3, 3)[:, 2]
         target = position + forward * (position[2] / max(-forward[2], 0.1))
+        position = target + _FURTHER * (position - target)
         camera = self._server.initial_camera
         camera.position, camera.look_at = position, target
         camera.fov = np.radians(float(model.cam_fovy[number]))

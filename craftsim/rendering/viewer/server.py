@@ -6,14 +6,11 @@ import contextlib
 import errno
 import io
 import socket
-from typing import Final
 
 from viser import ViserServer
 
 from craftsim.errors import InputError
-
-LOOPBACK: Final = "127.0.0.1"
-PORT: Final = 8080
+from craftsim.rendering.viewer.extra import LOOPBACK, PORT
 
 
 class LocalServer(ViserServer):
@@ -22,7 +19,8 @@ class LocalServer(ViserServer):
     def __init__(self, host: str = LOOPBACK, port: int = PORT) -> None:
         """Listen on an address and a port, any free one if it is 0.
 
-        Raises InputError for an address or a port that cannot be had: viser would go on to other ports, or try for ever.
+        Raises InputError for an address or a port that cannot be had, where viser would go on to other ports, or try
+        for ever.
         """
         _try(host, port)
         with contextlib.redirect_stdout(io.StringIO()):
@@ -56,12 +54,11 @@ def _try(host: str, port: int) -> None:
             pass
     except PermissionError:
         raise InputError(f"port {port} is for the system alone; try --port {PORT}") from None
-    except socket.gaierror:
-        raise InputError(f"there is no address '{host}'; try --host {LOOPBACK}") from None
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise InputError(_in_use(host, port)) from None
-        raise InputError(f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
+        why = error.strerror or error
+        raise InputError(f"cannot listen on {host}, port {port}: {why}; try --host {LOOPBACK}") from None
 
 
 def _in_use(host: str, port: int) -> str:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, cast
 
 import mujoco
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from trimesh.util import concatenate
 
 _SHOWN_GROUPS: Final = 3
 """MuJoCo's viewer and renderer show the groups of geoms below this one; the others are there to collide."""
 _BOX, _ELLIPSOID, _MESH = (
-    int(kind) for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_MESH)
+    int(kind)
+    for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_MESH)
 )
 _HINGE: Final = int(mujoco.mjtJoint.mjJNT_HINGE)
 
@@ -45,7 +47,7 @@ def shapes_of(model: mujoco.MjModel) -> list[Shape]:
             mesh.apply_transform(_transform(model.body_pos[body], model.body_quat[body]))
             body = int(model.body_parentid[body])
         meshes[body].append(mesh)
-    return [Shape(body, trimesh.util.concatenate(found)) for body, found in sorted(meshes.items())]
+    return [Shape(body, cast(trimesh.Trimesh, concatenate(found))) for body, found in sorted(meshes.items())]
 
 
 def _is_roller(model: mujoco.MjModel, body: int) -> bool:

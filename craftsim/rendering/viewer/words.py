@@ -20,7 +20,11 @@ def car_html(moment: Moment, car: int) -> str:
     """Return what is known of a car."""
     state = moment.cars[car]
     x, y, z = state.pose
-    rows = [("action", escape(state.action) or "waits"), ("pose", f"{x:z.3f}, {y:z.3f}, {z:z.3f} m")]
+    rows = [
+        ("time", f"{moment.time_s:.2f} s"),
+        ("action", escape(state.action) or "waits"),
+        ("pose", f"{x:z.3f}, {y:z.3f}, {z:z.3f} m"),
+    ]
     if state.measured is not None:
         x, y, heading = state.measured
         rows.append(("measured", f"{x:z.3f}, {y:z.3f} m, {math.degrees(heading):z.1f}°"))
@@ -67,7 +71,9 @@ def _bar(motor: Motor, name: str) -> str:
     share = min(1.0, abs(motor.force) / motor.limit) if motor.limit else 0.0
     bar = f"<span style='display:block;width:{100 * share:.0f}%;height:0.3em;background:#4dabf7'></span>"
     force = f"{motor.force:z.2f}"
-    return f"<span style='display:inline-block;width:25%' title='of {motor.limit:g}'>{name} {force}{bar}</span>"
+    return (
+        f"<span style='display:inline-block;width:25%' title='of {motor.limit:g}'>{name} {force}{bar}</span>"
+    )
 
 
 def _framed(content: str) -> str:

@@ -88,11 +88,10 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
     from craftsim.validation.runs.steps import steps_of
 
     recorder, attempts, task = Recorder(), list[Attempt](), building.task
-    cells = [target.cell for target in task.design.targets] if task.design else task.goal_cells
 
     def begin(checked: CheckedSite) -> None:
         recorder.begin(checked)
-        live.follow(checked, building.name, cells, lambda: attempts)
+        live.follow(checked, building.name, task.goal_cells, lambda: attempts)
 
     terms = Terms(0, PhysicsOptions(randomize="none").setup())
     run = Run(building.name, task, steps_of(building.plan.ticks, "ticks"), "", 0, terms)

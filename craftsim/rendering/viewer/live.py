@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
@@ -15,7 +16,8 @@ from craftsim.errors import InputError
 from craftsim.models.site import Site
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
 from craftsim.rendering.viewer.moment import live
-from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Controls, Page
+from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Controls, ViewerPage
+from craftsim.rendering.viewer.scene import MARK
 
 
 class LiveView(Controls):
@@ -45,10 +47,12 @@ class LiveView(Controls):
         need_viser()
         from craftsim.rendering.viewer.server import LocalServer
 
-        self._server = LocalServer(host, port)
-        self.address = self._server.address
+        server = LocalServer(host, port)
+        self._open = ExitStack()
+        self._open.callback(server.stop)
+        self.address = server.address
         """What to type into a browser on this machine."""
-        self.page = Page(self._server, speed)
+        self.page = ViewerPage(server, speed)
         self.page.controls = self
         self._site: Site | None = None
         self._checked: CheckedSite | None = None
@@ -71,7 +75,7 @@ class LiveView(Controls):
         self,
         checked: CheckedSite,
         title: str = "",
-        cells: Sequence[Cell] = (),
+        goals: Sequence[Cell] = (),
         attempts: Callable[[], Sequence[Attempt]] = tuple,
     ) -> None:
         """Show a judged Site from now on, with what its cars do.
@@ -79,7 +83,7 @@ class LiveView(Controls):
         Args:
             checked: the judge on the Site; it calls this view from now on.
             title: stands above the page.
-            cells: those of the building that is to be put up.
+            goals: cells to mark.
             attempts: returns those that were judged so far.
         """
         self._checked, self._attempts, self._running = checked, attempts, {}
@@ -91,7 +95,7 @@ class LiveView(Controls):
 
         checked.on_change = change
         checked.executor.observers.append(self)
-        self._begin(checked.site, title, cells)
+        self._begin(checked.site, title, goals)
         self._show(checked.site)
 
     def __call__(self, site: Site) -> None:
@@ -115,13 +119,18 @@ class LiveView(Controls):
         if ahead_s > 0:
             time.sleep(ahead_s)
 
+    @property
+    def judged(self) -> Sequence[Attempt]:
+        """The attempts of the episode so far."""
+        return self._attempts()
+
     def toggle(self) -> None:
         """Pause what runs, or let it go on."""
         self._playing = not self._playing
 
     def close(self) -> None:
-        """Close the page."""
-        self._server.stop()
+        """Close the page, unless it is closed."""
+        self._open.close()
 
     def __enter__(self) -> Self:
         return self
@@ -131,16 +140,16 @@ class LiveView(Controls):
     ) -> None:
         self.close()
 
-    def _begin(self, site: Site, title: str, cells: Sequence[Cell]) -> None:
+    def _begin(self, site: Site, title: str, goals: Sequence[Cell]) -> None:
         if site is not self._site:
             self._site = site
-            self.page.show_world(title, site, cells)
+            self.page.show_world(title, site, dict.fromkeys(goals, MARK))
             self.page.offer((), None)
         self._pace(site.time_s)
 
     def _show(self, site: Site) -> None:
-        moment = live(site, self._checked, self._running, self._attempts())
-        self.page.show(site.data.qpos, moment, self._attempts())
+        moment = live(site, self._checked, self._running, self.judged)
+        self.page.show(site.data.qpos, moment, self.judged)
         self.page.show_playing(self._playing)
 
     def _pace(self, time_s: float) -> None:

@@ -1,6 +1,6 @@
 """The page of the viewer: the scene, what plays it, and what is known of the car that is looked at.
 
-What people do in their browsers arrives in threads of the server; it waits in a queue until :meth:`Page.attend`.
+What people do in their browsers arrives in threads of the server; it waits in a queue until :meth:`ViewerPage.attend`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import queue
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,11 +18,11 @@ from craftsim.checking.attempt import Attempt
 from craftsim.discrete.grid import Cell
 from craftsim.models.site import Site
 from craftsim.rendering.viewer.moment import Moment
-from craftsim.rendering.viewer.scene import Scene
-from craftsim.rendering.viewer.words import car_html, list_html
+from craftsim.rendering.viewer.scene import BrowserScene
+from craftsim.rendering.viewer.words import car_html, list_html, title_html
 
 if TYPE_CHECKING:
-    from viser import GuiEvent, ViserServer
+    from viser import ClientHandle, GuiEvent, ViserServer
 
 FRAMES_HZ: Final = 25.0
 """How often poses are sent at most."""
@@ -62,7 +62,7 @@ class Controls:
         """Go to another run."""
 
 
-class Page:
+class ViewerPage:
     """What all browsers of a server show; all share one state."""
 
     def __init__(self, server: ViserServer, speed: str) -> None:
@@ -72,15 +72,16 @@ class Page:
         self._server, self._icons = server, {True: Icon.PLAYER_PAUSE, False: Icon.PLAYER_PLAY}
         self.controls = Controls()
         self._pending: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self.scene: Scene | None = None
+        self.scene: BrowserScene | None = None
         self.car = 0
         """The one that is looked at."""
         self._next_text_s = 0.0
         gui = server.gui
         server.scene.world_axes.visible = False
-        gui.configure_theme(control_layout="collapsible", show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
         gui.set_panel_label("craftsim")
-        self._title = gui.add_markdown("")
+        self._title = gui.add_html("")
         self.run = gui.add_dropdown("Run", ("",), visible=False)
         self.play = gui.add_button("Play", icon=Icon.PLAYER_PLAY)
         self.back = gui.add_button("Previous action", icon=Icon.PLAYER_SKIP_BACK)
@@ -105,7 +106,7 @@ class Page:
         def note(event: GuiEvent[Any]) -> None:
             # What this program sets has no client.
             if event.client is not None:
-                self._pending.put(do)
+                self.ask(do)
 
         register(note)
 
@@ -121,6 +122,10 @@ class Page:
                 _put(self.speed, "value", REAL_TIME)
             _put(self.speed, "options", tuple(name for name in SPEEDS if name != AS_IT_GOES))
 
+    def ask(self, do: Callable[[], None]) -> None:
+        """Have something done at the next :meth:`attend`; from any thread."""
+        self._pending.put(do)
+
     def attend(self) -> bool:
         """Do what people asked for since the last call; return whether there was anything."""
         asked = not self._pending.empty()
@@ -128,12 +133,10 @@ class Page:
             self._pending.get()()
         return asked
 
-    def show_world(self, title: str, site: Site, design: Sequence[Cell]) -> None:
-        """Show another world."""
-        self._title.content = f"**{_plain(title)}**"
-        self.scene = Scene(
-            self._server, site, design, lambda car: self._pending.put(lambda: self.look_at(car))
-        )
+    def show_world(self, title: str, site: Site, marks: Mapping[Cell, float]) -> None:
+        """Show another world; ``marks`` as of :class:`BrowserScene`."""
+        self._title.content = title_html(title)
+        self.scene = BrowserScene(self._server, site, marks, lambda car: self.ask(lambda: self.look_at(car)))
         self._cars.options = tuple(str(car) for car in range(len(site.cars))) or ("0",)
         self.look_at(0)
 
@@ -165,9 +168,14 @@ class Page:
         """Show words with the next moment, however short ago they were shown."""
         self._next_text_s = 0.0
 
+    @property
+    def clients(self) -> tuple[ClientHandle, ...]:
+        """The browsers that look on."""
+        return tuple(self._server.get_clients().values())
+
     def complain(self, text: str) -> None:
         """Show what is wrong to everybody."""
-        for client in self._server.get_clients().values():
+        for client in self.clients:
             client.add_notification("This cannot be shown", text, color="red")
 
 
@@ -179,8 +187,3 @@ def _put(handle: Any, name: str, value: object) -> None:
 
 def _within(value: float, low: float, high: float) -> float:
     return round(min(max(value, low), high), 3)
-
-
-def _plain(text: str) -> str:
-    """Return a text with nothing in it that Markdown takes for more than text."""
-    return "".join(f"\\{sign}" if sign in "\\`*_{}[]()<>#+-.!|~" else sign for sign in text)

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from typing import Final
 
 from craftsim.errors import InputError
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.rendering.viewer.moment import recorded
-from craftsim.rendering.viewer.page import FRAMES_HZ, SPEEDS, Controls, Page
+from craftsim.rendering.viewer.page import FRAMES_HZ, SPEEDS, Controls, ViewerPage
 from craftsim.rendering.viewer.playback import Playback
+from craftsim.rendering.viewer.scene import MARK
+
+WHOLE: Final = ("block", "fslope")
+"""What of a building fills its cell."""
 
 
 class RecordedView(Controls):
     """Plays one of some recorded runs on a page."""
 
-    def __init__(self, page: Page, runs: Mapping[str, Callable[[], Trajectory]]) -> None:
+    def __init__(self, page: ViewerPage, runs: Mapping[str, Callable[[], Trajectory]]) -> None:
         """Show the start of the first run.
 
         Args:
@@ -70,8 +75,8 @@ class RecordedView(Controls):
     def _open(self, name: str) -> None:
         trajectory = self._runs[name]()
         story, times_s = trajectory.story, (float(trajectory.time[0]), float(trajectory.time[-1]))
-        cells = [goal.cell for goal in story.design] or story.recipe.goals
-        self._page.show_world(story.title, trajectory.site, cells)
+        marks = {goal.cell: 1.0 if goal.kind in WHOLE else MARK for goal in story.design}
+        self._page.show_world(story.title, trajectory.site, marks or dict.fromkeys(story.recipe.goals, MARK))
         self._page.offer(tuple(self._runs), times_s)
         self.trajectory = trajectory
         self.playback = Playback.between(*times_s, (attempt.start_s for attempt in story.attempts))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -24,6 +24,8 @@ _TURNED: Final = 1e-4
 """Of a quaternion's part. What has moved less since it was last sent is not sent again."""
 _FURTHER: Final = 1.3
 """How much further away than the camera: the panel takes a part of the window."""
+MARK: Final = 0.02
+"""Height in levels of the mark of a cell whose content is not that of a whole cell."""
 _LABEL_M: Final = 0.16
 """Height of a car's number above its centre."""
 
@@ -32,23 +34,24 @@ def _pick(on_pick: Callable[[int], None], car: int, event: object) -> None:
     on_pick(car)
 
 
-class Scene:
+class BrowserScene:
     """The meshes of a Site in the browsers of a server; it replaces the scene before."""
 
     def __init__(
-        self, server: ViserServer, site: Site, design: Iterable[Cell], on_pick: Callable[[int], None]
+        self, server: ViserServer, site: Site, marks: Mapping[Cell, float], on_pick: Callable[[int], None]
     ) -> None:
         """Send the meshes.
 
         Args:
             server: of the page.
             site: the world; its model is looked at alone.
-            design: cells of the building that is to be put up.
+            marks: cells to mark, such as those of a building that is to be put up, and how high in levels.
             on_pick: called with the number of a car that is clicked.
         """
         self._server, self._model = server, site.model
         self._data = mujoco.MjData(self._model)
-        self._nodes: dict[int, SceneNodeHandle] = {}
+        self.nodes: dict[int, SceneNodeHandle] = {}
+        """What moves, by the number of its body."""
         self.sent = 0
         """Poses that were sent so far."""
         scene = server.scene
@@ -57,7 +60,7 @@ class Scene:
             self._light()
             self._add_ground(site.size)
             self._add_machines(site, on_pick)
-            self._add_cells(design)
+            self._add_marks(marks)
         self._look_from_overview()
 
     def show(self, qpos: NDArray[np.float64]) -> None:
@@ -65,7 +68,7 @@ class Scene:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         with self._server.atomic():
-            for body, node in self._nodes.items():
+            for body, node in self.nodes.items():
                 position, quaternion = self._data.xpos[body], self._data.xquat[body]
                 if np.abs(node.position - position).max() > _MOVED_M:
                     node.position = position
@@ -108,7 +111,7 @@ class Scene:
             name = self._model.body(shape.body).name
             node = self._server.scene.add_mesh_trimesh(f"/machines/{name}", shape.mesh, receive_shadow=False)
             if shape.body:
-                self._nodes[shape.body] = node
+                self.nodes[shape.body] = node
             root = int(self._model.body_rootid[shape.body])
             if root not in car_of:
                 continue
@@ -122,12 +125,13 @@ class Scene:
                     anchor="bottom-center",
                 )
 
-    def _add_cells(self, design: Iterable[Cell]) -> None:
-        extent = np.array([0.98 * CELL_PITCH_M, 0.98 * CELL_PITCH_M, 0.98 * LEVEL_HEIGHT_M])
-        for number, cell in enumerate(design):
-            position = cell_position(*cell) + np.array([0, 0, LEVEL_HEIGHT_M / 2])
+    def _add_marks(self, marks: Mapping[Cell, float]) -> None:
+        for number, (cell, levels) in enumerate(marks.items()):
+            height = levels * LEVEL_HEIGHT_M
+            extent = np.array([0.98 * CELL_PITCH_M, 0.98 * CELL_PITCH_M, height])
+            position = cell_position(*cell) + np.array([0, 0, 0.002 + height / 2])
             self._server.scene.add_box(
-                f"/design/{number}", (64, 168, 96), extent, position=position, opacity=0.16, cast_shadow=False
+                f"/marks/{number}", (64, 168, 96), extent, position=position, opacity=0.16, cast_shadow=False
             )
 
     def _look_from_overview(self) -> None:

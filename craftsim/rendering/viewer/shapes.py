@@ -22,7 +22,7 @@ _HINGE: Final = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
 @dataclass(frozen=True)
-class Shape:
+class BodyMesh:
     """A mesh in the frame of a body."""
 
     body: int
@@ -30,7 +30,7 @@ class Shape:
     mesh: trimesh.Trimesh
 
 
-def shapes_of(model: mujoco.MjModel) -> list[Shape]:
+def shapes_of(model: mujoco.MjModel) -> list[BodyMesh]:
     """Return what is to be seen of a model besides its ground, by body.
 
     A roller is drawn as a part of its wheel: it is round, so that its own spin does not show.
@@ -47,7 +47,9 @@ def shapes_of(model: mujoco.MjModel) -> list[Shape]:
             mesh.apply_transform(_transform(model.body_pos[body], model.body_quat[body]))
             body = int(model.body_parentid[body])
         meshes[body].append(mesh)
-    return [Shape(body, cast(trimesh.Trimesh, concatenate(found))) for body, found in sorted(meshes.items())]
+    return [
+        BodyMesh(body, cast(trimesh.Trimesh, concatenate(found))) for body, found in sorted(meshes.items())
+    ]
 
 
 def _is_roller(model: mujoco.MjModel, body: int) -> bool:

@@ -1,4 +1,4 @@
-"""A moment of a run as HTML: the state of a car, and the list of what was tried."""
+"""A run as HTML: its title, the state of a car at a moment, and the list of what was tried."""
 
 from __future__ import annotations
 
@@ -14,6 +14,11 @@ LISTED: Final = 9
 """Actions in the list at one time."""
 _GOOD, _BAD, _QUIET = "#2b8a3e", "#c92a2a", "#868e96"
 _ROWS: Final = "<table style='width:100%;font-size:0.8em;border-spacing:0 0.15em'>"
+
+
+def title_html(title: str) -> str:
+    """Return what stands above all."""
+    return _framed(f"<b>{escape(title)}</b>")
 
 
 def car_html(moment: Moment, car: int) -> str:

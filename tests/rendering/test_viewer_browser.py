@@ -4,7 +4,6 @@ import shutil
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -49,8 +48,8 @@ def shown() -> Iterator[tuple[LiveView, RecordedView]]:
         recorded, ended = RecordedView(view.page, {"one": _run}), threading.Event()
 
         def serve() -> None:
-            while not ended.wait(0.04):
-                recorded.advance(0.04)
+            while not ended.wait(0.1):  # without a GPU it draws a few pictures a second
+                recorded.advance(0.1)
 
         thread = threading.Thread(target=serve)
         thread.start()
@@ -60,13 +59,13 @@ def shown() -> Iterator[tuple[LiveView, RecordedView]]:
 
 
 @pytest.fixture
-def page(tmp_path: Path):
+def page():
     with playwright.sync_playwright() as started:
-        context = started.chromium.launch_persistent_context(
-            tmp_path, executable_path=BROWSER, args=FLAGS, viewport={"width": 600, "height": 320}
-        )
-        yield context.new_page()
-        context.close()
+        browser = started.chromium.launch(executable_path=BROWSER, args=FLAGS)
+        opened = browser.new_page(viewport={"width": 600, "height": 320})
+        yield opened
+        opened.goto("about:blank")  # what it still has to draw would hold up the end
+        browser.close()
 
 
 def _scene(page) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def view(
-    what: Annotated[str, tyro.conf.Positional],
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")],
     host: str = LOOPBACK,
     port: Annotated[int, PORTS] = PORT,
 ) -> int:
@@ -45,18 +46,21 @@ def view(
     from craftsim.rendering.viewer.recorded import RecordedView
     from craftsim.validation.building import read_building
 
-    runs = _runs(Path(what)) if Path(what).exists() else None
-    building = None if runs is not None else read_building(what)
+    path = Path(what)
+    building = None if path.exists() else read_building(what)
+    runs = _runs(path) if building is None else {}
     with LiveView(host, port, REAL_TIME) as live:
-        say(f"Watch at {live.address} (Ctrl-C ends it)")
         try:
+            say(f"Watch at {live.address} (Ctrl-C ends it)")
             if building is not None:
-                runs = {building.name: partial(_kept, _carry_out(building, live))}
-            assert runs is not None, "there is something to watch"
-            RecordedView(live.page, runs).serve()
+                done = _carry_out(building, live)
+                runs[building.name] = lambda: done
+            shown = RecordedView(live.page, runs)
+            if building is not None:
+                live.page.ask(lambda: shown.seek(math.inf))  # where it has just ended
+            shown.serve()
         except KeyboardInterrupt:
             return 0
-    raise AssertionError("what is served goes on until somebody ends it")
 
 
 def _runs(path: Path) -> Runs:
@@ -97,7 +101,3 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
     run = Run(building.name, task, steps_of(building.plan.ticks, "ticks"), "", 0, terms)
     episode = run_episode(run, Watch(begin, attempts.extend))
     return recorder.trajectory(building.name, episode.recipe, episode.attempts, task.design)
-
-
-def _kept(trajectory: Trajectory) -> Trajectory:
-    return trajectory

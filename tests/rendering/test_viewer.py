@@ -6,14 +6,17 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import urllib.request
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
 
+import craftsim
 from craftsim import Action, Executor, Grid, LiveView, Site, Trajectory, cli, parallel_env, view
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.discrete.files.saving import blueprint_text
@@ -30,6 +33,7 @@ from craftsim.rendering.viewer.words import car_html, list_html
 
 pytest.importorskip("viser", reason="needs the extra 'view'")
 
+SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 ACTIONS = (Action.ROTATE_LEFT, Action.MOVE_RIGHT)
 
 
@@ -204,6 +208,17 @@ def test_playing_moves_the_scene(run: Trajectory, opened: LiveView):
     assert opened.page.play.label == "Pause"
 
 
+def test_another_run_can_be_chosen_whenever_it_was(run: Trajectory, opened: LiveView):
+    later = replace(run, time=run.time + 1000)
+    moment = replace(later, **{name: getattr(later, name)[:1] for name in SAMPLED})
+    runs = {"one": lambda: run, "later": lambda: later, "a moment": lambda: moment}
+    shown = RecordedView(opened.page, runs)
+    for name, chosen in (("later", later), ("a moment", moment), ("one", run)):
+        shown.choose(name)
+        assert shown.trajectory is chosen
+        assert opened.page.slider.value == pytest.approx(chosen.time[0])
+
+
 def test_a_run_that_cannot_be_read_leaves_the_one_before(run: Trajectory, opened: LiveView, tmp_path: Path):
     runs = {"one": lambda: run, "two": lambda: Trajectory.read(tmp_path / "no.npz")}
     shown = RecordedView(opened.page, runs)
@@ -226,12 +241,37 @@ def test_looking_on_changes_nothing(opened: LiveView):
 
 def test_an_environment_shows_its_episodes_and_what_was_judged():
     env = parallel_env("strip")
-    with view(env, port=0) as page:
+    with view(env, port=0) as shown:
         _, infos = env.reset(seed=0)
-        assert page.page.scene is not None
+        assert shown.page.scene is not None
         env.step({agent: int(infos[agent]["action_mask"].argmax()) for agent in env.agents})
-        assert len(page.judged) == 2
-        assert {attempt.car for attempt in page.judged} == {0, 1}
+        assert {attempt.car for attempt in shown.judged} == {0, 1}
+        env.reset(seed=1)
+        assert len(shown.judged) == 0
+
+
+def test_each_form_of_the_environment_can_be_viewed():
+    for env in (craftsim.env("strip"), gymnasium.make("craftsim/Strip-v0", backend="physics")):
+        with view(env, port=0) as shown:
+            env.reset(seed=0)
+            assert shown.page.scene is not None
+
+
+def test_a_pause_holds_what_runs_until_somebody_lets_it_go_on(opened: LiveView):
+    site = Site(Grid.empty((2, 1, 1), n_cars=1))
+    opened.page.ask(opened.toggle)
+    thread = threading.Thread(target=opened, args=(site,))
+    thread.start()
+    thread.join(0.5)
+    assert thread.is_alive()
+    opened.page.ask(opened.toggle)
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_a_speed_that_there_is_not_is_an_error():
+    with pytest.raises(InputError, match="there is no speed '3 x'"):
+        LiveView(port=0, speed="3 x")
 
 
 def test_an_environment_on_the_grid_is_refused():

@@ -12,7 +12,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.discrete.grid import Cell
 from craftsim.discrete.schedule import ScheduledAction
-from craftsim.errors import InputError
+from craftsim.errors import InputError, suggestion
 from craftsim.models.site import Site
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
 from craftsim.rendering.viewer.moment import live
@@ -42,9 +42,14 @@ class LiveView(Controls):
             port: of that address; 0 takes one that is free.
             speed: the page's choice of the speed at first: ``as it goes``, ``1 x`` and so on.
 
-        Raises InputError where viser is missing, and for an address or a port that cannot be had.
+        Raises InputError where viser is missing, for a speed that there is not, and for an address or a port that
+        cannot be had.
         """
         need_viser()
+        if speed not in SPEEDS:
+            raise InputError(
+                f"there is no speed '{speed}'{suggestion(speed, SPEEDS)}; there are {', '.join(SPEEDS)}"
+            )
         from craftsim.rendering.viewer.server import LocalServer
 
         server = LocalServer(host, port)

@@ -117,7 +117,8 @@ class ViewerPage:
         for part in (self.back, self.forward, self.slider):
             part.visible = times_s is not None
         if times_s is not None:
-            self.slider.min, self.slider.max = times_s
+            first_s, last_s = times_s
+            self.slider.min, self.slider.max = first_s, max(last_s, first_s + self.slider.step)
             if self.speed.value == AS_IT_GOES:
                 _put(self.speed, "value", REAL_TIME)
             _put(self.speed, "options", tuple(name for name in SPEEDS if name != AS_IT_GOES))

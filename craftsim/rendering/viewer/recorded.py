@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Final
+from typing import Final, NoReturn
 
 from craftsim.errors import InputError
 from craftsim.rendering.trajectory import Trajectory
@@ -33,7 +33,7 @@ class RecordedView(Controls):
         self._open(next(iter(runs)))
         page.controls = self
 
-    def serve(self) -> None:
+    def serve(self) -> NoReturn:
         """Play and obey until interrupted."""
         then = time.monotonic()
         while True:

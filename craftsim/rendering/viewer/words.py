@@ -75,10 +75,8 @@ def _bar(motor: Motor, name: str) -> str:
     """Return what a motor gives, over a bar that is full at its limit."""
     share = min(1.0, abs(motor.force) / motor.limit) if motor.limit else 0.0
     bar = f"<span style='display:block;width:{100 * share:.0f}%;height:0.3em;background:#4dabf7'></span>"
-    force = f"{motor.force:z.2f}"
-    return (
-        f"<span style='display:inline-block;width:25%' title='of {motor.limit:g}'>{name} {force}{bar}</span>"
-    )
+    style = "display:inline-block;width:24%;margin-right:1%;font-size:0.9em"
+    return f"<span style='{style}' title='of {motor.limit:g}'>{name} {motor.force:z.2f}{bar}</span>"
 
 
 def _framed(content: str) -> str:

@@ -1,13 +1,8 @@
-"""The viewer in the browser, without a browser: what is served, what is shown, and what its buttons do."""
+"""The viewer in the browser, without a browser: what is shown, and what its buttons do."""
 
 import math
 import re
-import signal
-import socket
-import subprocess
-import sys
 import threading
-import urllib.request
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,15 +12,12 @@ import numpy as np
 import pytest
 
 import craftsim
-from craftsim import Action, Executor, Grid, LiveView, Site, Trajectory, cli, parallel_env, view
+from craftsim import Action, Executor, Grid, LiveView, Site, Trajectory, parallel_env, view
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.discrete.files.saving import blueprint_text
-from craftsim.discrete.grid import Kind
 from craftsim.errors import InputError
 from craftsim.rendering.recorder import Recorder
-from craftsim.rendering.viewer import extra
 from craftsim.rendering.viewer.moment import live, recorded
-from craftsim.rendering.viewer.page import REAL_TIME
 from craftsim.rendering.viewer.playback import Playback
 from craftsim.rendering.viewer.recorded import RecordedView
 from craftsim.rendering.viewer.shapes import shapes_of
@@ -34,24 +26,6 @@ from craftsim.rendering.viewer.words import car_html, list_html
 pytest.importorskip("viser", reason="needs the extra 'view'")
 
 SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
-ACTIONS = (Action.ROTATE_LEFT, Action.MOVE_RIGHT)
-
-
-@pytest.fixture(scope="module")
-def run() -> Trajectory:
-    grid = Grid.empty((3, 2, 1), n_cars=1)
-    grid.kind[2, 0, 1] = Kind.BLOCK
-    recipe = Recipe(blueprint_text(grid), tuple(Step.single(n, 0, act) for n, act in enumerate(ACTIONS)))
-    checked, recorder = start(recipe), Recorder()
-    recorder.begin(checked)
-    attempts = [attempt for step in recipe.steps for attempt in do(checked, step)]
-    return recorder.trajectory("a <turn> and a *move*", recipe, attempts)
-
-
-@pytest.fixture
-def opened():
-    with LiveView(port=0, speed=REAL_TIME) as opened:
-        yield opened
 
 
 # What plays.
@@ -284,62 +258,6 @@ def test_the_example_of_the_page_runs(capsys):
     for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
         exec(compile(example, "docs/view.md", "exec"), {})
     assert "Watch at http://127.0.0.1:" in capsys.readouterr().out
-
-
-# The server.
-
-
-def test_it_answers_on_its_own_address_alone(opened: LiveView):
-    with urllib.request.urlopen(opened.address, timeout=10) as answer:
-        assert answer.status == 200
-        assert b"<html" in answer.read()[:2000].lower()
-    port = int(opened.address.rsplit(":", 1)[1])
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.2", port), timeout=10)
-
-
-def test_nobody_makes_it_public():
-    from craftsim.rendering.viewer.server import LocalServer
-
-    server = LocalServer(port=0)
-    assert server.request_share_url() is None
-    server.stop()
-
-
-def test_a_port_in_use_is_an_error_and_not_another_port(run: Trajectory, tmp_path: Path, capsys):
-    file = run.write(tmp_path / "run.npz")
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        assert cli.main(["view", str(file), "--port", str(port)]) == 2
-    assert f"port {port} of 127.0.0.1 is in use" in capsys.readouterr().err
-
-
-def test_an_address_that_is_not_of_this_machine_is_an_error():
-    with pytest.raises(InputError, match="cannot listen on 192"):
-        LiveView("192.0.2.1", 0)
-
-
-def test_without_viser_it_says_what_installs_it(monkeypatch: pytest.MonkeyPatch, capsys):
-    monkeypatch.setattr(extra, "find_spec", lambda name: None)
-    assert cli.main(["view", "strip"]) == 2
-    assert "pip install '.[view]'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("what", ["no-such-task", "."])
-def test_what_cannot_be_watched_is_named(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["view", what]) == 2
-    assert what in capsys.readouterr().err
-
-
-def test_ctrl_c_ends_it_well(run: Trajectory, tmp_path: Path):
-    file = run.write(tmp_path / "run.npz")
-    command = [sys.executable, "-m", "craftsim", "view", str(file), "--port", "0"]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert "Watch at http://127.0.0.1:" in child.stdout.readline()
-    child.send_signal(signal.SIGINT)
-    out, errors = child.communicate(timeout=60)
-    assert (child.returncode, out, errors) == (0, "", "")
 
 
 def test_no_contacts_are_not_a_number_to_be_shown():

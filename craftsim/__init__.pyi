@@ -18,6 +18,7 @@ from .discrete.tasks.task import make_task as make_task
 from .envs import env as env
 from .envs import parallel_env as parallel_env
 from .envs import vector_env as vector_env
+from .envs.viewing import view as view
 from .models.config import SimulationConfig as SimulationConfig
 from .models.noise import SensorNoise as SensorNoise
 from .models.parameter_files import load_machines as load_machines
@@ -30,6 +31,7 @@ from .models.sensing import Sensors as Sensors
 from .models.site import Site as Site
 from .rendering.images import take_images as take_images
 from .rendering.trajectory import Trajectory as Trajectory
+from .rendering.viewer.live import LiveView as LiveView
 from .skills.executor import Executor as Executor
 from .skills.gains import Gains as Gains
 from .skills.gains import load_gains as load_gains

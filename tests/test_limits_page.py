@@ -48,6 +48,7 @@ PHRASES = {
     "TRIAL_COUNT": "| `--trials`, and all runs of a campaign together | {} |",
     "RUNS": "all runs of a campaign together | {} |",
     "WORKERS": "| `--workers` | {} |",
+    "PORTS": "| `view --port` | {} |",
     "TIMEOUT_S": "| `--timeout` | {} s |",
     "CARS": "| `--cars`, `--blocks` | {},",
     "BLOCKS": "| `--cars`, `--blocks` | 0 to 256, {} |",

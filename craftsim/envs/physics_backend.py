@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,14 @@ from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
-from craftsim.envs.pictures import Pictures
+from craftsim.envs.pictures import Pictures, has_display
 from craftsim.envs.records import EpisodeRecords
 from craftsim.rendering.images import CameraImages
+from craftsim.rendering.viewer.extra import has_viser
 from craftsim.skills.executor import Observer
+
+if TYPE_CHECKING:
+    from craftsim.rendering.viewer.live import LiveView
 
 
 class PhysicsBackend:
@@ -57,6 +61,7 @@ class PhysicsBackend:
         self._planner = None if helper_depth is None else Planner(Rules(setup.rules), helper_depth)
         self._start: Grid | None = None
         self._pictures, self._records, self._images = pictures or Pictures(), records, images
+        self._view: LiveView | None = None
         self.checked: CheckedSite
         self._seed: Seed
         self._joints: list[list[tuple[int, Action]]]
@@ -70,13 +75,15 @@ class PhysicsBackend:
         seed = Seed.drawn(rng)
         if self._start is None or not self._start.same_visible(grid):
             self._world = compile_world(grid, self.setup, self.goals)
-            self._start = grid.copy()
+        self._start = grid.copy()
         self.checked = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
         self.checked.executor.observers += [self._pictures.watch, *self.observers]
         self._seed, self._joints, self.ticks = seed, [], []
         self._pictures.begin(self.checked.site)
         if self._records is not None:
             self._records.begin(self.checked)
+        if self._view is not None:
+            self._show_in(self._view)
         return self.checked.grid
 
     @property
@@ -134,15 +141,37 @@ class PhysicsBackend:
         return self._pictures.taken()
 
     def show(self, grid: Grid, goal: Cell | None) -> None:
-        """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
-        self._pictures.show()
+        """Show the world to people, who follow the simulation from now on: in MuJoCo's viewer, or without a display in
+        the browser. Raises InputError where neither works."""
+        if has_display() or not has_viser():
+            self._pictures.show()
+        elif self._view is None:
+            from craftsim.rendering.viewer.live import LiveView
+
+            view = LiveView.anywhere()
+            print(f"Watch at {view.address}", flush=True)
+            self.follow(view)
+
+    def follow(self, view: LiveView) -> None:
+        """Show this episode, if one has begun, and all later ones in the browser."""
+        self._view = view
+        if self._start is not None:
+            self._show_in(view)
+
+    def _show_in(self, view: LiveView) -> None:
+        view.follow(
+            self.checked, "", self.goals, lambda: [attempt for tick in self.ticks for attempt in tick]
+        )
 
     def close(self) -> None:
-        """Close the viewer and the renderers, and write what is recorded."""
+        """Close viewers and renderers, and write what is recorded."""
         self._end_record()
         if self._images is not None:
             self._images.close()
         self._pictures.close()
+        if self._view is not None:
+            self._view.close()
+            self._view = None
 
     def _end_record(self) -> None:
         if self._records is not None and self._start is not None:

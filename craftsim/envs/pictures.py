@@ -27,6 +27,11 @@ SIZE: Final = (640, 480)
 """Width and height in pixels."""
 
 
+def has_display() -> bool:
+    """Return whether windows can be opened here."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 class Pictures:
     """Looks at one Site after the other; call :meth:`watch` after every control period."""
 
@@ -77,9 +82,10 @@ class Pictures:
         """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
         assert self._site is not None, "begin() comes first"
         if self._viewer is None:
-            if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            if not has_display():
                 raise InputError(
-                    "render_mode 'human' needs a display, and there is none here; try 'rgb_array' or 'ansi'"
+                    "render_mode 'human' needs a display, or the viewer in the browser (pip install '.[view]' in a "
+                    "checkout of craftsim), and there is neither here; try 'rgb_array' or 'ansi'"
                 )
             import mujoco.viewer
 

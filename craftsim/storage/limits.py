@@ -144,6 +144,7 @@ TRIAL_COUNT: Final = Range(1, 1_000_000)
 RUNS: Final = Range(1, 1_000_000)
 """Of a campaign, all together."""
 WORKERS: Final = Range(1, 256)
+PORTS: Final = Range(0, 65_535)
 TIMEOUT_S: Final = Range(0.01, 7 * 24 * 3600)
 CARS: Final = Range(0, 256)
 BLOCKS: Final = Range(0, 131_072)

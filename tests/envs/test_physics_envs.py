@@ -1,5 +1,6 @@
 """The environments in contact physics: equal to the grid where all goes well, honest where it does not."""
 
+import urllib.request
 from contextlib import closing
 from dataclasses import replace
 
@@ -227,9 +228,14 @@ def test_gymnasium_runs_physics_in_processes():
         assert infos["duration_s"][0] == infos["duration_s"][1] > 0.5
 
 
-def test_without_a_display_the_viewer_is_refused_in_words(monkeypatch):
+@pytest.fixture
+def no_display(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
+
+
+def test_without_a_display_and_the_viewer_human_is_refused_in_words(no_display, monkeypatch):
+    monkeypatch.setattr("craftsim.envs.physics_backend.has_viser", lambda: False)
     with pytest.raises(InputError, match="needs a display"):
         parallel_env("strip", "physics", render_mode="human").reset(seed=0)
 
@@ -259,3 +265,12 @@ def test_a_folder_that_is_none_is_refused(tmp_path):
         parallel_env("strip", "physics", record=3)
     with pytest.raises(InputError, match="knows no 'record'"):
         parallel_env("strip", "grid", record=tmp_path)
+
+
+def test_without_a_display_human_is_the_viewer_in_the_browser(no_display, capsys):
+    pytest.importorskip("viser", reason="needs the extra 'view'")
+    with closing(parallel_env("strip", "physics", render_mode="human")) as env:
+        env.reset(seed=0)
+        address = capsys.readouterr().out.split()[-1]
+        with urllib.request.urlopen(address, timeout=10) as answer:
+            assert answer.status == 200

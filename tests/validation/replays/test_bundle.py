@@ -33,6 +33,7 @@ from craftsim.validation.replays.bundle import (
     write_bundle,
 )
 from craftsim.validation.replays.replay import replay
+from craftsim.validation.replays.trajectory import trajectory_of
 
 
 def _world() -> Grid:
@@ -289,3 +290,11 @@ def test_without_a_display_there_is_no_viewer(calm, tmp_path, capsys, monkeypatc
     assert _run(calm, tmp_path, "--view") == 2
     assert "--view needs a display" in capsys.readouterr().err
     assert _run(calm, tmp_path, "--view", "--video") == 2
+
+
+def test_a_bundle_as_a_trajectory_goes_from_its_state_before_to_the_one_after(noisy):
+    recorded = read_bundle(noisy)
+    trajectory = trajectory_of(recorded)
+    assert np.array_equal(trajectory.qpos[0], recorded.before["qpos"])
+    assert np.array_equal(trajectory.qpos[-1], recorded.after["qpos"])
+    assert trajectory.story.attempts == recorded.bundle.attempts

@@ -1,0 +1,1 @@
+"""The viewer in the browser: recorded runs and running ones; needs the extra ``view``."""

@@ -1,0 +1,25 @@
+"""The library that only the viewer needs, and where the viewer listens unless told otherwise."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Final
+
+from craftsim.errors import InputError
+
+LOOPBACK: Final = "127.0.0.1"
+"""The address that only this machine reaches."""
+PORT: Final = 8080
+
+
+def has_viser() -> bool:
+    """Return whether it is installed here."""
+    return find_spec("viser") is not None
+
+
+def need_viser() -> None:
+    """Raise InputError with the command that installs what is missing."""
+    if not has_viser():
+        raise InputError(
+            "the viewer needs viser, not installed here; in a checkout of craftsim try: pip install '.[view]'"
+        )

@@ -1,0 +1,163 @@
+"""Viewing what runs: an observer that shows Sites in the browser while they move."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Self
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.discrete.grid import Cell
+from craftsim.discrete.schedule import ScheduledAction
+from craftsim.errors import InputError, suggestion
+from craftsim.models.site import Site
+from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
+from craftsim.rendering.viewer.moment import live
+from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Controls, ViewerPage
+from craftsim.rendering.viewer.scene import MARK
+
+
+class LiveView(Controls):
+    """Shows a Site in the browser; an observer, to be called after every control period.
+
+    It looks, and changes nothing. People may pause what runs, and slow it down.
+
+    Example:
+        >>> import craftsim
+        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> with craftsim.LiveView(port=0) as view:
+        ...     outcome = craftsim.Executor(site, observer=view).run({0: craftsim.Action.ROTATE_LEFT})
+        >>> view.address.startswith("http://127.0.0.1:")
+        True
+    """
+
+    def __init__(self, host: str = LOOPBACK, port: int = PORT, speed: str = AS_IT_GOES) -> None:
+        """Open a page for browsers.
+
+        Args:
+            host: address to listen on; other machines reach only what is not the loopback address.
+            port: of that address; 0 takes one that is free.
+            speed: the page's choice of the speed at first: ``as it goes``, ``1 x`` and so on.
+
+        Raises InputError where viser is missing, for a speed that there is not, and for an address or a port that
+        cannot be had.
+        """
+        need_viser()
+        if speed not in SPEEDS:
+            raise InputError(
+                f"there is no speed '{speed}'{suggestion(speed, SPEEDS)}; there are {', '.join(SPEEDS)}"
+            )
+        from craftsim.rendering.viewer.server import LocalServer
+
+        server = LocalServer(host, port)
+        self._open = ExitStack()
+        self._open.callback(server.stop)
+        self.address = server.address
+        """What to type into a browser on this machine."""
+        self.page = ViewerPage(server, speed)
+        self.page.controls = self
+        self._site: Site | None = None
+        self._checked: CheckedSite | None = None
+        self._attempts: Callable[[], Sequence[Attempt]] = tuple
+        self._running: dict[int, ScheduledAction] = {}
+        self._playing = True
+        self._due_s = 0.0
+        self._pace(0.0)
+
+    @classmethod
+    def anywhere(cls) -> Self:
+        """Return a view at the usual port of this machine, or at a free one where that is in use."""
+        need_viser()
+        try:
+            return cls()
+        except InputError:
+            return cls(port=0)
+
+    def follow(
+        self,
+        checked: CheckedSite,
+        title: str = "",
+        goals: Sequence[Cell] = (),
+        attempts: Callable[[], Sequence[Attempt]] = tuple,
+    ) -> None:
+        """Show a judged Site from now on, with what its cars do.
+
+        Args:
+            checked: the judge on the Site; it calls this view from now on.
+            title: stands above the page.
+            goals: cells to mark.
+            attempts: returns those that were judged so far.
+        """
+        self._checked, self._attempts, self._running = checked, attempts, {}
+        before = checked.on_change
+
+        def change(running: dict[int, ScheduledAction]) -> None:
+            before(running)
+            self._running = running
+
+        checked.on_change = change
+        checked.executor.observers.append(self)
+        self._begin(checked.site, title, goals)
+        self._show(checked.site)
+
+    def __call__(self, site: Site) -> None:
+        """Show a Site as it is now, if it is time; wait where people want it slower, or paused."""
+        if site is not self._site:
+            self._checked, self._attempts, self._running = None, tuple, {}
+            self._begin(site, "", ())
+        speed = SPEEDS[self.page.speed.value]
+        if time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + 1 / FRAMES_HZ
+            self.page.attend()
+            self._show(site)
+        while not self._playing:
+            time.sleep(1 / FRAMES_HZ)
+            if self.page.attend():
+                self._show(site)
+            self._pace(site.time_s)
+        if speed != self._speed or site.time_s < self._from_s:
+            self._pace(site.time_s)
+        ahead_s = self._then + (site.time_s - self._from_s) / speed - time.monotonic()
+        if ahead_s > 0:
+            time.sleep(ahead_s)
+
+    @property
+    def judged(self) -> Sequence[Attempt]:
+        """The attempts of the episode so far."""
+        return self._attempts()
+
+    def toggle(self) -> None:
+        """Pause what runs, or let it go on."""
+        self._playing = not self._playing
+
+    def close(self) -> None:
+        """Close the page, unless it is closed."""
+        self._open.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _begin(self, site: Site, title: str, goals: Sequence[Cell]) -> None:
+        if site is not self._site:
+            self._site = site
+            self.page.show_world(title, site, dict.fromkeys(goals, MARK))
+            self.page.offer((), None)
+        self._pace(site.time_s)
+
+    def _show(self, site: Site) -> None:
+        moment = live(site, self._checked, self._running, self.judged)
+        self.page.show(site.data.qpos, moment, self.judged)
+        self.page.show_playing(self._playing)
+
+    def _pace(self, time_s: float) -> None:
+        """Keep to the chosen speed from this moment on."""
+        self._speed = SPEEDS[self.page.speed.value]
+        self._then, self._from_s = time.monotonic(), time_s

@@ -1,0 +1,151 @@
+"""A world of MuJoCo as a scene in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
+from craftsim.discrete.grid import Cell
+from craftsim.models.composition import ground_pose_and_size
+from craftsim.models.site import Site
+from craftsim.rendering.viewer.shapes import shapes_of
+
+if TYPE_CHECKING:
+    from viser import SceneNodeHandle, ViserServer
+
+_MOVED_M: Final = 1e-5
+_TURNED: Final = 1e-4
+"""Of a quaternion's part. What has moved less since it was last sent is not sent again."""
+_FURTHER: Final = 1.3
+"""How much further away than the camera: the panel takes a part of the window."""
+MARK: Final = 0.02
+"""Height in levels of the mark of a cell whose content is not that of a whole cell."""
+_LABEL_M: Final = 0.16
+"""Height of a car's number above its centre."""
+
+
+def _pick(on_pick: Callable[[int], None], car: int, event: object) -> None:
+    on_pick(car)
+
+
+class BrowserScene:
+    """The meshes of a Site in the browsers of a server; it replaces the scene before."""
+
+    def __init__(
+        self, server: ViserServer, site: Site, marks: Mapping[Cell, float], on_pick: Callable[[int], None]
+    ) -> None:
+        """Send the meshes.
+
+        Args:
+            server: of the page.
+            site: the world; its model is looked at alone.
+            marks: cells to mark, such as those of a building that is to be put up, and how high in levels.
+            on_pick: called with the number of a car that is clicked.
+        """
+        self._server, self._model = server, site.model
+        self._data = mujoco.MjData(self._model)
+        self.nodes: dict[int, SceneNodeHandle] = {}
+        """What moves, by the number of its body."""
+        self.sent = 0
+        """Poses that were sent so far."""
+        scene = server.scene
+        with server.atomic():
+            scene.reset()
+            self._light()
+            self._add_ground(site.size)
+            self._add_machines(site, on_pick)
+            self._add_marks(marks)
+        self._look_from_overview()
+
+    def show(self, qpos: NDArray[np.float64]) -> None:
+        """Move everything to where it is at some positions, and send what has moved since the last call."""
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        with self._server.atomic():
+            for body, node in self.nodes.items():
+                position, quaternion = self._data.xpos[body], self._data.xquat[body]
+                if np.abs(node.position - position).max() > _MOVED_M:
+                    node.position = position
+                    self.sent += 1
+                if np.abs(node.wxyz - quaternion).max() > _TURNED:
+                    node.wxyz = quaternion
+                    self.sent += 1
+
+    def _light(self) -> None:
+        scene = self._server.scene
+        scene.set_up_direction("+z")
+        # An environment map looks better, but browsers without a GPU take seconds for a frame with it.
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(True, cast_shadow=True)
+        for number, side in enumerate([(-2.0, -3.0, 1.5), (3.0, 1.0, 1.0), (-1.0, 3.0, 1.0)]):
+            scene.add_light_directional(f"/light/{number}", intensity=1.1, position=side)
+
+    def _add_ground(self, size: Cell) -> None:
+        position, half = ground_pose_and_size(size)
+        extent = 2 * np.array([half[0], half[1], 0.005])
+        below = position - np.array([0, 0, 0.006])
+        self._server.scene.add_box("/ground", (214, 216, 219), extent, position=below, cast_shadow=False)
+        nx, ny, _ = size
+        across = [[(x, 0, 0), (x, ny, 0)] for x in range(nx + 1)]
+        along = [[(0, y, 0), (nx, y, 0)] for y in range(ny + 1)]
+        lines = np.array(across + along) * CELL_PITCH_M + np.array([0, 0, 0.001])
+        self._server.scene.add_line_segments("/grid", lines, (120, 124, 130), thickness=0.006)
+        corners = [(x, -0.9, str(x)) for x in range(nx)] + [(-0.9, y, str(y)) for y in range(ny)]
+        for x, y, text in corners:
+            self._server.scene.add_label(
+                f"/edge/{'y' if x < 0 else 'x'}{text}",
+                text,
+                position=cell_position(x, y, 1),
+                anchor="center-center",
+            )
+
+    def _add_machines(self, site: Site, on_pick: Callable[[int], None]) -> None:
+        car_of = {int(self._model.dof_bodyid[car.base.dof]): number for number, car in enumerate(site.cars)}
+        for shape in shapes_of(self._model):
+            name = self._model.body(shape.body).name
+            node = self._server.scene.add_mesh_trimesh(f"/machines/{name}", shape.mesh, receive_shadow=False)
+            if shape.body:
+                self.nodes[shape.body] = node
+            root = int(self._model.body_rootid[shape.body])
+            if root not in car_of:
+                continue
+            car = car_of[root]
+            node.on_click(partial(_pick, on_pick, car))
+            if shape.body == root:
+                self._server.scene.add_label(
+                    f"/machines/{name}/number",
+                    f"car {car}",
+                    position=(0, 0, _LABEL_M),
+                    anchor="bottom-center",
+                )
+
+    def _add_marks(self, marks: Mapping[Cell, float]) -> None:
+        for number, (cell, levels) in enumerate(marks.items()):
+            height = levels * LEVEL_HEIGHT_M
+            extent = np.array([0.98 * CELL_PITCH_M, 0.98 * CELL_PITCH_M, height])
+            position = cell_position(*cell) + np.array([0, 0, 0.002 + height / 2])
+            self._server.scene.add_box(
+                f"/marks/{number}", (64, 168, 96), extent, position=position, opacity=0.16, cast_shadow=False
+            )
+
+    def _look_from_overview(self) -> None:
+        """Let browsers look from where the world's camera of that name does, at the ground before it."""
+        model, data = self._model, self._data
+        data.qpos[:] = model.qpos0
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        number = model.camera("overview").id
+        position, forward = data.cam_xpos[number].copy(), -data.cam_xmat[number].reshape(3, 3)[:, 2]
+        target = position + forward * (position[2] / max(-forward[2], 0.1))
+        position = target + _FURTHER * (position - target)
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = position, target
+        camera.fov = np.radians(float(model.cam_fovy[number]))
+        for client in self._server.get_clients().values():
+            client.camera.position, client.camera.look_at = position, target

@@ -1,0 +1,267 @@
+"""The viewer in the browser, without a browser: what is shown, and what its buttons do."""
+
+import math
+import re
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+
+import craftsim
+from craftsim import Action, Executor, Grid, LiveView, Site, Trajectory, parallel_env, view
+from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.errors import InputError
+from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.viewer.moment import live, recorded
+from craftsim.rendering.viewer.playback import Playback
+from craftsim.rendering.viewer.recorded import RecordedView
+from craftsim.rendering.viewer.shapes import shapes_of
+from craftsim.rendering.viewer.words import car_html, list_html
+
+pytest.importorskip("viser", reason="needs the extra 'view'")
+
+SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
+
+
+# What plays.
+
+
+def test_playing_goes_on_at_its_speed_and_pauses_at_the_end():
+    playback = Playback.between(1.0, 5.0)
+    playback.advance(1.0, 1.0)
+    assert playback.time_s == 1.0, "it begins paused"
+    playback.toggle()
+    playback.advance(0.5, 4.0)
+    assert (playback.time_s, playback.playing) == (3.0, True)
+    playback.advance(10.0, 1.0)
+    assert (playback.time_s, playback.playing) == (5.0, False)
+
+
+def test_playing_at_the_end_starts_over():
+    playback = Playback.between(1.0, 5.0)
+    playback.seek(99.0)
+    playback.toggle()
+    assert (playback.time_s, playback.playing) == (1.0, True)
+
+
+def test_steps_lead_from_action_to_action_and_pause():
+    playback = Playback.between(0.0, 5.0, (1.0, 3.0, 1.0, 9.0))
+    playback.toggle()
+    seen = []
+    for _ in range(4):
+        playback.step()
+        seen.append(playback.time_s)
+    assert (seen, playback.playing) == ([1.0, 3.0, 5.0, 5.0], False)
+    playback.seek(3.5)
+    for _ in range(4):
+        playback.step_back()
+        seen.append(playback.time_s)
+    assert seen[4:] == [3.0, 1.0, 0.0, 0.0]
+
+
+# What is known of a moment.
+
+
+def test_a_recorded_moment_has_the_action_the_poses_the_forces_and_the_verdict(run: Trajectory):
+    turn, move = run.story.attempts
+    sample = run.at(move.start_s + 0.3)
+    (car,) = recorded(run, sample).cars
+    assert (car.action, car.attempt) == ("MOVE_RIGHT", move)
+    assert car.pose == tuple(run.pose("car 0")[sample, :3])
+    assert car.measured == pytest.approx(run.measured[sample, 0])
+    assert [motor.force for motor in car.motors] == pytest.approx(run.force[sample, :5])
+    assert [motor.limit for motor in car.motors] == [2.5, 2.5, 2.5, 2.5, 80.0]
+    (after,) = recorded(run, len(run) - 1).cars
+    assert (after.action, after.attempt) == ("", move)
+    assert recorded(run, run.at(turn.start_s)).cars[0].attempt == turn
+
+
+def test_a_live_moment_is_what_the_recorder_writes_down():
+    recipe = Recipe(blueprint_text(Grid.empty((3, 1, 1), n_cars=1)), (Step.single(0, 0, Action.MOVE_RIGHT),))
+    checked, recorder, seen = start(recipe), Recorder(), []
+    checked.executor.observers.append(lambda site: seen.append(live(site, checked)))
+    recorder.begin(checked)
+    attempts = do(checked, recipe.steps[0])
+    whole = recorder.trajectory("", recipe, attempts)
+    now, then = seen[19], recorded(whole, 20)
+    assert (now.time_s, now.cars[0].pose) == (then.time_s, then.cars[0].pose)
+    assert now.cars[0].measured == pytest.approx(then.cars[0].measured)
+    assert [m.force for m in now.cars[0].motors] == pytest.approx([m.force for m in then.cars[0].motors])
+    assert now.contact_n == pytest.approx(then.contact_n)
+
+
+def test_words_name_the_verdict_and_cannot_be_code(run: Trajectory):
+    text = car_html(recorded(run, len(run) - 1), 0)
+    assert "last: MOVE_RIGHT" in text
+    assert "as predicted" in text
+    assert "2.5" in text
+    listed = list_html(run.story.attempts, run.story.attempts[1].start_s)
+    assert listed.index("ROTATE_LEFT") < listed.index("MOVE_RIGHT")
+    assert listed.count("font-weight:600") == 1, "what runs stands out"
+    nasty = [replace(attempt, action="<script>") for attempt in run.story.attempts]
+    assert "<script>" not in list_html(nasty, 0.0)
+
+
+def test_words_say_why_an_action_failed(run: Trajectory):
+    failed = replace(run.story.attempts[1], result="failed", reason="it fell < 3 mm")
+    text = car_html(recorded(replace(run, story=replace(run.story, attempts=(failed,))), 80), 0)
+    assert "failed" in text
+    assert "it fell &lt; 3 mm" in text
+
+
+# What is drawn.
+
+
+def test_the_meshes_are_where_mujoco_has_its_own(run: Trajectory):
+    model = run.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = run.qpos[-1]  # wheels and rollers have turned
+    mujoco.mj_kinematics(model, data)
+    boxes: dict[int, list] = {}
+    for shape in shapes_of(model):
+        turned = shape.mesh.vertices @ data.xmat[shape.body].reshape(3, 3).T + data.xpos[shape.body]
+        boxes.setdefault(int(model.body_rootid[shape.body]), []).append(turned)
+    expected: dict[int, list] = {}
+    for geom in np.flatnonzero((model.geom_group < 3) & (model.geom_bodyid > 0)):
+        half, centre = model.geom_aabb[geom, 3:], model.geom_aabb[geom, :3]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            first = model.mesh_vertadr[model.geom_dataid[geom]]
+            points = model.mesh_vert[first : first + model.mesh_vertnum[model.geom_dataid[geom]]]
+        else:
+            points = centre + half * np.vstack([np.eye(3), -np.eye(3)])
+        turned = points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        expected.setdefault(int(model.body_rootid[model.geom_bodyid[geom]]), []).append(turned)
+    assert set(boxes) == set(expected)
+    for root, points in expected.items():
+        drawn, whole = np.vstack(boxes[root]), np.vstack(points)
+        assert drawn.min(axis=0) == pytest.approx(whole.min(axis=0), abs=2e-3)
+        assert drawn.max(axis=0) == pytest.approx(whole.max(axis=0), abs=2e-3)
+
+
+def test_a_roller_is_a_part_of_its_wheel(run: Trajectory):
+    names = {run.model.body(shape.body).name.split("/")[-1] for shape in shapes_of(run.model)}
+    assert names == {"smartcar", "board", "block", *(f"wheel_{wheel}" for wheel in ("fl", "fr", "rl", "rr"))}
+
+
+# The page.
+
+
+def test_only_what_has_moved_is_sent(run: Trajectory, opened: LiveView):
+    RecordedView(opened.page, {"one": lambda: run})
+    scene = opened.page.scene
+    scene.show(run.qpos[0])
+    before = scene.sent
+    scene.show(run.qpos[0])
+    assert scene.sent == before
+    scene.show(run.qpos[-1])
+    assert 0 < scene.sent - before <= 2 * 6, "the car's parts; the block has stayed"
+
+
+def test_a_step_shows_where_the_next_action_begins(run: Trajectory, opened: LiveView):
+    shown = RecordedView(opened.page, {"one": lambda: run})
+    opened.page.ask(shown.step)
+    shown.advance(0.0)
+    begin_s = run.story.attempts[1].start_s
+    assert opened.page.slider.value == pytest.approx(begin_s, abs=0.021)
+    car = next(n for n in opened.page.scene.nodes.values() if n.name.endswith("/smartcar"))
+    assert car.position == pytest.approx(run.pose("car 0")[run.at(begin_s), :3], abs=2e-5)
+
+
+def test_playing_moves_the_scene(run: Trajectory, opened: LiveView):
+    shown = RecordedView(opened.page, {"one": lambda: run})
+    opened.page.ask(shown.toggle)
+    before = opened.page.scene.sent
+    for _ in range(5):
+        shown.advance(0.2)
+    assert opened.page.scene.sent > before
+    assert opened.page.play.label == "Pause"
+
+
+def test_another_run_can_be_chosen_whenever_it_was(run: Trajectory, opened: LiveView):
+    later = replace(run, time=run.time + 1000)
+    moment = replace(later, **{name: getattr(later, name)[:1] for name in SAMPLED})
+    runs = {"one": lambda: run, "later": lambda: later, "a moment": lambda: moment}
+    shown = RecordedView(opened.page, runs)
+    for name, chosen in (("later", later), ("a moment", moment), ("one", run)):
+        shown.choose(name)
+        assert shown.trajectory is chosen
+        assert opened.page.slider.value == pytest.approx(chosen.time[0])
+
+
+def test_a_run_that_cannot_be_read_leaves_the_one_before(run: Trajectory, opened: LiveView, tmp_path: Path):
+    runs = {"one": lambda: run, "two": lambda: Trajectory.read(tmp_path / "no.npz")}
+    shown = RecordedView(opened.page, runs)
+    shown.choose("two")
+    assert shown.trajectory is run
+
+
+# What runs.
+
+
+def test_looking_on_changes_nothing(opened: LiveView):
+    ends = []
+    for observer in (None, opened):
+        site = Site(Grid.empty((2, 1, 1), n_cars=1))
+        Executor(site, observer=observer).run({0: Action.ROTATE_LEFT})
+        ends.append(site.data.qpos.copy())
+    assert np.array_equal(*ends)
+    assert opened.page.scene is not None
+
+
+def test_an_environment_shows_its_episodes_and_what_was_judged():
+    env = parallel_env("strip")
+    with view(env, port=0) as shown:
+        _, infos = env.reset(seed=0)
+        assert shown.page.scene is not None
+        env.step({agent: int(infos[agent]["action_mask"].argmax()) for agent in env.agents})
+        assert {attempt.car for attempt in shown.judged} == {0, 1}
+        env.reset(seed=1)
+        assert len(shown.judged) == 0
+
+
+def test_each_form_of_the_environment_can_be_viewed():
+    for env in (craftsim.env("strip"), gymnasium.make("craftsim/Strip-v0", backend="physics")):
+        with view(env, port=0) as shown:
+            env.reset(seed=0)
+            assert shown.page.scene is not None
+
+
+def test_a_pause_holds_what_runs_until_somebody_lets_it_go_on(opened: LiveView):
+    site = Site(Grid.empty((2, 1, 1), n_cars=1))
+    opened.page.ask(opened.toggle)
+    thread = threading.Thread(target=opened, args=(site,))
+    thread.start()
+    thread.join(0.5)
+    assert thread.is_alive()
+    opened.page.ask(opened.toggle)
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_a_speed_that_there_is_not_is_an_error():
+    with pytest.raises(InputError, match="there is no speed '3 x'"):
+        LiveView(port=0, speed="3 x")
+
+
+def test_an_environment_on_the_grid_is_refused():
+    with pytest.raises(InputError, match="backend='physics'"):
+        view(parallel_env("strip", "grid"))
+
+
+def test_the_example_of_the_page_runs(capsys):
+    text = (Path(__file__).parents[2] / "docs/view.md").read_text(encoding="utf-8")
+    for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        exec(compile(example, "docs/view.md", "exec"), {})
+    assert "Watch at http://127.0.0.1:" in capsys.readouterr().out
+
+
+def test_no_contacts_are_not_a_number_to_be_shown():
+    site = Site(Grid.empty((2, 1, 1), n_cars=1))
+    moment = live(site)
+    assert math.isnan(moment.contact_n)
+    assert "contact" not in car_html(moment, 0)

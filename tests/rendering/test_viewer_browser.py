@@ -1,0 +1,114 @@
+"""The viewer in a real browser without a window: the page opens without a network, and its buttons move the scene."""
+
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import pytest
+
+from craftsim import Action, Grid, LiveView, Trajectory
+from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import CarField
+from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.viewer.page import REAL_TIME
+from craftsim.rendering.viewer.recorded import RecordedView
+
+pytest.importorskip("viser", reason="needs the extra 'view'")
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
+FLAGS = (
+    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update"),
+    "--disable-sync",
+)
+
+pytestmark = pytest.mark.skipif(
+    BROWSER is None, reason="no Chromium; on Debian: apt-get install chromium-headless-shell"
+)
+
+
+def _run() -> Trajectory:
+    grid = Grid.empty((3, 1, 1), n_cars=2)
+    grid.cars[1, CarField.X] = 2
+    recipe = Recipe(blueprint_text(grid), (Step.single(0, 0, Action.MOVE_RIGHT),))
+    checked, recorder = start(recipe), Recorder()
+    recorder.begin(checked)
+    return recorder.trajectory("a move", recipe, do(checked, recipe.steps[0]))
+
+
+@pytest.fixture(scope="module")
+def shown() -> Iterator[tuple[LiveView, RecordedView]]:
+    with LiveView(port=0, speed=REAL_TIME) as view:
+        recorded, ended = RecordedView(view.page, {"one": _run}), threading.Event()
+
+        def serve() -> None:
+            while not ended.wait(0.1):  # without a GPU it draws a few pictures a second
+                recorded.advance(0.1)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield view, recorded
+        ended.set()
+        thread.join()
+
+
+@pytest.fixture
+def page():
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=BROWSER, args=FLAGS)
+        opened = browser.new_page(viewport={"width": 600, "height": 320})
+        yield opened
+        opened.goto("about:blank")  # what it still has to draw would hold up the end
+        browser.close()
+
+
+def _scene(page) -> np.ndarray:
+    """Return what the canvas shows, (height, width, 3), once it shows anything."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        taken = page.locator("canvas").first.screenshot(timeout=60_000)
+        picture = cv2.imdecode(np.frombuffer(taken, np.uint8), cv2.IMREAD_COLOR)
+        if picture.std() > 10:
+            return picture
+    raise AssertionError("the canvas is blank")
+
+
+def _pixel(page, view: LiveView, point: np.ndarray) -> tuple[float, float]:
+    """Return where on the page a point of the world is."""
+    from viser.transforms import SO3
+
+    (client,) = view.page.clients
+    towards = SO3(client.camera.wxyz).inverse() @ (point - client.camera.position)
+    box = page.locator("canvas").first.bounding_box()
+    scale = box["height"] / 2 / np.tan(client.camera.fov / 2)
+    x, y = scale * towards[:2] / towards[2]
+    return box["x"] + box["width"] / 2 + x, box["y"] + box["height"] / 2 + y
+
+
+def test_the_page_opens_without_a_network_and_what_people_do_is_obeyed(shown, page):
+    view, recorded = shown
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(view.address)
+    page.get_by_text("MOVE_RIGHT").first.wait_for(timeout=60_000)
+    first = _scene(page)
+    page.get_by_role("button", name="Next action").click()
+    page.get_by_text("waits").wait_for(timeout=60_000)
+    stepped = _scene(page)
+    assert (np.abs(first.astype(int) - stepped).max(axis=2) > 40).mean() > 0.002, "a step moves the car"
+    page.get_by_role("button", name="Play").click()
+    page.get_by_role("button", name="Pause").wait_for(timeout=60_000)
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play").wait_for(timeout=60_000)
+    assert recorded.trajectory.time[0] < recorded.playback.time_s < recorded.playback.end_s
+    page.mouse.click(*_pixel(page, view, recorded.trajectory.pose("car 1")[0, :3] + [0, 0, 0.08]))
+    page.get_by_text("0.806, 0.161").first.wait_for(timeout=60_000)
+    assert view.page.car == 1, "a click on a car chooses it"
+    local = (view.address, f"blob:{view.address}", "data:")
+    assert [url for url in asked if not url.startswith(local)] == []

@@ -11,7 +11,6 @@ import tyro
 
 from craftsim.commands.options import PhysicsOptions
 from craftsim.commands.text import say
-from craftsim.errors import InputError
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
 from craftsim.storage.limits import PORTS
 
@@ -65,21 +64,14 @@ def view(
 
 def _runs(path: Path) -> Runs:
     """Return the recorded runs in a file or a folder, by name."""
-    from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
+    from craftsim.rendering.recorded import trajectory_files
+    from craftsim.rendering.trajectory import Trajectory
     from craftsim.validation.replays.bundle import TEXT, read_bundle
-    from craftsim.validation.replays.trajectory import trajectory_of
+    from craftsim.validation.replays.recording import record_bundle
 
-    if not path.is_dir():
-        return {path.stem: partial(Trajectory.read, path)}
-    if (path / TEXT).exists():
-        return {path.name: partial(trajectory_of, read_bundle(path))}
-    folder = path / TRAJECTORIES if (path / TRAJECTORIES).is_dir() else path
-    files = sorted(folder.glob(f"*{SUFFIX}"))
-    if not files:
-        raise InputError(
-            f"{path}: neither trajectories nor a replay bundle; record a run, or give the folder of a bundle"
-        )
-    return {file.stem: partial(Trajectory.read, file) for file in files}
+    if (path / TEXT).is_file():
+        return {path.name: lambda: record_bundle(read_bundle(path))[1]}
+    return {file.stem: partial(Trajectory.read, file) for file in trajectory_files(path)}
 
 
 def _carry_out(building: Building, live: LiveView) -> Trajectory:
@@ -87,17 +79,14 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
     from craftsim.checking.attempt import Attempt
     from craftsim.checking.checked_site import CheckedSite
     from craftsim.checking.episode import Watch
-    from craftsim.rendering.recorder import Recorder
-    from craftsim.validation.runs.run import Run, Terms, run_episode
+    from craftsim.validation.runs.run import Run, Terms, record_episode
     from craftsim.validation.runs.steps import steps_of
 
-    recorder, attempts, task = Recorder(), list[Attempt](), building.task
+    attempts, task = list[Attempt](), building.task
 
     def begin(checked: CheckedSite) -> None:
-        recorder.begin(checked)
         live.follow(checked, building.name, task.goal_cells, lambda: attempts)
 
     terms = Terms(0, PhysicsOptions(randomize="none").setup())
-    run = Run(building.name, task, steps_of(building.plan.ticks, "ticks"), "", 0, terms)
-    episode = run_episode(run, Watch(begin, attempts.extend))
-    return recorder.trajectory(building.name, episode.recipe, episode.attempts, task.design)
+    run = Run(building.name, task, steps_of(building.plan.ticks, "concurrent"), "", 0, terms)
+    return record_episode(run, Watch(begin, attempts.extend))[1]

@@ -18,9 +18,9 @@ from craftsim.discrete.files.saving import blueprint_text
 from craftsim.errors import InputError
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.viewer.moment import live, recorded
-from craftsim.rendering.viewer.playback import Playback
 from craftsim.rendering.viewer.recorded import RecordedView
 from craftsim.rendering.viewer.shapes import shapes_of
+from craftsim.rendering.viewer.transport import Transport
 from craftsim.rendering.viewer.words import car_html, list_html
 
 pytest.importorskip("viser", reason="needs the extra 'view'")
@@ -32,7 +32,7 @@ SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 
 
 def test_playing_goes_on_at_its_speed_and_pauses_at_the_end():
-    playback = Playback.between(1.0, 5.0)
+    playback = Transport.between(1.0, 5.0)
     playback.advance(1.0, 1.0)
     assert playback.time_s == 1.0, "it begins paused"
     playback.toggle()
@@ -43,14 +43,14 @@ def test_playing_goes_on_at_its_speed_and_pauses_at_the_end():
 
 
 def test_playing_at_the_end_starts_over():
-    playback = Playback.between(1.0, 5.0)
+    playback = Transport.between(1.0, 5.0)
     playback.seek(99.0)
     playback.toggle()
     assert (playback.time_s, playback.playing) == (1.0, True)
 
 
 def test_steps_lead_from_action_to_action_and_pause():
-    playback = Playback.between(0.0, 5.0, (1.0, 3.0, 1.0, 9.0))
+    playback = Transport.between(0.0, 5.0, (1.0, 3.0, 1.0, 9.0))
     playback.toggle()
     seen = []
     for _ in range(4):

@@ -10,8 +10,8 @@ from craftsim.errors import InputError
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.rendering.viewer.moment import recorded
 from craftsim.rendering.viewer.page import FRAMES_HZ, SPEEDS, Controls, ViewerPage
-from craftsim.rendering.viewer.playback import Playback
 from craftsim.rendering.viewer.scene import MARK
+from craftsim.rendering.viewer.transport import Transport
 
 WHOLE: Final = ("block", "fslope")
 """What of a building fills its cell."""
@@ -79,7 +79,7 @@ class RecordedView(Controls):
         self._page.show_world(story.title, trajectory.site, marks or dict.fromkeys(story.recipe.goals, MARK))
         self._page.offer(tuple(self._runs), times_s)
         self.trajectory = trajectory
-        self.playback = Playback.between(*times_s, (attempt.start_s for attempt in story.attempts))
+        self.playback = Transport.between(*times_s, (attempt.start_s for attempt in story.attempts))
         self._show()
 
     def _show(self) -> None:

@@ -32,8 +32,8 @@ from craftsim.validation.replays.bundle import (
     read_bundle,
     write_bundle,
 )
+from craftsim.validation.replays.recording import record_bundle
 from craftsim.validation.replays.replay import replay
-from craftsim.validation.replays.trajectory import trajectory_of
 
 
 def _world() -> Grid:
@@ -294,7 +294,7 @@ def test_without_a_display_there_is_no_viewer(calm, tmp_path, capsys, monkeypatc
 
 def test_a_bundle_as_a_trajectory_goes_from_its_state_before_to_the_one_after(noisy):
     recorded = read_bundle(noisy)
-    trajectory = trajectory_of(recorded)
+    _, trajectory = record_bundle(recorded)
     assert np.array_equal(trajectory.qpos[0], recorded.before["qpos"])
-    assert np.array_equal(trajectory.qpos[-1], recorded.after["qpos"])
+    assert np.array_equal(trajectory.qpos[trajectory.at(recorded.bundle.end_s)], recorded.after["qpos"])
     assert trajectory.story.attempts == recorded.bundle.attempts

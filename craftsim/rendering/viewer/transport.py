@@ -10,7 +10,7 @@ _SAME_S = 1e-6
 
 
 @dataclass
-class Playback:
+class Transport:
     """Plays from a start to an end; times are simulated seconds."""
 
     start_s: float

@@ -183,11 +183,12 @@ def _step(site: Site, period: _Period) -> None:
     model.actuator_forcerange[:] = period.limits
     if period.rouse:
         model.opt.enableflags &= ~_SLEEP
+    for _ in range(n):
         mujoco.mj_step(model, data)
-        model.opt.enableflags |= _SLEEP
-        mujoco.mj_step(model, data, n - 1)
-    else:
-        mujoco.mj_step(model, data, n)
+        if site.bearings is not None:
+            site.bearings.follow(data)
+        if period.rouse:
+            model.opt.enableflags |= _SLEEP
 
 
 def _replay(env: ParallelConstruction, seed: int, periods: list[_Period]) -> float:

@@ -106,6 +106,7 @@ class RandomizedSite:
         shared by all of that start.
         """
         self.site = site
+        site.show_figures()
         self._nominal = Nominal.of(site.model)
         self._material = self._materials()
         self._is_nominal = False
@@ -114,6 +115,7 @@ class RandomizedSite:
 
     def restore(self) -> None:
         """Go back to the nominal physics and to the start, as a reset leaves it."""
+        self.site.show_figures()
         self._nominal.write(self.site.model)
         if not self._is_nominal:
             self._follow()
@@ -129,6 +131,7 @@ class RandomizedSite:
     def draw(self, randomization: DomainRandomization, rng: np.random.Generator) -> None:
         """Draw new physics around the nominal one and reset the Site; equal generators give equal physics."""
         model = self.site.model
+        self.site.show_figures()
         self._nominal.write(model)
         self._is_nominal = False
 

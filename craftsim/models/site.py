@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.errors import InputError
+from craftsim.models.bearings import Bearings
 from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
 from craftsim.models.extent import check_extent
@@ -115,6 +116,7 @@ class Site:
         kinds = tuple(placed.kind for placed in self._placements)
         parts = compiled_parts(kinds, len(goals), self.config, machines)
         self.model, self.data = parts.placed(self.size, self._placements, goals)
+        self.bearings = Bearings(self.model) if machines.drive == "rollers" else None
         self._grip: Grip | None = None
         if machines.drive == "reduced":
             for car in parts.cars:
@@ -133,8 +135,7 @@ class Site:
 
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
-        if self._grip is not None:
-            self._grip.begin()
+        self.show_figures()
         mujoco.mj_resetData(self.model, self.data)
         self._set_policies(self._policies)
         joints: dict[str, list[float]] = {"smartcar": [], "slope": []}
@@ -148,16 +149,29 @@ class Site:
         mujoco.mj_forward(self.model, self.data)
         self.overlaps = tuple(overlaps(self.machine_names, self.data))
         self.capped_steps = 0
+        self._follow()
         self._step(round(self.config.settle_s / self.config.timestep_s))
 
     @cached_property
     def _spare(self) -> mujoco.MjData:
         return mujoco.MjData(self.model)
 
+    def show_figures(self) -> None:
+        """Put figures into the model that its drive changes while it runs: motors' limits, the rollers' friction."""
+        if self._grip is not None:
+            self._grip.begin()
+        if self.bearings is not None:
+            self.bearings.show()
+
     def take_figures(self) -> None:
-        """Take over what somebody has changed in the model, such as motors' limits, before a reset."""
+        """Take over what somebody has changed in the model, such as motors' limits, before a reset.
+
+        The rollers' friction counts if it was changed since it was shown (:meth:`show_figures`).
+        """
         if self._grip is not None:
             self._grip = Grip(self.model, self.cars)
+        if self.bearings is not None:
+            self.bearings.take()
 
     @property
     def diverged(self) -> bool:
@@ -200,9 +214,14 @@ class Site:
         iterations = data.solver_niter
         for _ in range(count):
             mujoco.mj_step(model, data)
+            self._follow()
             self.capped_steps += reaches(iterations, cap)
             if observe is not None:
                 observe()
+
+    def _follow(self) -> None:
+        if self.bearings is not None:
+            self.bearings.follow(self.data)
 
     def save(self) -> SiteState:
         """Return a copy of the full state: restoring it and going on gives the same numbers, bit for bit."""
@@ -218,6 +237,7 @@ class Site:
                 "this state was saved by a Site with other parts; restore it on one of an equal grid"
             )
         mujoco.mj_copyData(self.data, self.model, state.data)
+        self._follow()
         self.capped_steps = state.capped_steps
         self._set_policies(state.policies)
 

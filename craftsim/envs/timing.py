@@ -185,8 +185,7 @@ def _step(site: Site, period: _Period) -> None:
         model.opt.enableflags &= ~_SLEEP
     for _ in range(n):
         mujoco.mj_step(model, data)
-        if site.bearings is not None:
-            site.bearings.follow(data)
+        site.follow()
         if period.rouse:
             model.opt.enableflags |= _SLEEP
 

@@ -63,9 +63,12 @@ class Nominal:
     gravity: NDArray[np.float64]
 
     @classmethod
-    def of(cls, model: mujoco.MjModel) -> Nominal:
-        """Return copies of a model's figures."""
-        return cls(**{name: array.copy() for name, array in cls._arrays(model).items()})
+    def of(cls, site: Site) -> Nominal:
+        """Return copies of the figures of a Site."""
+        site.show_figures()
+        found = cls(**{name: array.copy() for name, array in cls._arrays(site.model).items()})
+        site.follow()
+        return found
 
     def write(self, model: mujoco.MjModel) -> None:
         """Put the figures back into a model."""
@@ -106,8 +109,7 @@ class RandomizedSite:
         shared by all of that start.
         """
         self.site = site
-        site.show_figures()
-        self._nominal = Nominal.of(site.model)
+        self._nominal = Nominal.of(site)
         self._material = self._materials()
         self._is_nominal = False
         """Whether the physics is nominal, with all that follows from it; the first restore or draw sees to that."""

@@ -116,7 +116,7 @@ class Site:
         kinds = tuple(placed.kind for placed in self._placements)
         parts = compiled_parts(kinds, len(goals), self.config, machines)
         self.model, self.data = parts.placed(self.size, self._placements, goals)
-        self.bearings = Bearings(self.model) if machines.drive == "rollers" else None
+        self._bearings = Bearings(self.model) if machines.drive == "rollers" else None
         self._grip: Grip | None = None
         if machines.drive == "reduced":
             for car in parts.cars:
@@ -149,7 +149,7 @@ class Site:
         mujoco.mj_forward(self.model, self.data)
         self.overlaps = tuple(overlaps(self.machine_names, self.data))
         self.capped_steps = 0
-        self._follow()
+        self.follow()
         self._step(round(self.config.settle_s / self.config.timestep_s))
 
     @cached_property
@@ -157,11 +157,22 @@ class Site:
         return mujoco.MjData(self.model)
 
     def show_figures(self) -> None:
-        """Put figures into the model that its drive changes while it runs: motors' limits, the rollers' friction."""
+        """Put figures into the model that its drive changes while it runs: motors' limits, the rollers' friction.
+
+        A reset, :meth:`restore` or :meth:`follow` comes next.
+        """
         if self._grip is not None:
             self._grip.begin()
-        if self.bearings is not None:
-            self.bearings.show()
+        if self._bearings is not None:
+            self._bearings.show()
+
+    def follow(self) -> None:
+        """Let the rollers' friction follow the contacts of the state; motors' limits do so in :meth:`advance`.
+
+        Who steps ``model`` and ``data`` on its own calls it after each ``mj_step``.
+        """
+        if self._bearings is not None:
+            self._bearings.follow(self.data)
 
     def take_figures(self) -> None:
         """Take over what somebody has changed in the model, such as motors' limits, before a reset.
@@ -170,8 +181,8 @@ class Site:
         """
         if self._grip is not None:
             self._grip = Grip(self.model, self.cars)
-        if self.bearings is not None:
-            self.bearings.take()
+        if self._bearings is not None:
+            self._bearings.take()
 
     @property
     def diverged(self) -> bool:
@@ -214,14 +225,10 @@ class Site:
         iterations = data.solver_niter
         for _ in range(count):
             mujoco.mj_step(model, data)
-            self._follow()
+            self.follow()
             self.capped_steps += reaches(iterations, cap)
             if observe is not None:
                 observe()
-
-    def _follow(self) -> None:
-        if self.bearings is not None:
-            self.bearings.follow(self.data)
 
     def save(self) -> SiteState:
         """Return a copy of the full state: restoring it and going on gives the same numbers, bit for bit."""
@@ -237,7 +244,7 @@ class Site:
                 "this state was saved by a Site with other parts; restore it on one of an equal grid"
             )
         mujoco.mj_copyData(self.data, self.model, state.data)
-        self._follow()
+        self.follow()
         self.capped_steps = state.capped_steps
         self._set_policies(state.policies)
 

@@ -9,7 +9,7 @@ from drawn import draw
 from craftsim.discrete.grid import Kind
 from craftsim.errors import InputError
 from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
-from craftsim.models.randomization import DomainRandomization, RandomizedSite
+from craftsim.models.randomization import DomainRandomization, Nominal, RandomizedSite
 from craftsim.models.site import Site
 
 BEARING_NM = NOMINAL.cars[0].roller_bearing_friction_nm
@@ -60,6 +60,17 @@ def test_going_back_to_a_saved_state_brings_its_bearings_back():
         site.advance()
     assert (site.model.dof_frictionloss != before).any()
     site.restore(saved)
+    np.testing.assert_array_equal(site.model.dof_frictionloss, before)
+
+
+def test_the_figures_of_a_running_site_are_read_whole_and_it_goes_on_as_it_was():
+    site = two_cars()
+    site.drive(0, [8.0] * 4)
+    site.advance()
+    before = site.model.dof_frictionloss.copy()
+    read = Nominal.of(site).dof_frictionloss[list(rollers(site.model).values())]
+    assert (read == BEARING_NM).all()
+    assert (before[list(rollers(site.model).values())] == 0).any()
     np.testing.assert_array_equal(site.model.dof_frictionloss, before)
 
 

@@ -114,8 +114,8 @@ def time_physics(
 ) -> PhysicsTiming:
     """Time an episode in physics against MuJoCo's steps alone, in CPU seconds, the best of some repeats each in turns.
 
-    The commands of every control period are recorded and replayed from the same state by ``mj_step`` and nothing else,
-    which ends in the same state, bit for bit. The reset is part of neither time.
+    The commands of every control period are recorded and replayed from the same state by ``mj_step``, the rollers'
+    bearings between, and nothing else, which ends in the same state, bit for bit. The reset is part of neither time.
 
     Args:
         task: what is played; an episode is as long as it says.
@@ -183,11 +183,11 @@ def _step(site: Site, period: _Period) -> None:
     model.actuator_forcerange[:] = period.limits
     if period.rouse:
         model.opt.enableflags &= ~_SLEEP
+    for _ in range(n):
         mujoco.mj_step(model, data)
-        model.opt.enableflags |= _SLEEP
-        mujoco.mj_step(model, data, n - 1)
-    else:
-        mujoco.mj_step(model, data, n)
+        site.follow()
+        if period.rouse:
+            model.opt.enableflags |= _SLEEP
 
 
 def _replay(env: ParallelConstruction, seed: int, periods: list[_Period]) -> float:

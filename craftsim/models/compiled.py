@@ -39,6 +39,9 @@ KEPT: Final = 8
 
 _NOWHERE: Final = 10.0
 """Metres between the parts of a kept world: too far apart to touch."""
+_MOST_DAMPING: Final = 0.25
+"""Of a joint's speed in one physics step: forces that are integrated explicitly are unstable from 2 on, and physics
+that is drawn may have several times the damping for a given inertia."""
 _UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -103,6 +106,7 @@ def compiled_parts(
         model: mujoco.MjModel = spec.compile()
     except ValueError as error:
         raise InputError(f"MuJoCo makes no world of these figures: {error}") from error
+    _check_damping(model)
     roots = np.flatnonzero(model.body_parentid == 0)[1:]  # the first is the world itself
     free = np.flatnonzero(model.body_jntnum[roots])
     first = model.jnt_qposadr[model.body_jntadr[roots[free]]]
@@ -118,6 +122,18 @@ def compiled_parts(
         trees_of_motors(model),
         MachineNames.of(model),
     )
+
+
+def _check_damping(model: mujoco.MjModel) -> None:
+    """Raise InputError, naming the joint, where a step takes so much of a joint's speed that it could swing up."""
+    share = model.opt.timestep * model.dof_damping / model.dof_M0
+    if not (share <= _MOST_DAMPING).all():
+        dof = int(share.argmax())
+        raise InputError(
+            f"the joint {model.joint(model.dof_jntid[dof]).name} is damped by {model.dof_damping[dof]:g}: at most "
+            f"{model.dof_damping[dof] * _MOST_DAMPING / share[dof]:.3g} goes with its inertia in physics steps of "
+            f"{model.opt.timestep:g} s; enlarge what turns there, or take shorter steps"
+        )
 
 
 @lru_cache(maxsize=4)

@@ -63,9 +63,12 @@ class Nominal:
     gravity: NDArray[np.float64]
 
     @classmethod
-    def of(cls, model: mujoco.MjModel) -> Nominal:
-        """Return copies of a model's figures."""
-        return cls(**{name: array.copy() for name, array in cls._arrays(model).items()})
+    def of(cls, site: Site) -> Nominal:
+        """Return copies of the figures of a Site."""
+        site.show_figures()
+        found = cls(**{name: array.copy() for name, array in cls._arrays(site.model).items()})
+        site.follow()
+        return found
 
     def write(self, model: mujoco.MjModel) -> None:
         """Put the figures back into a model."""
@@ -106,7 +109,7 @@ class RandomizedSite:
         shared by all of that start.
         """
         self.site = site
-        self._nominal = Nominal.of(site.model)
+        self._nominal = Nominal.of(site)
         self._material = self._materials()
         self._is_nominal = False
         """Whether the physics is nominal, with all that follows from it; the first restore or draw sees to that."""
@@ -114,6 +117,7 @@ class RandomizedSite:
 
     def restore(self) -> None:
         """Go back to the nominal physics and to the start, as a reset leaves it."""
+        self.site.show_figures()
         self._nominal.write(self.site.model)
         if not self._is_nominal:
             self._follow()
@@ -129,6 +133,7 @@ class RandomizedSite:
     def draw(self, randomization: DomainRandomization, rng: np.random.Generator) -> None:
         """Draw new physics around the nominal one and reset the Site; equal generators give equal physics."""
         model = self.site.model
+        self.site.show_figures()
         self._nominal.write(model)
         self._is_nominal = False
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.errors import InputError
+from craftsim.models.bearings import Bearings
 from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
 from craftsim.models.extent import check_extent
@@ -115,6 +116,7 @@ class Site:
         kinds = tuple(placed.kind for placed in self._placements)
         parts = compiled_parts(kinds, len(goals), self.config, machines)
         self.model, self.data = parts.placed(self.size, self._placements, goals)
+        self._bearings = Bearings(self.model) if machines.drive == "rollers" else None
         self._grip: Grip | None = None
         if machines.drive == "reduced":
             for car in parts.cars:
@@ -134,8 +136,7 @@ class Site:
 
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
-        if self._grip is not None:
-            self._grip.begin()
+        self.show_figures()
         mujoco.mj_resetData(self.model, self.data)
         self._set_policies(self._policies)
         joints: dict[str, list[float]] = {"smartcar": [], "slope": []}
@@ -149,16 +150,40 @@ class Site:
         mujoco.mj_forward(self.model, self.data)
         self.overlaps = tuple(overlaps(self.machine_names, self.data))
         self.capped_steps = 0
+        self.follow()
         self._step(round(self.config.settle_s / self.config.timestep_s))
 
     @cached_property
     def _spare(self) -> mujoco.MjData:
         return mujoco.MjData(self.model)
 
+    def show_figures(self) -> None:
+        """Put figures into the model that its drive changes while it runs: motors' limits, the rollers' friction.
+
+        A reset, :meth:`restore` or :meth:`follow` comes next.
+        """
+        if self._grip is not None:
+            self._grip.begin()
+        if self._bearings is not None:
+            self._bearings.show()
+
+    def follow(self) -> None:
+        """Let the rollers' friction follow the contacts of the state; motors' limits do so in :meth:`advance`.
+
+        Who steps ``model`` and ``data`` on its own calls it after each ``mj_step``.
+        """
+        if self._bearings is not None:
+            self._bearings.follow(self.data)
+
     def take_figures(self) -> None:
-        """Take over what somebody has changed in the model, such as motors' limits, before a reset."""
+        """Take over what somebody has changed in the model, such as motors' limits, before a reset.
+
+        The rollers' friction counts if it was changed since it was shown (:meth:`show_figures`).
+        """
         if self._grip is not None:
             self._grip = Grip(self.model, self.data, self.cars)
+        if self._bearings is not None:
+            self._bearings.take()
 
     @property
     def diverged(self) -> bool:
@@ -201,6 +226,7 @@ class Site:
         iterations = data.solver_niter
         for _ in range(count):
             mujoco.mj_step(model, data)
+            self.follow()
             self.capped_steps += reaches(iterations, cap)
             if observe is not None:
                 observe()
@@ -219,6 +245,7 @@ class Site:
                 "this state was saved by a Site with other parts; restore it on one of an equal grid"
             )
         mujoco.mj_copyData(self.data, self.model, state.data)
+        self.follow()
         self.capped_steps = state.capped_steps
         self._set_policies(state.policies)
 

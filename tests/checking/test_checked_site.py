@@ -88,10 +88,12 @@ def test_a_bystander_that_moves_too_far_disagrees_though_the_grid_that_is_read_i
     assert attempt.reason.startswith("block 0 was moved by")
 
 
-@pytest.mark.parametrize("field", ["car_m", "heading_rad", "height_m"])
-def test_an_error_over_its_limit_disagrees_though_the_grid_that_is_read_is_the_predicted_one(field):
+@pytest.mark.parametrize(
+    ("field", "action"), [("car_m", RIGHT), ("heading_rad", Action.ROTATE_LEFT), ("height_m", RIGHT)]
+)
+def test_an_error_over_its_limit_disagrees_though_the_grid_that_is_read_is_the_predicted_one(field, action):
     checked = _checked(setup=Setup(thresholds=Thresholds(**{field: 1e-9})))
-    attempt = checked.perform(0, RIGHT)
+    attempt = checked.perform(0, action)
     assert attempt.finding == Finding.AGREES
     assert (attempt.result, attempt.agrees) == ("failed", False)
     assert "(allowed 0.0)" in attempt.reason

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.bearings import Bearings
 from craftsim.models.parts import WHEELS
 
 GRAVITY = 9.81
@@ -64,7 +65,13 @@ class LoneCar:
         self.run(0.4)
 
     def run(self, seconds: float) -> None:
-        mujoco.mj_step(self.model, self.data, round(seconds / self.model.opt.timestep))
+        """Step as a Site does; the figures in the model stay what a test has made of them."""
+        bearings = Bearings(self.model)
+        bearings.follow(self.data)
+        for _ in range(round(seconds / self.model.opt.timestep)):
+            mujoco.mj_step(self.model, self.data)
+            bearings.follow(self.data)
+        bearings.show()
 
     def drive(self, speeds: object) -> None:
         self.data.ctrl[self.motors] = speeds

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.bearings import Bearings
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site
@@ -22,9 +23,11 @@ NO_MOTORS = int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
 def energies(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> np.ndarray:
     """Return the mechanical energy in joules before and after every step."""
     mujoco.mj_forward(model, data)
+    bearings = Bearings(model)
     found = [data.energy.sum()]
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
+        bearings.follow(data)
         found.append(data.energy.sum())
     return np.array(found)
 
@@ -61,6 +64,7 @@ def test_a_dropped_crowd_never_gains_energy(drop_m, timestep_s):
     in the last second, at rest, below 1 mJ, which is 4 micrometres of height of the whole crowd's 25 kg.
     """
     site = Site(crowd(), SimulationConfig(sleep=False, settle_s=0, timestep_s=timestep_s))
+    site.show_figures()
     model, data = site.model, site.data
     model.opt.enableflags |= ENERGY
     model.opt.disableflags |= NO_MOTORS

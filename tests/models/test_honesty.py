@@ -51,7 +51,7 @@ def test_no_model_has_hidden_helpers(name):
     assert model.nexclude == 0
     assert model.ntendon == 0
     assert model.opt.gravity.tolist() == [0, 0, -9.81]
-    assert model.opt.disableflags == 0
+    assert model.opt.disableflags == int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     assert not model.opt.wind.any()
     # Motors move joints; those of the reduced drive's wheels push the car itself.
     pushing = [

@@ -32,11 +32,14 @@ def test_a_car_parked_downhill_creeps_no_more_than_uphill(ramp, yaw):
 
 
 def test_softer_friction_would_let_it_creep(ramp):
-    """At MuJoCo's impratio 10 the creep is thirty times that at 300: 0.7 mm/s. This is why 300 is the default."""
+    """At MuJoCo's impratio 10 the creep is thirty times that at 300: 0.7 mm/s. This is why 300 is the default.
+
+    It is 33 times: so slow a creep the bearings of the rollers hold back by a twentieth.
+    """
     grid = ramp(1, Kind.BLOCK)
     soft = creep_m_s(grid, friction_impedance_ratio=10)
     assert 0.5e-3 < soft < 1e-3
-    assert soft == pytest.approx(30 * creep_m_s(grid), rel=0.1)
+    assert soft == pytest.approx(33 * creep_m_s(grid), rel=0.1)
 
 
 PERCHED = (3.6089, 2.4767, 6.2331, 5.8041)

@@ -44,6 +44,7 @@ def _ratios(varied: RandomizedSite, name: str, seeds=range(12), randomization=RA
     drawn = []
     for seed in seeds:
         varied.draw(randomization, np.random.default_rng(seed))
+        varied.site.show_figures()
         drawn.append(getattr(varied.site.model, name).copy())
     return np.array(drawn)[:, nominal != 0] / nominal[nominal != 0]
 

@@ -92,7 +92,7 @@ def state_of(site: Site) -> Arrays:
 
 def physics_of(site: Site) -> Arrays:
     """Return copies of the figures of a Site that randomised physics draws."""
-    nominal = Nominal.of(site.model)
+    nominal = Nominal.of(site)
     return {field.name: getattr(nominal, field.name) for field in fields(Nominal)}
 
 

@@ -1,0 +1,123 @@
+"""Rollers in the air turn on their grease alone; to the car this is the same as dry bearings in all of them."""
+
+import mujoco
+import numpy as np
+import pytest
+from directions import DIRECTIONS, SPEED_RAD_S
+from drawn import draw
+
+from craftsim.discrete.grid import Kind
+from craftsim.errors import InputError
+from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.models.randomization import DomainRandomization, Nominal, RandomizedSite
+from craftsim.models.site import Site
+
+BEARING_NM = NOMINAL.cars[0].roller_bearing_friction_nm
+
+
+def two_cars() -> Site:
+    """Return a car that is about to drive onto a ramp, and one that stands elsewhere."""
+    slope = [(Kind.BLOCK, (3, 0, 1), 0), (Kind.BODY, (2, 0, 1), 2)]
+    return Site(draw((5, 4, 3), slope, [(0, 0, 1, 0, 0, 0, 0), (4, 3, 1, 0, 0, 0, 0)]))
+
+
+def rollers(model: mujoco.MjModel) -> dict[int, int]:
+    """Return the joint's address of each roller by its geom, found by name."""
+    geoms = [g for g in range(model.ngeom) if "/roller_" in model.geom(g).name]
+    return {geom: int(model.body_dofadr[model.geom_bodyid[geom]]) for geom in geoms}
+
+
+def test_rollers_that_touch_and_those_of_sleeping_cars_have_dry_bearings_and_no_others():
+    site = two_cars()
+    by_geom = rollers(site.model)
+    all_dofs = np.array(list(by_geom.values()))
+    assert len(all_dofs) == 80
+    site.drive(0, [8.0] * 4)
+    counts = []
+
+    def look() -> None:
+        friction = site.model.dof_frictionloss[all_dofs]
+        near = {by_geom[g] for g in site.data.contact.geom.ravel().tolist() if g in by_geom}
+        asleep = site.data.tree_asleep[site.model.dof_treeid[all_dofs]] >= 0
+        dry = np.isin(all_dofs, list(near)) | asleep
+        np.testing.assert_array_equal(friction, np.where(dry, BEARING_NM, 0.0))
+        counts.append((dry & ~asleep).sum())
+        assert asleep.sum() in (0, 40)
+
+    for _ in range(75):
+        site.advance(look)
+    assert site.data.tree_asleep[site.cars[1].base.tree] >= 0
+    assert min(counts) >= 2
+    assert 3 < np.mean(counts) < 10
+
+
+def test_going_back_to_a_saved_state_brings_its_bearings_back():
+    site = two_cars()
+    site.drive(0, [8.0] * 4)
+    saved = site.save()
+    before = site.model.dof_frictionloss.copy()
+    for _ in range(3):
+        site.advance()
+    assert (site.model.dof_frictionloss != before).any()
+    site.restore(saved)
+    np.testing.assert_array_equal(site.model.dof_frictionloss, before)
+
+
+def test_the_figures_of_a_running_site_are_read_whole_and_it_goes_on_as_it_was():
+    site = two_cars()
+    site.drive(0, [8.0] * 4)
+    site.advance()
+    before = site.model.dof_frictionloss.copy()
+    read = Nominal.of(site).dof_frictionloss[list(rollers(site.model).values())]
+    assert (read == BEARING_NM).all()
+    assert (before[list(rollers(site.model).values())] == 0).any()
+    np.testing.assert_array_equal(site.model.dof_frictionloss, before)
+
+
+def test_friction_is_drawn_around_the_nominal_one_whatever_touched_before():
+    site = two_cars()
+    site.drive(0, [8.0] * 4)
+    site.advance()
+    dofs = list(rollers(site.model).values())
+    varied = RandomizedSite(site)
+    for seed in (0, 1):
+        varied.draw(DomainRandomization(), np.random.default_rng(seed))
+        site.show_figures()
+        drawn = site.model.dof_frictionloss[dofs] / BEARING_NM
+        assert 0.5 <= drawn.min() < 0.6
+        assert 1.4 < drawn.max() <= 1.5
+    varied.restore()
+    site.show_figures()
+    assert (site.model.dof_frictionloss[dofs] == BEARING_NM).all()
+
+
+@pytest.mark.parametrize("name", ["forward", "left", "turning left"])
+def test_a_car_drives_as_with_dry_bearings_in_all_rollers(lone_car, name):
+    """2 s from rest at 10 rad/s, 0.9 m or 4 rad: within 0.2 mm and 2 mrad of where it then gets to."""
+    ends = []
+    for step in (lone_car.run, lambda s: mujoco.mj_step(lone_car.model, lone_car.data, round(s / 0.004))):
+        lone_car.rest()
+        lone_car.drive(SPEED_RAD_S * np.array(DIRECTIONS[name][0]))
+        step(2.0)
+        ends.append((lone_car.position, lone_car.heading))
+    (one, turned), (other, turned_then) = ends
+    assert np.linalg.norm(one - other) < 0.2e-3
+    assert abs(turned - turned_then) < 2e-3
+
+
+def test_a_roller_in_the_air_is_stopped_by_its_grease_and_does_nothing_to_the_car(lone_car):
+    """Time constant I / d = 1e-6 kg m^2 / 2e-5 Nms = 50 ms: of 50 rad/s, the fastest there is, 1 rad/s after 0.2 s."""
+    lone_car.rest()
+    lone_car.model.opt.gravity[:] = 0
+    lone_car.data.qpos[2] += 0.1
+    lone_car.data.qvel[:] = 0
+    lone_car.data.qvel[lone_car.rollers] = 50.0
+    lone_car.run(0.2)
+    assert 0.3 < abs(lone_car.data.qvel[lone_car.rollers]).max() < 1.0
+    assert lone_car.speed < 1e-4
+
+
+def test_damping_that_a_step_cannot_take_is_refused_by_name():
+    greasy = Machines((SmartcarParameters(roller_damping_nms_rad=1e-4),))
+    with pytest.raises(InputError, match=r"car0/roller_\w+ is damped by 0.0001: at most 6.07e-05"):
+        Site(draw((2, 1, 1), [], [(0, 0, 1, 0, 0, 0, 0)]), machines=greasy)

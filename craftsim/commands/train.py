@@ -55,6 +55,7 @@ def train(
     blocks: Annotated[int | None, BLOCKS] = None,
     starts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     episodes: Annotated[int, TRAIN_EPISODES] = 1000,
+    record: bool = False,
     resume: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
@@ -81,16 +82,20 @@ def train(
         blocks: the same for blocks.
         starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
         episodes: how many episodes the final evaluation has.
+        record: write the trajectories of the final evaluation's episodes, in physics only.
         resume: go on with the run in the output folder, begun with the same options.
         out: folder for policy.pt, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not given.
     """
     need_torch()
     from craftsim.discrete.tasks import as_task
+    from craftsim.rendering.trajectory import TRAJECTORIES
 
     if backend == "grid" and workers is not None:
         raise InputError("--workers is for physics; on the grid one process steps all worlds: leave it out")
     if backend == "grid" and drive is not None:
         raise InputError("--drive is for physics; on the grid nothing rolls: leave it out")
+    if backend == "grid" and record:
+        raise InputError("--record is for physics; on the grid nothing moves: leave it out")
     worlds = WORLDS[backend] if worlds is None else worlds
     config = TrainConfig(
         *(task, algo, seed, worlds),
@@ -125,7 +130,8 @@ def train(
         trainer.save(folder)
         asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
         asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
-        _report(trainer, folder, asked, time.perf_counter() - begun)
+        place = folder / TRAJECTORIES if record else None
+        _report(trainer, folder, asked, time.perf_counter() - begun, place)
     return 0
 
 
@@ -177,13 +183,15 @@ def _run(trainer: Trainer, console: Console, steps: int, until: float, folder: P
                 )
 
 
-def _report(trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float) -> None:
+def _report(
+    trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float, record: Path | None
+) -> None:
     from craftsim.training.curve import plot_curve, write_curve
     from craftsim.training.trainer import training_versions
     from craftsim.validation.statistics.proportions import Proportion, wilson
 
     config, curve = trainer.config, trainer.curve
-    played = trainer.evaluate(asked["episodes"])
+    played = trainer.evaluate(asked["episodes"], record=record)
     success = Proportion.of(played.successes, played.episodes)
     write_curve(folder / "curve.csv", curve)
     intervals = [wilson(point.successes, point.episodes) for point in curve]

@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -107,15 +107,15 @@ class Trainer:
                 self.wall_s += time.perf_counter() - begun
             yield evaluates
 
-    def evaluate(self, episodes: int, purpose: int = _FINAL) -> Played:
-        """Evaluate the policy as it is on fresh episodes."""
+    def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> Played:
+        """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
         net, seed = self.learner.net, self._seed(purpose)
         if isinstance(self.env, GridEnv):
             return evaluate(net, self.task, episodes, seed)
-        if not self.starts:
+        if not self.starts and record is None:
             return evaluate_in_physics(net, self.env.worlds, episodes, seed)
-        n_worlds, drive = self.config.worlds, self.config.drive
-        with closing(PhysicsVectorEnv(self.task, n_worlds, workers=self.workers, drive=drive)) as worlds:
+        options: dict[str, Any] = {"workers": self.workers, "drive": self.config.drive, "record": record}
+        with closing(PhysicsVectorEnv(self.task, self.config.worlds, **options)) as worlds:
             return evaluate_in_physics(net, worlds, episodes, seed)
 
     def close(self) -> None:

@@ -47,6 +47,11 @@ def test_a_run_in_physics_is_the_same_with_one_worker_and_with_two_and_resumes(t
             assert (played.episodes, played.mean_ticks) == (4, 2.0)
             weights.append([*(w.clone() for w in trainer.learner.net.parameters()), played.mean_return])
             trainer.save(tmp_path)
+            if workers == 1:
+                assert trainer.evaluate(4, record=tmp_path / "trajectories") == played, (
+                    "recording changes nothing"
+                )
+                assert len(list((tmp_path / "trajectories").glob("*.npz"))) == 4
     assert all(bool((a == b).all()) if torch.is_tensor(a) else a == b for a, b in zip(*weights, strict=True))
     with closing(Trainer.resume(tmp_path, task=SHORT, workers=1)) as resumed:
         assert resumed.iteration == 1
@@ -73,6 +78,6 @@ def test_where_training_runs_is_one_of_two_and_workers_and_drives_are_for_physic
         TrainConfig("strip", backend="grit")
     with pytest.raises(InputError, match="allowed: rollers, reduced"):
         TrainConfig("strip", drive="tracks")
-    for option, value in (("workers", "2"), ("drive", "rollers")):
-        assert main(["train", f"--{option}", value]) == 2
-        assert f"--{option} is for physics" in capsys.readouterr().err
+    for words in (["--workers", "2"], ["--drive", "rollers"], ["--record"]):
+        assert main(["train", *words]) == 2
+        assert f"{words[0]} is for physics" in capsys.readouterr().err

@@ -50,3 +50,13 @@ def test_what_a_million_runs_cost_is_what_was_measured():
     assert f"| {1e3 * wall['cpu_s_of_handing_out']:.1f} ms |" in PAGE
     hours = 1e6 * wall["cpu_s_a_run"] / 3600
     assert f"| {hours:.0f} h | {hours / 64:.1f} h |" in PAGE
+
+
+def test_the_table_of_films_is_that_of_its_report():
+    wall, table = _wall("render"), (SPEED / "render/render.md").read_text(encoding="utf-8")
+    for film in wall["films"]:
+        ratios = film["film_fps"] / film["bare_fps"], film["two_fps"] / film["one_fps"]
+        row = next(line for line in table.splitlines() if line.startswith(f"| {film['quality']} |"))
+        assert all(f"| {ratio:.2f} |" in row for ratio in ratios)
+    for drive, share in wall["recording"].items():
+        assert f"adds {100 * share:.1f} % to a run with {drive}" in table

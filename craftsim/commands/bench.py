@@ -119,7 +119,7 @@ def bench(
         case "render":
             from craftsim.commands.bench_render import bench_render
 
-            wall = bench_render(console, seed)
+            wall = bench_render(console, seed, out)
         case "durations":
             import yaml
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
 import numpy as np
-from rich.table import Table
+
+from craftsim.commands.bench_cells import Cells, show
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,13 +52,19 @@ class FilmTiming:
         return self.film_fps / self.bare_fps
 
     @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table."""
+        rates = (self.bare_fps, self.film_fps, self.of_bare, self.one_fps, self.two_fps, self.speedup)
+        return (self.quality, f"{self.size[0]} x {self.size[1]}", *(f"{rate:.2f}" for rate in rates))
+
+    @property
     def speedup(self) -> float:
         """Of two processes over one."""
         return self.two_fps / self.one_fps
 
 
-def bench_render(console: Console, seed: int) -> dict[str, Any]:
-    """Measure, print, and return all figures."""
+def bench_render(console: Console, seed: int, out: Path | None) -> dict[str, Any]:
+    """Measure, print, write a table for the documentation if there is a folder, and return all figures."""
     from craftsim.checking.settings import setup_of
     from craftsim.rendering.backend import choose_backend
     from craftsim.validation.runs.once import record_once
@@ -65,18 +72,14 @@ def bench_render(console: Console, seed: int) -> dict[str, Any]:
     backend = choose_backend()
     trajectory = record_once(TASK, setup_of("none", "physical", drive="reduced"), seed)
     films = [_time_film(trajectory, quality) for quality in ("draft", "paper")]
-    table = Table(title=f"Frames a second, {TASK}, {backend}", box=None, pad_edge=False)
-    for heading in ("quality", "size", "bare", "film", "of bare", "1 process", "2", "times"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for one in films:
-        size = f"{one.size[0]} x {one.size[1]}"
-        rates = (one.bare_fps, one.film_fps, one.of_bare, one.one_fps, one.two_fps, one.speedup)
-        table.add_row(one.quality, size, *(f"{rate:.2f}" for rate in rates))
-    console.print(table)
+    head = ("quality", "pixels", "bare", "film", "of bare", "one process", "two", "times")
+    table = Cells(f"Frames a second, {TASK}", head, tuple(one.cells for one in films))
     recording = {drive: _recording_cost(drive, seed) for drive in ("rollers", "reduced")}
-    for drive, share in recording.items():
-        console.print(f"Recording adds {100 * share:.1f} % to the CPU time of a run with {drive}.")
-    return {"films": films, "recording": recording, "backend": backend, "threads": os.cpu_count()}
+    lines = [
+        f"recording adds {100 * share:.1f} % to a run with {drive}" for drive, share in recording.items()
+    ]
+    show([table], lines, console, None if out is None else out / "render.md")
+    return {"films": films, "recording": recording, "backend": backend, "processors": os.cpu_count()}
 
 
 def _time_film(trajectory: Trajectory, quality: str) -> FilmTiming:

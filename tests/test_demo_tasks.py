@@ -50,7 +50,8 @@ def test_all_tasks_give_one_summary_and_one_report(tmp_path, capsys, monkeypatch
     assert list(figures["tasks"]) == sorted(names)
     assert (figures["agree"], figures["total"], figures["good"]) == (40, 40, 2)
     assert all(task["matches_goal"] for task in figures["tasks"].values())
-    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+    trajectories = [f"{name}.npz" for name in names]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [*trajectories, "report.json"]
 
 
 def test_one_failure_among_all_tasks_is_named_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
@@ -122,7 +123,8 @@ def test_each_task_has_its_own_film(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(building, "shipped_plan", lambda name: plan)
     cli.main(["demo", "--task", "all", "--out", str(tmp_path / "out")])
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json", "strip.mp4", "block.mp4"}
+    films = {f"{name}.{ending}" for name in ("strip", "block") for ending in ("mp4", "npz")}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json", *films}
     assert capsys.readouterr().out.count("Film:") == 2
 
 

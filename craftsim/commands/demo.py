@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -43,6 +46,7 @@ def demo(
         video: make a film of each task; without a rendering backend the demo goes on without.
         out: folder for report.json, the films, and the trajectories that they show.
     """
+    from craftsim.checking.episode import Watch
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
     from craftsim.commands.progress import counting
@@ -64,8 +68,8 @@ def demo(
     films: list[str] = []
     done: list[Building] = []
     for building in buildings:
-        with counting(console, building.name, building.n_actions, bool) as on_action:
-            one = building.run(setup, physics.seed, order, on_action)
+        with counting(console, building.name, building.n_actions, attrgetter("agrees")) as tell:
+            one = building.run(setup, physics.seed, order, Watch(on_attempts=partial(_tell_each, tell)))
         assert one.trajectory is not None
         one.trajectory.write(out / f"{one.name}{SUFFIX}")
         if filming:
@@ -99,3 +103,8 @@ def demo(
         demo_text.print_disagreements(one, name_task=task == "all")
     say(demo_text.conclusion(done))
     return 0 if all(one.good for one in done) else 1
+
+
+def _tell_each(tell: Callable[[Any], None], attempts: Iterable[Any]) -> None:
+    for attempt in attempts:
+        tell(attempt)

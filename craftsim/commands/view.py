@@ -79,14 +79,13 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
     from craftsim.checking.attempt import Attempt
     from craftsim.checking.checked_site import CheckedSite
     from craftsim.checking.episode import Watch
-    from craftsim.validation.runs.run import Run, Terms, record_episode
-    from craftsim.validation.runs.steps import steps_of
 
     attempts, task = list[Attempt](), building.task
 
     def begin(checked: CheckedSite) -> None:
         live.follow(checked, building.name, task.goal_cells, lambda: attempts)
 
-    terms = Terms(0, PhysicsOptions(randomize="none").setup())
-    run = Run(building.name, task, steps_of(building.plan.ticks, "concurrent"), "", 0, terms)
-    return record_episode(run, Watch(begin, attempts.extend))[1]
+    setup = PhysicsOptions(randomize="none").setup()
+    done = building.run(setup, 0, "concurrent", Watch(begin, attempts.extend))
+    assert done.trajectory is not None
+    return done.trajectory

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Episode, Watch
+from craftsim.checking.episode import UNWATCHED, Episode, Watch
 from craftsim.checking.settings import Setup
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
@@ -60,28 +59,17 @@ class Building:
         """Whether every action of the plan agrees and no goal was missed."""
         return self.n_agree == self.n_actions and self.reached is not False
 
-    def run(
-        self,
-        setup: Setup,
-        seed: int,
-        order: PlanOrder,
-        on_action: Callable[[bool], None] = lambda agrees: None,
-    ) -> Building:
+    def run(self, setup: Setup, seed: int, order: PlanOrder, watch: Watch = UNWATCHED) -> Building:
         """Carry out the plan and return the building with its episode.
 
         Args:
             setup: configuration of the physics.
             seed: decides what is drawn.
             order: how the plan is carried out.
-            on_action: called for each action that has ended: whether it agrees.
+            watch: who looks on.
         """
-
-        def count(attempts: tuple[Attempt, ...]) -> None:
-            for attempt in attempts:
-                on_action(attempt.agrees)
-
         run = Run(self.name, self.task, steps_of(self.plan.ticks, order), "", 0, Terms(seed, setup))
-        episode, trajectory = record_episode(run, Watch(on_attempts=count))
+        episode, trajectory = record_episode(run, watch)
         return replace(self, episode=episode, trajectory=trajectory)
 
     @property

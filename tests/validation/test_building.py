@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from craftsim.checking import world
+from craftsim.checking.episode import Watch
 from craftsim.checking.settings import Setup, setup_of
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind, beside
@@ -94,7 +95,7 @@ class _Built:
 
     def __init__(self, building: Building, order="sequential", setup=None, seed=0):
         worlds = []
-        self.building = building.run(setup or Setup(), seed, order, worlds.append, lambda agrees: None)
+        self.building = building.run(setup or Setup(), seed, order, Watch(worlds.append))
         self.reading = worlds[0].reading
 
 

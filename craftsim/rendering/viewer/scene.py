@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +13,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_positi
 from craftsim.discrete.grid import Cell
 from craftsim.models.composition import ground_pose_and_size
 from craftsim.models.site import Site
+from craftsim.rendering.playback import Posed
 from craftsim.rendering.viewer.shapes import shapes_of
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class BrowserScene:
             on_pick: called with the number of a car that is clicked.
         """
         self._server, self._model = server, site.model
-        self._data = mujoco.MjData(self._model)
+        self._posed = Posed(self._model)
         self.nodes: dict[int, SceneNodeHandle] = {}
         """What moves, by the number of its body."""
         self.sent = 0
@@ -65,11 +65,10 @@ class BrowserScene:
 
     def show(self, qpos: NDArray[np.float64]) -> None:
         """Move everything to where it is at some positions, and send what has moved since the last call."""
-        self._data.qpos[:] = qpos
-        mujoco.mj_kinematics(self._model, self._data)
+        data = self._posed.at(qpos)
         with self._server.atomic():
             for body, node in self.nodes.items():
-                position, quaternion = self._data.xpos[body], self._data.xquat[body]
+                position, quaternion = data.xpos[body], data.xquat[body]
                 if np.abs(node.position - position).max() > _MOVED_M:
                     node.position = position
                     self.sent += 1
@@ -136,10 +135,8 @@ class BrowserScene:
 
     def _look_from_overview(self) -> None:
         """Let browsers look from where the world's camera of that name does, at the ground before it."""
-        model, data = self._model, self._data
-        data.qpos[:] = model.qpos0
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_camlight(model, data)
+        model = self._model
+        data = self._posed.at(model.qpos0)
         number = model.camera("overview").id
         position, forward = data.cam_xpos[number].copy(), -data.cam_xmat[number].reshape(3, 3)[:, 2]
         target = position + forward * (position[2] / max(-forward[2], 0.1))

@@ -105,7 +105,8 @@ def _rows_by_flag(audit: Path) -> dict[str, list[dict[str, Any]]]:
     """Return, by the rule flag that corrects them, the rows of an audit that are unsound, with bundles."""
     figures = json.loads((audit / "report.json").read_text(encoding="utf-8"))["figures"]["audit"]
     found: dict[str, list[dict[str, Any]]] = {}
-    for row in figures["rows"]:
+    # Those first that a single flag corrects: they show that flag and no other.
+    for row in sorted(figures["rows"], key=lambda row: len(row["corrections"])):
         if row["verdict"] == "unsound" and row["bundles"]:
             for flag in row["corrections"]:
                 found.setdefault(flag, []).append(row)
@@ -164,7 +165,8 @@ def _write_index(flags: list[str]) -> None:
     text = (
         f"{MADE}# Gallery\n\n"
         "Every task of the paper, built in contact physics by the shipped plans, and every rule of CraftEnv that "
-        "physics refuses, in the smallest world in which it fails. All of it is made by `make gallery`.\n\n"
+        "`craftsim audit --quick` finds to be unsound, in the smallest world in which it fails. All of it is made "
+        "by `make gallery`.\n\n"
         f"```{{toctree}}\n:caption: Tasks\n:maxdepth: 1\n\n{tasks}\n```\n\n"
         f"```{{toctree}}\n:caption: Unsound rules\n:maxdepth: 1\n\n" + "\n".join(flags) + "\n```\n"
     )

@@ -12,6 +12,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe
 from craftsim.discrete.files.design import Design
+from craftsim.models.measuring import READING
 from craftsim.models.site import Site
 from craftsim.rendering.trajectory import (
     KINDS,
@@ -45,7 +46,7 @@ class Recorder:
         self._qpos: _Samples = []
         self._ctrl: _Samples = []
         self._force: _Samples = []
-        self._measured: _Samples = []
+        self._readings: list[bytes] = []
         self._path: _Samples = []
         self._look(checked.site)
         checked.executor.observers.append(self._look)
@@ -59,7 +60,7 @@ class Recorder:
         self._qpos.append(data.qpos.copy())
         self._ctrl.append(data.ctrl.copy())
         self._force.append(data.actuator_force.copy())
-        self._measured.append(self._executor.measured())
+        self._readings.append(self._executor.readings().tobytes())
         self._path.append(self._executor.paths())
         self._contact.append(np.nan if self._log is None else self._log.period_n)
 
@@ -86,13 +87,14 @@ class Recorder:
             () if design is None else tuple(_targets(design)),
         )
         kept = len(self._time)
+        readings = np.frombuffer(b"".join(self._readings), READING).reshape(kept, -1)
         return Trajectory(
             story,
             np.array(self._time),
             np.array(self._qpos),
             np.array(self._ctrl, np.float32).reshape(kept, len(story.motors)),
             np.array(self._force, np.float32).reshape(kept, len(story.motors)),
-            np.array(self._measured, np.float32),
+            np.stack([readings[name] for name in ("x", "y", "heading")], axis=2).astype(np.float32),
             np.array(self._path, np.float32),
             np.array(self._contact, np.float32),
         )

@@ -95,7 +95,7 @@ class Executor:
         """The cars whose skills are in Python."""
         self._look()
         for car in range(n):
-            self._park(car, self._readings())
+            self._park(car, self.readings())
 
     def run(
         self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None
@@ -116,13 +116,13 @@ class Executor:
         """The cars whose actions have not ended."""
         return frozenset(self._skills)
 
-    def measured(self) -> NDArray[np.float64]:
-        """Return the pose that each car believes to have, (n, 3): x and y in metres, and heading in radians."""
-        readings = self._readings()
-        return np.stack([readings["x"], readings["y"], readings["heading"]], axis=1)
+    def readings(self) -> Records:
+        """Return what the cars believe to measure, shape (n,) of READING; the array is used again by the next ones."""
+        return self.sensors.read() if self._localiser is None else self._localiser.readings
 
     def paths(self) -> NDArray[np.float64]:
-        """Return where on its path each car should be now, (n, 3) as :meth:`measured`; nan for those not driving."""
+        """Return where on its path each car should be now, (n, 3): x and y in metres, and heading in radians; nan
+        for those not driving."""
         poses = np.full((len(self._tasks), 3), np.nan)
         read_paths(self._tasks, poses)
         return poses
@@ -145,7 +145,7 @@ class Executor:
 
         Cars that stand on an incline are held.
         """
-        readings = self._readings()
+        readings = self.readings()
         for car in self._own:
             command = self._skills[car].step(measurement_of(readings[car]))
             self._commands[car] = (command.wheels, command.board, command.hinge)
@@ -180,7 +180,7 @@ class Executor:
             self.site.move_board(car, 0.0)
             if self._docked[car] >= 0:
                 self.site.turn_hinge(self._docked[car], 0.0)
-            self._park(car, self._readings())
+            self._park(car, self.readings())
         return stopped
 
     def _park(self, car: int, readings: Records) -> None:
@@ -195,9 +195,5 @@ class Executor:
         if self._localiser is not None:
             self._localiser.update(self.sensors.read())
 
-    def _readings(self) -> Records:
-        """Return what the cars believe to measure, shape (n,) of READING."""
-        return self.sensors.read() if self._localiser is None else self._localiser.readings
-
     def _view(self, car: int) -> CarMeasurement:
-        return measurement_of(self._readings()[car])
+        return measurement_of(self.readings()[car])

@@ -88,12 +88,12 @@ def live(
         running: the actions on their way, by car.
         attempts: those that have been judged.
     """
-    measured = None if checked is None else checked.executor.measured()
+    readings = None if checked is None else checked.executor.readings()
     log = None if checked is None else checked.log
     cars = []
     for car, machine in enumerate(site.cars):
         step = (running or {}).get(car)
-        believed = None if measured is None else _position(measured[car])
+        believed = None if readings is None else _believed(readings[car])
         cars.append(
             CarMoment(
                 "" if step is None else step.action.name,
@@ -110,6 +110,11 @@ def _last(attempts: Sequence[Attempt], car: int, time_s: float) -> Attempt | Non
     """Return a car's last attempt that has begun."""
     own = (one for one in reversed(attempts) if one.car == car and one.start_s <= time_s + _SAME_S)
     return next(own, None)
+
+
+def _believed(reading: np.void) -> tuple[float, float, float]:
+    """Return x, y and heading of a record of READING."""
+    return float(reading["x"]), float(reading["y"]), float(reading["heading"])
 
 
 def _position(numbers: NDArray[np.floating]) -> tuple[float, float, float]:

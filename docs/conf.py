@@ -24,6 +24,7 @@ autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 100
 
+html_extra_path = ["gallery/films"]
 html_theme = "furo"
 html_title = f"craftsim {version}"
 html_copy_source = False

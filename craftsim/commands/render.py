@@ -19,7 +19,7 @@ def render(
     what: tyro.conf.Positional[str],
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("out/render.mp4"),
     camera: tuple[str, ...] = ("overview",),
-    layout: Literal["side", "main"] = "side",
+    layout: Literal["side", "main", "inset"] = "side",
     quality: Literal["draft", "paper"] = "draft",
     size: Annotated[str, tyro.conf.arg(metavar="WxH")] = "1280x720",
     fps: Annotated[int, FRAME_RATE] = 30,
@@ -48,7 +48,8 @@ def render(
             contact sheet, or with --at pictures).
         camera: one or several views: overview, top, orbit, follow:CAR, closeup:CAR, a YAML file, or grid, which is what
             the rules predict.
-        layout: several views side by side, or the first one large with the others in a column.
+        layout: several views side by side; the first one large with the others in a column; or as insets in a corner of
+            the first one, where they hide none of the area.
         quality: draft, or paper with shadows, materials, coordinates and the design as a ghost.
         size: width and height of a frame in pixels.
         fps: frames a second.

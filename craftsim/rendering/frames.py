@@ -5,7 +5,9 @@ Each frame is made from the trajectory and its number alone, so that any process
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol
 
 import cv2
@@ -16,6 +18,7 @@ from craftsim.errors import InputError
 from craftsim.rendering.cameras import View, make_view
 from craftsim.rendering.captions import Captions
 from craftsim.rendering.cards import end_card, title_card
+from craftsim.rendering.inset import hidden_by
 from craftsim.rendering.layout import Layout, Tile, arrange
 from craftsim.rendering.pacing import Pace, adapted_pace, even_pace, fitted_pace
 from craftsim.rendering.panel import PAPER, Frame, Panel
@@ -92,7 +95,9 @@ class Frames:
         self.trajectory, self.look = trajectory, look
         self.pace = pace_of(trajectory, look)
         self._n_title, self._n_end = look.n_cards
-        tiles, panel = arrange(look.size, len(look.cameras), look.layout, look.captions)
+        tiles, panel = arrange(
+            look.size, len(look.cameras), look.layout, look.captions, partial(_hidden, trajectory, look)
+        )
         if any(min(tile.size) < LEAST_PIXELS for tile in tiles):
             raise InputError(f"{len(tiles)} views do not fit into {look.size[0]} x {look.size[1]} pixels")
         self._captions = Captions(trajectory, look.title)
@@ -194,6 +199,13 @@ class _Predicted:
 
     def close(self) -> None:
         """Nothing is open."""
+
+
+def _hidden(trajectory: Trajectory, look: Look, first: Tile) -> Callable[[Tile], int]:
+    """Return what gives the pixels that a tile on the first view hides; on the grid's prediction any hides some."""
+    if look.cameras[0] == GRID:
+        return lambda tile: 1
+    return hidden_by(trajectory, make_view(look.cameras[0], trajectory, first.width / first.height), first)
 
 
 def pace_of(trajectory: Trajectory, look: Look) -> Pace:

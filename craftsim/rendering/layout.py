@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Layout = Literal["side", "main"]
-"""Views of the same size side by side, or the first one large and the others in a column beside it."""
+Layout = Literal["side", "main", "inset"]
+"""Views of the same size side by side; the first one large and the others in a column beside it; or small ones in a
+corner of the first one."""
 
 _PANEL: Final = 0.23
 """Share of a wide frame's width for the captions; of a tall frame's height it is a little more."""
 _COLUMN: Final = 0.34
 """Share of the width for the smaller views."""
+_INSETS: Final = (0.34, 0.28, 0.22)
+"""Shares of the first view's sides that an inset may have."""
 _GAP: Final = 4
 """Pixels between views."""
 
@@ -43,9 +47,17 @@ class Tile:
 
 
 def arrange(
-    size: tuple[int, int], n_views: int, layout: Layout, captions: bool
+    size: tuple[int, int],
+    n_views: int,
+    layout: Layout,
+    captions: bool,
+    hidden_in: Callable[[Tile], Callable[[Tile], int]] = lambda first: lambda tile: 0,
 ) -> tuple[list[Tile], Tile | None]:
-    """Return the tiles of the views and of the captions in a frame of ``size`` (width, height), without overlap."""
+    """Return the tiles of the views and of the captions in a frame of ``size`` (width, height).
+
+    They do not overlap, but for insets, which lie on the first view where they hide nothing; without such a corner they
+    are beside it. ``hidden_in`` gives, for the tile of the first view, what gives the pixels that a tile on it hides.
+    """
     width, height = size
     panel = None
     if captions and width >= height:
@@ -57,12 +69,29 @@ def arrange(
         panel = Tile(0, height - taken, width, taken)
         height -= taken
     area = Tile(0, 0, width, height)
-    if layout == "main" and n_views > 1:
+    if layout == "inset" and n_views > 1:
+        hidden = hidden_in(area)
+        for tiles in _corners(area, n_views - 1):
+            if not any(map(hidden, tiles)):
+                return [area, *tiles], panel
+    if layout != "side" and n_views > 1:
         column = round(_COLUMN * width)
         first = Tile(0, 0, width - column - _GAP, height)
         rest = Tile(width - column, 0, column, height)
         return [first, *_tiles(rest, n_views - 1, 1)], panel
     return _tiles(area, n_views, _columns(area, n_views)), panel
+
+
+def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:
+    """Yield n small tiles one above the other in each corner of an area, large ones first."""
+    for share in _INSETS:
+        width, height = round(share * area.width), round(share * area.height)
+        for right, lower in ((True, False), (False, False), (True, True), (False, True)):
+            left = area.left + (area.width - width - 2 * _GAP if right else 2 * _GAP)
+            first = area.height - n * (height + 2 * _GAP) if lower else 2 * _GAP
+            tops = [area.top + first + i * (height + 2 * _GAP) for i in range(n)]
+            if tops[0] >= area.top and tops[-1] + height <= area.top + area.height:
+                yield [Tile(left, top, width, height) for top in tops]
 
 
 def _columns(area: Tile, n: int) -> int:

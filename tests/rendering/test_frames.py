@@ -14,6 +14,8 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
+from craftsim.models.framing import box_corners
+from craftsim.rendering.cameras import make_view, reached_m
 from craftsim.rendering.captions import Captions
 from craftsim.rendering.frames import Frames, Look
 from craftsim.rendering.layout import arrange
@@ -109,6 +111,29 @@ def test_views_and_captions_do_not_overlap(size: tuple[int, int], n: int, layout
         assert covered[box.rows, box.columns].size == box.width * box.height, "inside of the frame"
     assert covered.max() == 1
     assert len(boxes) == n
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (640, 640)])
+def test_insets_hide_none_of_the_area_and_go_into_a_column_where_they_would(
+    trajectory: Trajectory, size: tuple[int, int]
+) -> None:
+    corners = box_corners(trajectory.story.recipe.grid.size, reached_m(trajectory))
+    for camera in ("overview", "top"):
+        frames = Frames(trajectory, Look(size, cameras=(camera, "grid"), layout="inset"))
+        (first, _), (inset, _) = frames._views
+        frames.close()
+        beside = inset.left >= first.left + first.width
+        aspect = first.width / first.height
+        seen = make_view(camera, trajectory, aspect).aim(0.0).project(corners, aspect)
+        x, y = (first.width * (1 + seen[:, 0]) / 2, first.height * (1 - seen[:, 1]) / 2)
+        inside = (
+            (x > inset.left)
+            & (x < inset.left + inset.width)
+            & (y > inset.top)
+            & (y < inset.top + inset.height)
+        )
+        assert beside or not inside.any()
+    assert not arrange(size, 2, "inset", False, lambda first: lambda tile: 1)[0][1].left < size[0] / 2
 
 
 def test_the_captions_leave_the_picture_alone(trajectory: Trajectory, rendering: None) -> None:

@@ -12,7 +12,6 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
-import numpy as np
 
 from craftsim.commands.bench_cells import Cells, show
 
@@ -38,7 +37,7 @@ class FilmTiming:
     size: tuple[int, int]
     """Of the picture, without the captions beside it."""
     bare_fps: float
-    """A loop over MuJoCo's renderer with the same scene, camera, samples and size, and nothing else."""
+    """A loop over MuJoCo's renderer with the same stage, camera, samples and size."""
     film_fps: float
     """A film with captions, encoded."""
     one_fps: float
@@ -94,8 +93,8 @@ def _time_film(trajectory: Trajectory, quality: str) -> FilmTiming:
         ways = {
             "bare": lambda: _bare(trajectory, look, tile.size),
             "film": lambda: _film(trajectory, look, Path(folder) / "film.mp4"),
-            "one": lambda: _shared(trajectory, look, 1),
-            "two": lambda: _shared(trajectory, look, 2),
+            "one": lambda: _shared(trajectory, look, 1, n),
+            "two": lambda: _shared(trajectory, look, 2, n),
         }
         best = _best(ways, REPEATS)
     return FilmTiming(quality, tile.size, *(n / best[way] for way in ways))
@@ -145,14 +144,14 @@ def _film(trajectory: Trajectory, look: Look, path: Path) -> float:
         return time.perf_counter() - begun
 
 
-def _shared(trajectory: Trajectory, look: Look, workers: int) -> float:
+def _shared(trajectory: Trajectory, look: Look, workers: int, n: int) -> float:
     """Return the time that so many processes, of one rasterizer thread each, take once all have begun."""
     from craftsim.rendering.processes import FrameProcesses
 
     with FrameProcesses(trajectory, look, workers, threads=1) as processes:
         processes.wait()
         begun = time.perf_counter()
-        for _ in processes.frames(range(FRAMES)):
+        for _ in processes.frames(range(n)):
             pass
         return time.perf_counter() - begun
 
@@ -161,18 +160,18 @@ def _recording_cost(drive: str, seed: int) -> float:
     """Return what share recording adds to the CPU time of a run: the median over pairs."""
     from craftsim.checking.settings import setup_of
     from craftsim.validation.runs.choice import PLANNER, items_of, policy_pilot, subjects_of
-    from craftsim.validation.runs.run import Terms, do_run, record_episode
+    from craftsim.validation.runs.run import Terms, do_run
 
     subjects = subjects_of([TASK])
     setup = setup_of("none", "physical", drive="reduced" if drive == "reduced" else "rollers")
     pilot = policy_pilot(PLANNER, subjects, "concurrent")
-    (item,) = items_of(subjects, [pilot], 1, Terms(seed, setup))
-    do_run(item.job)
-
-    def cpu(run: Callable[[Any], object]) -> float:
-        begun = time.process_time()
-        run(item.job)
-        return time.process_time() - begun
-
-    pairs = [(cpu(do_run), cpu(record_episode)) for _ in range(RUNS)]
-    return float(np.subtract(median(recorded / plain for plain, recorded in pairs), 1.0))
+    seconds: dict[bool, list[float]] = {False: [], True: []}
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(1 + RUNS):  # the first pair loads compiled functions
+            for record, found in seconds.items():
+                (item,) = items_of(subjects, [pilot], 1, Terms(seed, setup, Path(folder), record=record))
+                begun = time.process_time()
+                do_run(item.job)
+                found.append(time.process_time() - begun)
+    pairs = zip(seconds[False][1:], seconds[True][1:], strict=True)
+    return median(recorded / plain for plain, recorded in pairs) - 1.0

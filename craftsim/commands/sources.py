@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from craftsim.commands.text import say
+from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,31 +36,31 @@ def find_trajectory(
     from craftsim.validation.runs.once import record_once
 
     path = Path(what)
-    recorded = path.suffix == SUFFIX or path.is_dir()
+    recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or path.is_dir())
     if recorded and (plan or policy):
         raise InputError(f"{what} is recorded already; leave --plan and --policy out")
-    if path.suffix == SUFFIX:
-        return Trajectory.read(path)
-    if path.is_dir():
+    if recorded and path.is_dir():
         return _in_folder(path, run)
     if run is not None:
         raise InputError(f"--run chooses from a folder of a run, and {what} is none")
+    if recorded:
+        return Trajectory.read(path)
     trajectory = record_once(what, physics.setup(), physics.seed, plan=plan, policy=policy, order=order)
     say(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory
 
 
 def _in_folder(folder: Path, run: str | None) -> Trajectory:
-    from craftsim.rendering.recorded import trajectory_files
+    from craftsim.rendering.recorded import name_of, trajectory_files
     from craftsim.rendering.trajectory import Trajectory
     from craftsim.validation.replays.bundle import TEXT, read_bundle
     from craftsim.validation.replays.recording import record_bundle
 
-    if (folder / TEXT).is_file():
+    if (folder / TEXT).is_file() and run is None:
         return record_bundle(read_bundle(folder))[1]
     first, *others = trajectory_files(folder, run)
     if others:
-        names = [path.stem for path in (first, *others[: _NAMED - 1])]
+        names = [name_of(path) for path in (first, *others[: _NAMED - 1])]
         more = f" and {len(others) + 1 - _NAMED} more" if len(others) >= _NAMED else ""
         raise InputError(f"{folder}: choose one with --run; there are {', '.join(names)}{more}")
     return Trajectory.read(first)

@@ -114,9 +114,16 @@ def validate(
     if filming and video == "all":
         film_runs(console, out, campaign.workers)
     words = ["craftsim", "validate", *worlds, "--order", order, *campaign.words()]
-    for name, value in (("plan", plan), ("actions", actions), ("cars", cars), ("blocks", blocks)):
+    for name, value in (
+        ("plan", plan),
+        ("actions", actions),
+        ("cars", cars),
+        ("blocks", blocks),
+        ("max-steps", max_steps),
+    ):
         words += [f"--{name}", str(value)] if value is not None else []
     words += ["--policy", *policy] if policy else []
+    words += ["--video", video] if video != "failures" else []
     words += [*(["--record"] if record else []), *(["--shrink"] if shrink else [])]
     page = write_html(out, validate_page(result, shlex.join(words)))
     console.print(runs_table(result.records))

@@ -11,6 +11,7 @@ import tyro
 
 from craftsim.commands.options import PhysicsOptions
 from craftsim.commands.text import say
+from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
 from craftsim.storage.limits import PORTS
 
@@ -40,13 +41,15 @@ def view(
         port: 0 takes one that is free.
     """
     need_viser()
+    from craftsim.rendering.trajectory import SUFFIX
     from craftsim.rendering.viewer.live import LiveView
     from craftsim.rendering.viewer.page import REAL_TIME
     from craftsim.rendering.viewer.recorded import RecordedView
     from craftsim.validation.building import read_building
 
     path = Path(what)
-    building = None if path.exists() else read_building(what)
+    recorded = what not in TASK_NAMES and (path.is_dir() or path.suffix == SUFFIX)
+    building = None if recorded else read_building(what)
     runs = _runs(path) if building is None else {}
     with LiveView(host, port, REAL_TIME) as live:
         try:
@@ -64,14 +67,14 @@ def view(
 
 def _runs(path: Path) -> Runs:
     """Return the recorded runs in a file or a folder, by name."""
-    from craftsim.rendering.recorded import trajectory_files
+    from craftsim.rendering.recorded import name_of, trajectory_files
     from craftsim.rendering.trajectory import Trajectory
     from craftsim.validation.replays.bundle import TEXT, read_bundle
     from craftsim.validation.replays.recording import record_bundle
 
     if (path / TEXT).is_file():
         return {path.name: lambda: record_bundle(read_bundle(path))[1]}
-    return {file.stem: partial(Trajectory.read, file) for file in trajectory_files(path)}
+    return {name_of(file): partial(Trajectory.read, file) for file in trajectory_files(path)}
 
 
 def _carry_out(building: Building, live: LiveView) -> Trajectory:

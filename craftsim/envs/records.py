@@ -35,12 +35,12 @@ class EpisodeRecords:
     def end(self, recipe: Recipe, attempts: Sequence[Attempt]) -> None:
         """Write what was recorded of an episode, unless nothing was done in it or it is written.
 
-        Its name tells it from those of other worlds that share the folder: by what was drawn for it.
+        Its name tells it from others in the folder: by what was drawn for it and what was done in it.
         """
         if not self._running or not attempts:
             return
         self._running = False
-        drawn = hashlib.sha256(repr((recipe.world, recipe.seed, recipe.setup)).encode()).hexdigest()
+        drawn = hashlib.sha256(repr(recipe).encode()).hexdigest()
         name = f"episode-{self._number:04d}-{drawn[:_DIGITS]}"
         self._recorder.trajectory(f"{self._task}, {name}", recipe, attempts, self._design).write(
             self._folder / f"{name}{SUFFIX}"

@@ -7,6 +7,14 @@ from pathlib import Path
 from craftsim.errors import InputError, suggestion
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES
 
+BUNDLE = "bundle.json"
+"""What tells the folder of a replay bundle; other archives lie in it, too."""
+
+
+def name_of(path: Path) -> str:
+    """Return the name of a trajectory within its run: of its file, or of the bundle that it lies in."""
+    return path.parent.name if (path.parent / BUNDLE).is_file() else path.stem
+
 
 def trajectory_files(run: Path, name: str | None = None) -> list[Path]:
     """Return the trajectory files that a path stands for, by name.
@@ -23,12 +31,17 @@ def trajectory_files(run: Path, name: str | None = None) -> list[Path]:
         if not run.is_file():
             raise InputError(f"{run}: no such file or folder; allowed: a run's folder or a trajectory file")
         return [run]
-    found = sorted((run / TRAJECTORIES).glob(f"*{SUFFIX}")) or sorted(run.glob(f"*{SUFFIX}"))
+    if (run / BUNDLE).is_file():
+        found = sorted(run.glob(f"trajectory{SUFFIX}"))
+    else:
+        found = sorted((run / TRAJECTORIES).glob(f"*{SUFFIX}")) or sorted(run.glob(f"*{SUFFIX}"))
+        # An audit records in the bundles of its disagreements.
+        found = found or sorted(run.glob(f"bundles/*/trajectory{SUFFIX}"))
     if not found:
         raise InputError(f"{run}: no trajectories in it; run it again with --record")
     if name is None:
         return found
-    names = {path.stem: path for path in found}
+    names = {name_of(path): path for path in found}
     if (stem := name.removesuffix(SUFFIX)) not in names:
         listed = ", ".join(list(names)[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         raise InputError(f"{run}: no trajectory '{name}'{suggestion(name, names)}; there are {listed}")

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.rendering.animation import AnimationWriter
+from craftsim.rendering.animation import AnimationWriter, check_animation
 from craftsim.rendering.frames import Frames, Look
 from craftsim.rendering.processes import render_frames
 from craftsim.rendering.trajectory import Trajectory
@@ -63,7 +63,10 @@ def render(
     check_format(path, at)
     if path.suffix == ".png":
         return _stills(trajectory, path, look, at) if at else [_sheet(trajectory, path, look)]
-    with progress(Frames.count(trajectory, look)) as tell:
+    n_frames = Frames.count(trajectory, look)
+    if path.suffix in (".webp", ".gif"):
+        check_animation(path, n_frames, look.size, look.fps)
+    with progress(n_frames) as tell:
         encode(path, look.fps, render_frames(trajectory, look, workers), tell)
     return [path]
 
@@ -112,14 +115,12 @@ def _write_beside(writer: _Writer, frames: Iterable[Frame], tell: OnFrame) -> No
 
 def _stills(trajectory: Trajectory, path: Path, look: Look, at: Sequence[float]) -> list[Path]:
     first, last = float(trajectory.time[0]), float(trajectory.time[-1])
-    written = []
+    for moment in at:
+        if not first <= moment <= last:
+            raise InputError(f"there is no moment {moment:g} s; allowed: {first:.2f} to {last:.2f} s")
+    names = [path if len(at) == 1 else path.with_stem(f"{path.stem}-{moment:.10g}") for moment in at]
     with closing(Frames(trajectory, look)) as frames:
-        for moment in at:
-            if not first <= moment <= last:
-                raise InputError(f"there is no moment {moment:g} s; allowed: {first:.2f} to {last:.2f} s")
-            name = path if len(at) == 1 else path.with_stem(f"{path.stem}-{moment:g}")
-            written.append(_write_png(name, frames.at(moment)))
-    return written
+        return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
 
 
 def _sheet(trajectory: Trajectory, path: Path, look: Look) -> Path:

@@ -255,6 +255,9 @@ def test_recorded_episodes_are_those_that_were_played(tmp_path):
         assert np.array_equal(again.site.data.qpos, trajectory.qpos[-1])
         assert len(trajectory.story.attempts) == 2 * len(trajectory.story.recipe.steps)
     assert trajectories[0].story.design
+    with closing(parallel_env(_level("strip"), "physics", record=tmp_path / "new")) as env:
+        _episode(env, 5, 4, policy_seed=1)
+    assert len(list((tmp_path / "new").iterdir())) == 3, "what was done otherwise replaces nothing"
 
 
 def test_a_folder_that_is_none_is_refused(tmp_path):

@@ -100,6 +100,24 @@ def test_the_prediction_changes_at_the_end_of_each_action(trajectory: Trajectory
     assert prediction.at(float(trajectory.time[-1])).kind[1, 0, 1] == Kind.AIR
 
 
+def test_the_prediction_follows_each_car_where_cars_act_at_once() -> None:
+    grid = Grid.empty((3, 2, 1), n_cars=2)
+    grid.cars[1, :2] = 0, 1
+    joint = [(0, Action.ROTATE_LEFT), (1, Action.MOVE_RIGHT)]
+    step, recorder = Step.joint(0, joint), Recorder()
+    recipe = Recipe(blueprint_text(grid), (step,))
+    checked = start(recipe)
+    recorder.begin(checked)
+    attempts = do(checked, step)
+    prediction = Prediction(recorder.trajectory("at once", recipe, attempts))
+    ends = [attempt.start_s + attempt.duration_s for attempt in attempts]
+    assert ends[0] != ends[1]
+    for time_s, one in ((ends[0], 0), (ends[1], 1)):
+        before, after = prediction.at(time_s - 1e-6), prediction.at(time_s)
+        changed = np.flatnonzero((before.cars != after.cars).any(axis=1))
+        assert changed.tolist() == [one]
+
+
 @pytest.mark.parametrize("size", [(1280, 720), (720, 1280), (640, 480), (3840, 2160)])
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
 @pytest.mark.parametrize("layout", ["side", "main"])
@@ -170,7 +188,7 @@ def test_two_processes_render_the_same_bytes(trajectory: Trajectory, film: Path,
 def test_other_formats_hold_as_many_frames(
     trajectory: Trajectory, name: str, tmp_path: Path, rendering: None
 ) -> None:
-    look = replace(SMALL, fps=2, cameras=("grid",))
+    look = replace(SMALL, fps=7, cameras=("grid",))
     path = render(trajectory, tmp_path / name, look)[0]
     if name == "film.webm":
         assert len(list(_decoded(path))) == Frames.count(trajectory, look)
@@ -179,8 +197,14 @@ def test_other_formats_hold_as_many_frames(
 
         with Image.open(path) as picture:
             # Equal frames in a row may be one that stays longer.
-            assert 2 <= getattr(picture, "n_frames", 1) <= Frames.count(trajectory, look)
+            assert 2 <= picture.n_frames <= Frames.count(trajectory, look)
             assert picture.size == SMALL.size
+            shown_ms = 0.0
+            for number in range(picture.n_frames):
+                picture.seek(number)
+                picture.load()
+                shown_ms += picture.info["duration"]
+        assert shown_ms == pytest.approx(1000 * Frames.count(trajectory, look) / look.fps, abs=10)
 
 
 def test_pictures_of_moments_and_a_contact_sheet(
@@ -190,8 +214,25 @@ def test_pictures_of_moments_and_a_contact_sheet(
     stills = render(trajectory, tmp_path / "still.png", look, at=(0.5, 1.5))
     assert [path.name for path in stills] == ["still-0.5.png", "still-1.5.png"]
     assert render(trajectory, tmp_path / "sheet.png", look)[0].stat().st_size > 1000
+    close = render(trajectory, tmp_path / "close.png", look, at=(1.23456, 1.234561))
+    assert len({path.name for path in close if path.is_file()}) == 2
     with pytest.raises(InputError, match="no moment 99 s"):
-        render(trajectory, tmp_path / "still.png", look, at=(99.0,))
+        render(trajectory, tmp_path / "late.png", look, at=(1.0, 99.0))
+    assert not list(tmp_path.glob("late*"))
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "words"),
+    [
+        ("long.webp", {"size": (3840, 2160)}, "million pixels in all"),
+        ("quick.gif", {"fps": 60}, "a GIF has 50"),
+    ],
+)
+def test_an_animation_that_cannot_be_is_refused_before_it_is_rendered(
+    trajectory: Trajectory, name: str, changes: dict, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=words):
+        render(trajectory, tmp_path / name, replace(SMALL, **{"fps": 30, **changes}))
 
 
 def test_a_film_that_breaks_off_leaves_nothing(

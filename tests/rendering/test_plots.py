@@ -14,6 +14,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules.table import ACTIONS
+from craftsim.errors import InputError
 from craftsim.rendering.plots.figures import plots_of, write_figures
 from craftsim.rendering.plots.signals import Signals, path_points, thinned
 from craftsim.rendering.plots.timeline import SIGNS, notes_of
@@ -116,6 +117,22 @@ def test_a_run_s_folder_has_its_trajectories_by_name(run: Path) -> None:
     assert [path.stem for path in trajectory_files(run)] == ["move-0", "move-1"]
     assert [path.stem for path in trajectory_files(run / "trajectories")] == ["move-0", "move-1"]
     assert trajectory_files(run, "move-1.npz") == [run / "trajectories" / "move-1.npz"]
+
+
+def test_an_audit_s_trajectories_lie_in_its_bundles(recorded: Trajectory, tmp_path: Path) -> None:
+    bundle = tmp_path / "bundles" / "00000"
+    bundle.mkdir(parents=True)
+    (bundle / "bundle.json").write_text("{}")
+    (bundle / "before.npz").write_bytes(b"")
+    with pytest.raises(InputError, match="no trajectories"):
+        trajectory_files(bundle)
+    path = recorded.write(bundle / "trajectory.npz")
+    assert (
+        trajectory_files(bundle)
+        == trajectory_files(tmp_path)
+        == trajectory_files(tmp_path, "00000")
+        == [path]
+    )
 
 
 def test_plot_draws_one_run_of_a_folder_and_the_same_for_the_same_run(

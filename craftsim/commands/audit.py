@@ -92,8 +92,9 @@ def audit(
     )
     if filming or record:
         record_failures(console, out, result.records, campaign.workers, filming)
+    switches = [f"--{name}" for name, on in (("video", video), ("record", record), ("shrink", shrink)) if on]
     page = write_html(
-        out, audit_page(result, shlex.join(_words(actions, contexts, only, quick, shrink, campaign)))
+        out, audit_page(result, shlex.join(_words(actions, contexts, only, quick, campaign, switches)))
     )
     print_results(console, result.results)
     print_smallest(console, out, result.smallest)
@@ -119,11 +120,16 @@ def _chosen(plan: list[Row], contexts: str, only: str) -> list[Row]:
 
 
 def _words(
-    actions: tuple[Verb, ...], contexts: str, only: str, quick: bool, shrink: bool, campaign: CampaignOptions
+    actions: tuple[Verb, ...],
+    contexts: str,
+    only: str,
+    quick: bool,
+    campaign: CampaignOptions,
+    switches: list[str],
 ) -> list[str]:
     words = ["craftsim", "audit", *campaign.words()]
     words += ["--actions", *actions] if actions else []
     words += ["--contexts", contexts] if contexts != "*" else []
     words += ["--only", only] if only != "all" else []
     words += ["--quick"] if quick else []
-    return [*words, "--shrink"] if shrink else words
+    return words + switches

@@ -24,11 +24,14 @@ from craftsim.rendering.trajectory import (
     poses_of,
 )
 from craftsim.report import versions
+from craftsim.storage.limits import TRAJECTORY
 
 _Samples = list[NDArray[np.float64]]
 
 MOST_SAMPLES: Final = 180_000
 """An hour of simulated time at the usual control period; what comes later is left out."""
+MOST_BYTES: Final = TRAJECTORY.content_bytes // 2
+"""Of all samples together, so that a reader takes them; what comes later is left out."""
 
 
 class Recorder:
@@ -48,13 +51,16 @@ class Recorder:
         self._force: _Samples = []
         self._readings: list[bytes] = []
         self._path: _Samples = []
+        data, n_cars = checked.site.data, len(checked.site.cars)
+        numbers = len(data.qpos) + len(data.ctrl) + 3 * n_cars + 2
+        self._most = min(MOST_SAMPLES, MOST_BYTES // (8 * numbers))
         self._look(checked.site)
         checked.executor.observers.append(self._look)
 
     def _look(self, site: Site) -> None:
         data = site.data
         # A simulation that breaks down starts its time over: what it does then is no part of the run.
-        if (self._time and not self._time[-1] < data.time) or len(self._time) == MOST_SAMPLES:
+        if (self._time and not self._time[-1] < data.time) or len(self._time) == self._most:
             return
         self._time.append(data.time)
         self._qpos.append(data.qpos.copy())

@@ -82,6 +82,16 @@ def test_the_largest_contact_force_is_what_the_judge_found(recorded: Trajectory)
     assert recorded.contact.max() == pytest.approx(recorded.story.attempts[0].peak_force_n, rel=1e-6)
 
 
+def test_a_recording_is_no_larger_than_a_reader_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("craftsim.rendering.recorder.MOST_BYTES", 10_000)
+    recipe, recorder = _recipe(), Recorder()
+    checked = start(recipe)
+    recorder.begin(checked)
+    kept = recorder.trajectory("cut", recipe, do(checked, recipe.steps[0]))
+    assert 5 < len(kept) < 40
+    assert kept.qpos.nbytes <= 10_000
+
+
 def test_recording_changes_nothing(recorded: Trajectory) -> None:
     attempts = do(start(_recipe()), _recipe().steps[0])
     assert attempts == recorded.story.attempts

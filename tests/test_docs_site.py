@@ -14,6 +14,7 @@ DOCS = ROOT / "docs"
 PAGES = [
     *ROOT.glob("*.md"),
     *DOCS.glob("*.md"),
+    *DOCS.glob("gallery/*.md"),
     ROOT / "examples/README.md",
     ROOT / "craftsim/mjcf/README.md",
 ]

@@ -72,7 +72,7 @@ def test_a_parked_car_blocks_another(make_site):
 def test_a_car_that_is_strong_enough_to_spin_its_wheels_at_an_obstacle_is_blocked(
     make_site, action, cars, objects
 ):
-    """Wheels that spin at 1 m/s chatter, so that by chance it is told that it slips, in 2 of 24 starts as these."""
+    """Wheels that spin at 1 m/s chatter, so that by chance the car reports slipping, in 2 of 24 starts as these."""
     outcomes = []
     for shift in np.linspace(-0.5e-3, 0.5e-3, 6):
         site = make_site((3, 2, 2), cars, objects)

@@ -45,9 +45,9 @@ def test_a_joint_step_and_a_trial_cost_more_in_another_process_and_ray_may_be_mi
     found = hand_over(TASK)
     assert list(found) == ["local"]
     over = found["local"]
-    assert 0 < over.joint_step_wall_us < 100_000
-    assert 0 < over.joint_step_cpu_us < 50_000
-    assert 0 < over.trial_cpu_us < 50_000
+    assert over.joint_step_wall_us > 0
+    assert over.joint_step_cpu_us > 0
+    assert over.trial_cpu_us > 0
 
 
 def test_ray_is_measured_on_a_cluster_of_this_machine_alone_that_is_ended(alone, monkeypatch):

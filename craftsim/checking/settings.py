@@ -7,15 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, cast
 
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, suggestion
 from craftsim.models.config import SimulationConfig
+from craftsim.models.imperfection import Drivetrain, Floor, Making
 from craftsim.models.noise import EXACT, MILD, NOISY, SensorNoise
-from craftsim.models.parameter_files import load_machines, load_noise
+from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, Drive, Machines
-from craftsim.models.randomization import DomainRandomization
+from craftsim.models.randomization import NONE, DomainRandomization
+from craftsim.models.randomization_files import load_noise, load_randomization
 from craftsim.skills.gains import Gains, load_gains
 
 nominal_gains = cache(load_gains)
@@ -50,12 +52,11 @@ class Setup:
     rules: RuleSet = "physical"
     """The rule set that predicts."""
     thresholds: Thresholds = field(default_factory=Thresholds)
-    noise: SensorNoise = EXACT
-    """Of the cars' sensors and motors: what the world does."""
+    randomization: DomainRandomization = NONE
+    """What each seed draws: the physics, the floor, and what sensors and motors lack."""
     assumed: SensorNoise = EXACT
-    """What the cars' pose estimate takes that noise to be; with none they take each measured pose as it is."""
-    randomization: DomainRandomization | None = None
-    """From which each seed draws its own physics; None for the nominal one."""
+    """What the cars' pose estimate takes the noise of their sensors to be; with none they take each measured pose as it
+    is."""
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     gains: Gains = field(default_factory=nominal_gains)
     machines: Machines = NOMINAL
@@ -66,29 +67,81 @@ class Setup:
         return {"gains": self.gains.digest, "machines": self.machines.digest}
 
 
-Randomize = Literal["none", "mild", "strong"]
+Randomize = Literal["none", "mild", "strong", "lab_floor", "workshop_floor"]
 
-_STRONG: Final = (Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), NOISY, DomainRandomization())
-"""A car that knows its place to 1 mm and 3 mrad is allowed three times that."""
-_MILD: Final = (
-    Thresholds(0.0015, 0.0045, 0.0025, 0.001, 0.002),
-    MILD,
-    DomainRandomization(
-        **{f.name: getattr(DomainRandomization(), f.name) / 2 for f in fields(DomainRandomization)}
+_STRONG: Final = DomainRandomization(sensors=NOISY)
+_MILD: Final = DomainRandomization(
+    *(0.5 * _STRONG.friction, 0.5 * _STRONG.mass, 0.5 * _STRONG.motor, 0.5 * _STRONG.joint_friction),
+    tilt_rad=0.5 * _STRONG.tilt_rad,
+    sensors=MILD,
+)
+"""Half of the noise and randomization of strong; limits are halved where that leaves them above those without noise."""
+_LAB_FLOOR: Final = replace(
+    NONE,
+    floor=Floor(
+        # ANSI A108.02 allows 1/32 inch (0.8 mm) between tiles with joints of less than a quarter of an inch.
+        lippage_m=0.0005,
+        tile_m=0.6,
+        # DIN 18202, table 3, line 4: 1 mm over 0.1 m, 3 mm over 1 m, at most. A good lab's floor has a third.
+        unevenness_m=0.001,
     ),
 )
-"""Half of that noise and randomization; limits are halved where that leaves them above those without noise."""
+"""A sound floor of large tiles, with all else ideal."""
+_WORKSHOP_FLOOR: Final = replace(
+    _MILD,
+    floor=Floor(lippage_m=0.0008, tile_m=0.3, joint_m=0.003, joint_depth_m=0.001, unevenness_m=0.001),
+    # Assumed: a gear motor of this size.
+    drivetrain=Drivetrain(torque_slope=0.3, gear_loss=0.1, backlash_rad=0.005, sag=0.1),
+    # ISO 2768-1, fine: 0.05 mm up to 6 mm, 0.1 mm up to 30, 0.15 mm up to 120, 0.2 mm up to 400.
+    making=Making(
+        wheel_radius_m=0.0001,
+        wheel_place_m=0.00015,
+        board_m=0.0001,
+        board_place_m=0.0001,
+        foot_m=0.0001,
+        underside_m=0.0001,
+        pocket_m=0.0001,
+    ),
+    sensors=replace(
+        MILD,
+        # Assumed: a camera at the ceiling, calibrated to a tenth of a pixel's width on the floor.
+        position_bias_m=0.001,
+        heading_bias_rad=0.003,
+        jitter_s=0.005,
+        localisation_period_s=1 / 30,
+        lost_share=0.01,
+        # An encoder of 4096 counts.
+        encoder_step_rad=0.0015,
+        motor_lag_s=0.02,
+    ),
+)
+"""A tiled workshop and machines as they are made: mild, and all else that is imperfect with it."""
 
-RANDOMIZE: Final[Mapping[Randomize, tuple[Thresholds, SensorNoise, DomainRandomization | None]]] = {
-    "none": (Thresholds(), EXACT, None),
-    "mild": _MILD,
-    "strong": _STRONG,
+RANDOMIZE: Final[Mapping[Randomize, tuple[Thresholds, DomainRandomization]]] = {
+    "none": (Thresholds(), NONE),
+    "mild": (Thresholds(0.0015, 0.0045, 0.0025, 0.001, 0.002), _MILD),
+    # A car that knows its place to 1 mm and 3 mrad is allowed three times that.
+    "strong": (Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), _STRONG),
+    "lab_floor": (Thresholds(), _LAB_FLOOR),
+    "workshop_floor": (Thresholds(0.0015, 0.0045, 0.0025, 0.001, 0.002), _WORKSHOP_FLOOR),
 }
-"""What the option ``--randomize`` stands for: thresholds, sensor noise and domain randomization."""
+"""What the option ``--randomize`` stands for: limits of the errors, before they are widened, and what is drawn."""
+
+
+def widened(limits: Thresholds, randomization: DomainRandomization) -> Thresholds:
+    """Return limits that hold what no car can know: its localisation's bias, and the height of the floor below it."""
+    sensors, relief_m = randomization.sensors, randomization.floor.relief_m
+    return replace(
+        limits,
+        car_m=limits.car_m + sensors.position_bias_m,
+        heading_rad=limits.heading_rad + sensors.heading_bias_rad,
+        placed_m=limits.placed_m + sensors.position_bias_m,
+        height_m=limits.height_m + relief_m,
+    )
 
 
 def setup_of(
-    randomize: Randomize = "none",
+    randomize: Randomize | str | Path = "none",
     rules: RuleSet = "physical",
     gains: Gains | str | Path | None = None,
     machines: Machines | str | Path | None = None,
@@ -99,7 +152,8 @@ def setup_of(
     """Return the configuration that the options of the commands stand for.
 
     Args:
-        randomize: sensor noise and domain randomization, with limits that suit them.
+        randomize: what is drawn, with limits that suit it: a preset's name, or a YAML file
+            (:func:`craftsim.models.parameter_files.load_randomization`).
         rules: the rule set that predicts.
         gains: of the skills, or a file of them; those of the file of the machines, if it has some, unless given.
         machines: their parameters, or a file of them; the nominal ones unless given.
@@ -118,17 +172,30 @@ def setup_of(
         machines = NOMINAL if machines is None else load_machines(Path(machines))
     if drive is not None:
         machines = replace(machines, drive=drive)
-    thresholds, declared, randomization = RANDOMIZE[randomize]
+    thresholds, randomization = _randomization(randomize)
+    declared = randomization.sensors
+    randomization = replace(randomization, sensors=_noise(noise, declared))
     return Setup(
         rules,
-        thresholds,
-        _noise(noise, declared),
-        _noise(assume, declared),
+        widened(thresholds, randomization),
         randomization,
+        _noise(assume, declared),
         SimulationConfig.of(machines.drive),
         gains=gains,
         machines=machines,
     )
+
+
+def _randomization(given: Randomize | str | Path) -> tuple[Thresholds, DomainRandomization]:
+    if given in RANDOMIZE:
+        return RANDOMIZE[cast(Randomize, given)]
+    _check_file(given, "randomization")
+    presets: dict[str, DomainRandomization] = {name: drawn for name, (_, drawn) in RANDOMIZE.items()}
+    base, randomization, limits = load_randomization(given, presets, [f.name for f in fields(Thresholds)])
+    try:
+        return replace(RANDOMIZE[cast(Randomize, base)][0], **limits), randomization
+    except InputError as error:
+        raise InputError(f"{given}: {error}") from error
 
 
 def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:
@@ -136,12 +203,16 @@ def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> Sen
         return declared
     if isinstance(given, SensorNoise):
         return given
-    for name, (_, noise, _) in RANDOMIZE.items():
-        if given == name:
-            return noise
+    if given in RANDOMIZE:
+        return RANDOMIZE[cast(Randomize, given)][1].sensors
+    _check_file(given, "noise")
+    return load_noise(given, declared)
+
+
+def _check_file(given: str | Path, what: str) -> None:
+    """Raise InputError for what is no preset and has no suffix, as a file would."""
     if not Path(given).suffix:
         known = ", ".join(RANDOMIZE)
         raise InputError(
-            f"unknown noise '{given}'{suggestion(str(given), RANDOMIZE)}; there are {known}, or give a YAML file"
+            f"unknown {what} '{given}'{suggestion(str(given), RANDOMIZE)}; there are {known}, or give a YAML file"
         )
-    return load_noise(given, declared)

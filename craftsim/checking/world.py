@@ -94,11 +94,13 @@ def set_up(
     """
     physics, sensors = (np.random.default_rng(s) for s in seed.sequence().spawn(2))
     world = reuse or compile_world(grid, setup, goals)
-    if setup.randomization is None:
+    if setup.randomization.nominal:
         world.restore()
     else:
         world.draw(setup.randomization, physics)
-    return judge_on(world.site, setup, Sensors(world.site, setup.noise, sensors), watch_contacts)
+    return judge_on(
+        world.site, setup, Sensors(world.site, setup.randomization.sensors, sensors), watch_contacts
+    )
 
 
 def check_start(site: Site) -> None:
@@ -118,6 +120,6 @@ def judge_on(
     Raises StartError where something stood in something else when the Site was reset.
     """
     check_start(site)
-    motors = Motors(site, setup.noise.motor_lag_s)
+    motors = Motors(site, setup.randomization.sensors.motor_lag_s)
     executor = Executor(site, setup.gains, sensors=sensors, motors=motors, assumed=setup.assumed)
     return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 Dir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
-Randomize = Literal["none", "mild", "strong"]
+Preset = Annotated[
+    str, tyro.conf.arg(metavar="{none,mild,strong,lab_floor,workshop_floor}|FILE", help_behavior_hint="")
+]
 Engine = Literal["local", "ray"]
 
 
@@ -27,13 +29,13 @@ class PhysicsOptions:
 
     rules: RuleSet = "physical"
     """The rule set that predicts: CraftEnv's own, or the one that physics supports."""
-    randomize: Randomize = "mild"
-    """How noisy the sensors and how random the physics are; sets the limits of the errors, too."""
+    randomize: Preset = "mild"
+    """What is drawn of physics, floor, machines, motors and sensors; sets the limits of the errors, too."""
     noise: File = None
     """YAML file of the sensors' and motors' noise; figures that it leaves out are those of --randomize."""
-    assume: Annotated[str | None, tyro.conf.arg(metavar="{none,mild,strong}|FILE", help_behavior_hint="")] = (
-        None
-    )
+    assume: Annotated[
+        str | None, tyro.conf.arg(metavar="{none,mild,strong,...}|FILE", help_behavior_hint="")
+    ] = None
     """What the cars take that noise to be, whatever it is; that of --randomize unless given."""
     gains: File = None
     """YAML file of gains of the skills; those that it leaves out are the nominal ones."""

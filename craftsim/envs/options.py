@@ -155,8 +155,8 @@ class Options:
         from craftsim.envs.pictures import Pictures
         from craftsim.envs.records import EpisodeRecords
         from craftsim.models.config import SimulationConfig
-        from craftsim.models.noise import EXACT
         from craftsim.models.parameters import NOMINAL
+        from craftsim.models.randomization import NONE
         from craftsim.rendering.images import CameraImages
 
         for name, (module, kind) in _PHYSICS_KINDS.items():
@@ -166,11 +166,11 @@ class Options:
         machines = self.machines or replace(NOMINAL, drive="reduced")
         if self.drive is not None:
             machines = replace(machines, drive=self.drive)
+        randomization = self.randomization or NONE
         setup = Setup(
             rules=self.rule_set,
-            noise=self.noise or EXACT,
-            assumed=self.assumed or self.noise or EXACT,
-            randomization=self.randomization,
+            randomization=randomization if self.noise is None else replace(randomization, sensors=self.noise),
+            assumed=self.assumed or self.noise or randomization.sensors,
             simulation=self.config or SimulationConfig.of(machines.drive),
             gains=self.gains or nominal_gains(),
             machines=machines,

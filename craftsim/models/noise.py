@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Final
 
 from craftsim.errors import InputError
+from craftsim.models.imperfection import check_shares
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Noise, delay and lag of one car's sensors and motors; hashable. Raises InputError for a negative figure.
+    """What one car's sensors and motors lack; hashable. Raises InputError for a negative figure, or one of 1 or more.
 
     All sensors are read at the control rate of 50 Hz; all noise is white, and drawn for each car.
 
@@ -23,45 +25,80 @@ class SensorNoise:
     """Standard deviation of each position coordinate of one localisation, white."""
     heading_rad: float = 0.0
     """Standard deviation of the heading of one localisation, white."""
+    position_bias_m: float = 0.0
+    """By so much each car is localised beside its place, in a direction that is drawn once."""
+    heading_bias_rad: float = 0.0
+    """By so much each car's heading is localised off, to a side that is drawn once."""
+    position_drift_m: float = 0.0
+    """Standard deviation of what each position coordinate's bias walks in a second."""
+    heading_drift_rad: float = 0.0
+    """Standard deviation of what the heading's bias walks in a second."""
     min_delay_s: float = 0.0
     """Least age of a localisation; each car's own delay is drawn once, uniformly up to ``max_delay_s``."""
     max_delay_s: float = 0.0
+    jitter_s: float = 0.0
+    """Standard deviation of the age of single localisations."""
+    localisation_period_s: float = 0.0
+    """Time between two localisations, as of a camera; a car reads the last one until then. 0: the control period."""
+    lost_share: float = 0.0
+    """Share of the localisations that do not arrive: the car reads the one before."""
+    outlier_share: float = 0.0
+    """Share of the localisations that are wrong..."""
+    outlier_m: float = 0.0
+    """...and by how much, in a direction that is drawn each time."""
     encoder_lag_s: float = 0.0
     """Time constant of the wheel speeds' low-pass filter."""
+    encoder_step_rad: float = 0.0
+    """Angle of one count of a wheel's encoder; speeds are differences of counts over a control period."""
     motor_lag_s: float = 0.0
     """Time constant with which a wheel's commanded speed reaches its servo."""
     tilt_rad: float = 0.0
     """Standard deviation of pitch and of roll."""
+    tilt_bias_rad: float = 0.0
+    """By so much pitch and roll are off, up or down, drawn once each."""
     board_m: float = 0.0
     """Standard deviation of the board's height."""
+    board_bias_m: float = 0.0
+    """By so much the board's height is off, up or down, drawn once."""
     board_force_n: float = 0.0
     """Standard deviation of the force of the board's motor."""
+    board_force_bias_n: float = 0.0
+    """By so much that force is off, drawn once."""
     hinge_rad: float = 0.0
     """Standard deviation of the hinge angle of a docked slope."""
+    hinge_bias_rad: float = 0.0
+    """By so much that angle is off, drawn once."""
     undocked_share: float = 0.0
     """Share of the readings in which the plug of a docked slope has no contact: the car feels no slope, and its command
     does not reach the hinge."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if not 0 <= getattr(self, field.name) < 1:
-                raise InputError(
-                    f"SensorNoise.{field.name} must be at least 0 and below 1, not {getattr(self, field.name)}"
-                )
+        check_shares(self)
         if self.max_delay_s < self.min_delay_s:
             raise InputError("SensorNoise.max_delay_s must not be below min_delay_s")
 
     @property
     def exact_pose(self) -> bool:
         """Whether localisations are exact and in time."""
-        return not (self.position_m or self.heading_rad or self.max_delay_s)
+        return not any(getattr(self, name) for name in _OF_LOCALISATIONS)
 
     @property
     def silent(self) -> bool:
         """Whether a car measures all that it measures exactly and at once."""
-        joints = self.board_m or self.board_force_n or self.hinge_rad or self.undocked_share
-        return self.exact_pose and not (self.encoder_lag_s or self.tilt_rad or joints)
+        return not any(getattr(self, f.name) for f in fields(self) if f.name != "motor_lag_s")
 
+
+_OF_LOCALISATIONS: Final = (
+    *(
+        "position_m",
+        "heading_rad",
+        "position_bias_m",
+        "heading_bias_rad",
+        "position_drift_m",
+        "heading_drift_rad",
+    ),
+    *("max_delay_s", "jitter_s", "localisation_period_s", "lost_share", "outlier_share"),
+)
 
 EXACT = SensorNoise()
 """No noise, no delay, no lag."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,7 +30,6 @@ from craftsim.discrete.files.documents import (
 )
 from craftsim.errors import InputError
 from craftsim.models.figures import check_figure
-from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.parameters import (
     BlockParameters,
     ContactParameters,
@@ -60,14 +59,18 @@ def numbers(source: Source, node: Node, section: str, known: list[str]) -> dict[
     given = source.mapping(node, section, known)
     found = {}
     for key, value in given.items.items():
-        line = given.key_lines[key]
-        if not isinstance(value, Scalar) or value.quoted or not _NUMBER.fullmatch(value.text):
-            source.fail(line, f"{section}.{key} must be a number, not {describe(value)}")
-        number = float(value.text)
-        if not math.isfinite(number):
-            source.fail(line, f"{section}.{key} must be a finite number, not {value.text}")
-        found[key] = number, line
+        found[key] = number(source, value, f"{section}.{key}", given.key_lines[key])
     return found
+
+
+def number(source: Source, node: Node, name: str, line: int) -> tuple[float, int]:
+    """Return a number and its line; raise InputError for what is none."""
+    if not isinstance(node, Scalar) or node.quoted or not _NUMBER.fullmatch(node.text):
+        source.fail(line, f"{name} must be a number, not {describe(node)}")
+    found = float(node.text)
+    if not math.isfinite(found):
+        source.fail(line, f"{name} must be a finite number, not {node.text}")
+    return found, line
 
 
 def load_machines(path: Path | str) -> Machines:
@@ -96,26 +99,6 @@ def load_machines(path: Path | str) -> Machines:
     except InputError as error:
         message = str(error).replace("SmartcarParameters.", "smartcar.")
         raise InputError(f"{path}: {message}") from error
-
-
-def load_noise(path: Path | str, nominal: SensorNoise = EXACT) -> SensorNoise:
-    """Return the sensor noise of a YAML file; what it leaves out is that of ``nominal``.
-
-    Raises InputError, naming the file and figure, for an unknown figure and one out of range.
-
-    Example:
-        >>> from craftsim.models.parameter_files import load_noise
-        >>> _ = (folder / "late.yaml").write_text("{min_delay_s: 0.06, max_delay_s: 0.08}")
-        >>> load_noise(folder / "late.yaml").max_delay_s
-        0.08
-    """
-    path, known = Path(path), [field.name for field in fields(SensorNoise)]
-    source, given = read_keys(path, known)
-    figures = {key: value for key, (value, _) in numbers(source, given, "noise", known).items()}
-    try:
-        return replace(nominal, **figures)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def _cars(source: Source, node: Node | None) -> list[dict[str, float]]:

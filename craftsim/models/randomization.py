@@ -12,16 +12,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.errors import InputError
+from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
+from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.overlaps import Overlap
 from craftsim.models.site import Site, SiteState
 
 
 @dataclass(frozen=True)
 class DomainRandomization:
-    """Half-widths of the uniform distributions from which a Site's physics is drawn; hashable.
+    """How far a world is from the ideal one, as distributions from which a seed draws; hashable.
 
-    All are fractions of the nominal figure but the tilt. Raises InputError for a figure outside [0, 1).
+    Those of the physics are half-widths of uniform distributions, all of them fractions of the nominal figure but the
+    tilt. Raises InputError for a figure outside [0, 1).
 
     Example:
         >>> import craftsim
@@ -39,13 +41,24 @@ class DomainRandomization:
     """Dry friction and damping of gears, rollers, boards and hinges, drawn for each joint."""
     tilt_rad: float = math.radians(0.5)
     """Largest tilt of the floor, in a direction that is drawn uniformly."""
+    floor: Floor = FLAT
+    drivetrain: Drivetrain = IDEAL
+    making: Making = AS_DRAWN
+    sensors: SensorNoise = EXACT
+    """Of the cars' sensors and motors: what the world does, whatever the cars assume of it."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if not 0 <= getattr(self, field.name) < 1:
-                raise InputError(
-                    f"DomainRandomization.{field.name} must be at least 0 and below 1, not {getattr(self, field.name)}"
-                )
+        check_shares(self)
+
+    @property
+    def nominal(self) -> bool:
+        """Whether the physics is the nominal one, so that nothing of it is drawn; sensors and motors aside."""
+        drawn = self.friction or self.mass or self.motor or self.joint_friction or self.tilt_rad
+        return not drawn and self.floor.flat and self.making.exact
+
+
+NONE: Final = DomainRandomization(0.0, 0.0, 0.0, 0.0, 0.0)
+"""The nominal physics, exact sensors and ideal motors."""
 
 
 @dataclass(frozen=True)

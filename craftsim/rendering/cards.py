@@ -20,7 +20,7 @@ def title_card(trajectory: Trajectory, size: tuple[int, int], title: str) -> Fra
     things = [f"{n} {kind}{'s' * (n != 1)}" for kind, n in kinds.items()]
     if walls := int((recipe.grid.kind == Kind.WALL).sum()):
         things.append(f"{walls} wall{'s' * (walls != 1)}")
-    drawn = "nominal physics" if setup.randomization is None else "randomized physics"
+    drawn = "nominal physics" if setup.randomization.nominal else "randomized physics"
     lines = [
         ", ".join(things),
         f"{sum(a.performed for a in story.attempts)} actions, predicted by the {setup.rules} rules",

@@ -123,7 +123,7 @@ def validate(
     actions: str | Path | None = None,
     policy: str | Policy | Iterable[str] | None = None,
     rules: RuleSet = "physical",
-    randomize: Randomize = "none",
+    randomize: Randomize | str | Path = "none",
     gains: Gains | str | Path | None = None,
     machines: Machines | str | Path | None = None,
     noise: SensorNoise | str | Path | None = None,
@@ -157,7 +157,8 @@ def validate(
             ``planner``, ``module:function``, what ``craftsim train`` wrote, or a function from the
             observations by agent to the actions by agent; several names are compared with each other.
         rules: the rule set that predicts, and by which policies may act.
-        randomize: how noisy the sensors and how random the physics are; sets the limits of the errors, too.
+        randomize: what is drawn of physics, floor, machines, motors and sensors: a preset's name, or a file;
+            sets the limits of the errors, too.
         gains: of the skills, or a file of them.
         machines: parameters of the machines, or a file of them, which may hold gains, too.
         noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
@@ -218,7 +219,7 @@ def validate(
         "worlds": {subject.name: subject.digest for subject in subjects},
         "by": {pilot.name: pilot.digest for pilot in pilots},
         "trials": trials,
-        "randomize": randomize,
+        "randomize": str(randomize),
         "rules": rules,
         "order": order,
         "record": record,

@@ -15,7 +15,8 @@ from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
 from craftsim.discrete.tasks.task_files import read_task
 from craftsim.errors import InputError
-from craftsim.models.parameter_files import load_machines, load_noise
+from craftsim.models.parameter_files import load_machines
+from craftsim.models.randomization_files import load_noise
 from craftsim.skills.gains import load_gains
 from fuzzing.mutations import mutated_bytes, mutated_text
 

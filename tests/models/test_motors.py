@@ -11,6 +11,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
 from craftsim.models.motors import Motors
 from craftsim.models.noise import SensorNoise
+from craftsim.models.randomization import NONE
 from craftsim.models.site import Site
 
 GRID = Grid.empty((3, 1, 1), 1)
@@ -43,7 +44,7 @@ def test_without_lag_a_command_arrives_at_once():
 
 def test_a_setups_motor_lag_reaches_the_wheels():
     def way_m(lag_s):
-        checked = set_up(GRID, replace(Setup(), noise=SensorNoise(motor_lag_s=lag_s)))
+        checked = set_up(GRID, Setup(randomization=replace(NONE, sensors=SensorNoise(motor_lag_s=lag_s))))
         checked.executor.begin(0, Action.MOVE_RIGHT)
         for _ in range(8):
             checked.executor.advance()

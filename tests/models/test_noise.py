@@ -9,7 +9,7 @@ import pytest
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
-from craftsim.models.parameter_files import load_noise
+from craftsim.models.randomization_files import load_noise
 from craftsim.models.sensing import Sensors, measure, write_reading
 from craftsim.models.site import Site
 

@@ -23,7 +23,7 @@ from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.errors import InputError
-from craftsim.models.noise import EXACT
+from craftsim.models.randomization import NONE
 from craftsim.storage.limits import SHRINK_S
 from craftsim.validation.shrinking.pieces import (
     Piece,
@@ -111,7 +111,7 @@ def shrink(failing: Situated, on_trial: OnTrial = lambda fails: None, most: int 
     Raises:
         DependsError: the action works from a fresh start.
     """
-    nominal = replace(failing.setup, thresholds=Thresholds(), noise=EXACT, randomization=None)
+    nominal = replace(failing.setup, thresholds=Thresholds(), randomization=NONE)
     trials = 0
     for setup, seed in dict.fromkeys(((nominal, SEED_0), (failing.setup, failing.seed))):
         search = _Search(replace(failing, setup=setup, seed=seed), on_trial, most - trials)

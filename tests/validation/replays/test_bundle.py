@@ -205,7 +205,7 @@ def _edit(folder: Path, *keys: str | int, value: object) -> None:
         (["recipe", "steps", 2, "ticks", 0, 0, "action"], "UNFLOD", "did you mean 'UNFOLD'"),
         (["recipe", "steps", 2, "ticks", 0, 0, "car"], 7, "there is no car 7"),
         (["recipe", "steps", 2, "ticks"], [], "has one action, not 0"),
-        (["recipe", "setup", "noise", "position_m"], "much", "recipe.setup.noise.position_m"),
+        (["recipe", "setup", "randomization", "mass"], "much", "recipe.setup.randomization.mass"),
         (["recipe", "setup", "simulation", "timestep_s"], -1.0, "timestep_s"),
         (["recipe", "setup", "rules"], "mine", "recipe.setup.rules"),
         (["recipe", "world"], "area_length: 3", "area_width"),

@@ -1,0 +1,126 @@
+"""What is imperfect about a floor, about motors and about how machines are made: from 0, which is ideal, to below 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Final
+
+from craftsim.errors import InputError
+
+
+def check_shares(imperfect: Any) -> None:
+    """Raise InputError, naming the figure, for the first number of a dataclass outside [0, 1)."""
+    for field in fields(imperfect):
+        value = getattr(imperfect, field.name)
+        if isinstance(value, int | float) and not 0 <= value < 1:
+            raise InputError(
+                f"{type(imperfect).__name__}.{field.name} must be at least 0 and below 1, not {value}"
+            )
+
+
+@dataclass(frozen=True)
+class Floor:
+    """How uneven a floor is; hashable. Raises InputError for a figure outside [0, 1).
+
+    Example:
+        >>> from craftsim.models.imperfection import Floor
+        >>> Floor(lippage_m=0.001).flat
+        False
+    """
+
+    lippage_m: float = 0.0
+    """Largest difference in height between two tiles; each tile's height is drawn uniformly."""
+    tile_m: float = 0.3
+    """Side of a square tile. Where their joints run, and in which direction, is drawn."""
+    joint_m: float = 0.0
+    """Width of the joints between tiles..."""
+    joint_depth_m: float = 0.0
+    """...and by how much they lie below the tiles."""
+    unevenness_m: float = 0.0
+    """Height from the lowest to the highest point of the smooth undulation of the whole floor..."""
+    wavelength_m: float = 0.6
+    """...and its shortest wavelength."""
+
+    def __post_init__(self) -> None:
+        check_shares(self)
+        if not self.tile_m or not self.wavelength_m:
+            raise InputError("Floor.tile_m and Floor.wavelength_m must be above 0")
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is a plane."""
+        return not (self.lippage_m or self.unevenness_m or (self.joint_m and self.joint_depth_m))
+
+    @property
+    def relief_m(self) -> float:
+        """Height from the lowest to the highest place on which something can stand."""
+        return self.lippage_m + self.unevenness_m
+
+
+@dataclass(frozen=True)
+class Drivetrain:
+    """What wheel motors and gears lack; hashable. Raises InputError for a figure outside [0, 1).
+
+    Example:
+        >>> from craftsim.models.imperfection import Drivetrain
+        >>> Drivetrain(gear_loss=0.1).ideal
+        False
+    """
+
+    torque_slope: float = 0.0
+    """Share of the largest torque that is lost at the motor's top speed, in proportion to the speed."""
+    gear_loss: float = 0.0
+    """Share of the motor's torque that the gear takes, on top of its dry friction."""
+    backlash_rad: float = 0.0
+    """Angle of the wheel that the gear leaves free when the torque changes its sign."""
+    sag: float = 0.0
+    """Share of torque and speed that is lost when all motors of a car give their all: the battery's voltage drops."""
+
+    def __post_init__(self) -> None:
+        check_shares(self)
+
+    @property
+    def ideal(self) -> bool:
+        """Whether motors and gears lack nothing."""
+        return self == IDEAL
+
+
+@dataclass(frozen=True)
+class Making:
+    """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
+
+    Raises InputError for a figure outside [0, 1).
+
+    Example:
+        >>> from craftsim.models.imperfection import Making
+        >>> Making(wheel_radius_m=0.0001).exact
+        False
+    """
+
+    wheel_radius_m: float = 0.0
+    """Of each wheel by itself."""
+    wheel_place_m: float = 0.0
+    """Of each axle's distance from the car's middle, forward and sideways: wheelbase and track."""
+    board_m: float = 0.0
+    """Of the height of a lowered board and its boss."""
+    board_place_m: float = 0.0
+    """Of the place of board and boss on the car, forward and sideways."""
+    foot_m: float = 0.0
+    """Of the length of each leg of a block."""
+    underside_m: float = 0.0
+    """Of the height of a block's pocket and of a slope's pads above the floor."""
+    pocket_m: float = 0.0
+    """Of the place of a block's pocket, forward and sideways."""
+
+    def __post_init__(self) -> None:
+        check_shares(self)
+
+    @property
+    def exact(self) -> bool:
+        """Whether every machine is as it is drawn."""
+        return self == AS_DRAWN
+
+
+FLAT: Final = Floor()
+IDEAL: Final = Drivetrain()
+AS_DRAWN: Final = Making()

@@ -1,0 +1,69 @@
+"""What ``--randomize`` stands for: presets, and files that start from one."""
+
+import pytest
+
+from craftsim.checking.settings import RANDOMIZE, Thresholds, setup_of, widened
+from craftsim.errors import InputError
+from craftsim.models.imperfection import Floor
+from craftsim.models.noise import MILD, NOISY, SensorNoise
+from craftsim.models.randomization import NONE
+
+
+def _setup(tmp_path, text):
+    path = tmp_path / "world.yaml"
+    path.write_text(text)
+    return setup_of(str(path))
+
+
+def test_a_file_changes_what_it_names_of_its_base(tmp_path):
+    setup = _setup(
+        tmp_path, "base: mild\nfriction: 0.1\nfloor: {lippage_m: 0.001}\nsensors: {position_bias_m: 0.004}"
+    )
+    mild = setup_of("mild").randomization
+    assert setup.randomization.friction == 0.1
+    assert setup.randomization.mass == mild.mass
+    assert setup.randomization.floor == Floor(lippage_m=0.001)
+    assert setup.randomization.sensors.position_m == MILD.position_m
+    assert setup.assumed == setup.randomization.sensors
+
+
+def test_limits_are_widened_by_what_no_car_can_know_and_by_nothing_else(tmp_path):
+    setup = _setup(
+        tmp_path,
+        "floor: {lippage_m: 0.001, unevenness_m: 0.002}\nsensors: {position_bias_m: 0.004, heading_bias_rad: 0.25}"
+        "\nlimits: {bystander_m: 0.0015}",
+    )
+    assert setup.thresholds == Thresholds(0.005, 0.253, 0.006, 0.0015, 0.005)
+    assert widened(Thresholds(), NONE) == Thresholds()
+
+
+@pytest.mark.parametrize("name", ["none", "mild", "strong"])
+def test_without_bias_and_relief_limits_are_those_of_the_preset(name):
+    assert setup_of(name).thresholds == RANDOMIZE[name][0]
+
+
+def test_noise_takes_the_place_of_the_presets_and_the_assumption_stays():
+    setup = setup_of("strong", noise=SensorNoise(position_m=0.002))
+    assert setup.randomization.sensors == SensorNoise(position_m=0.002)
+    assert setup.assumed == NOISY
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("base: firm", "world.yaml:1: unknown value of 'base' 'firm'"),
+        ("floor: {lippage: 0.1}", "world.yaml:1: unknown key 'lippage'.*did you mean 'lippage_m'"),
+        ("floor: {lippage_m: 2}", r"world.yaml: Floor.lippage_m must be at least 0 and below 1"),
+        ("friction: much", "world.yaml:1: friction must be a number"),
+        ("limits: {car_m: .inf}", "world.yaml:1: limits.car_m must be a"),
+        ("wind: 3", "world.yaml:1: unknown key 'wind'"),
+    ],
+)
+def test_a_mistake_in_a_file_is_named(tmp_path, text, message):
+    with pytest.raises(InputError, match=message):
+        _setup(tmp_path, text)
+
+
+def test_a_word_that_is_no_preset_is_named():
+    with pytest.raises(InputError, match=r"unknown randomization 'milld'.*mild.*workshop_floor"):
+        setup_of("milld")

@@ -11,6 +11,5 @@ def print_notes(capped_steps: int, retried: int) -> None:
     if capped_steps:
         say(f"Note: {capped_text(capped_steps)}; failures there are reported as numerics.")
     if retried:
-        say(
-            f"Note: {retried} action{'s were' if retried > 1 else ' was'} tried again; what counts is how the last try ended."
-        )
+        actions = "1 action was" if retried == 1 else f"{retried} actions were"
+        say(f"Note: {actions} tried again; what counts is how the last try ended.")

@@ -72,6 +72,8 @@ def _wheels(now: Record, drive: Record, known: Record, error: Triple, elapsed_s:
         step.y * speed + gains.position_gain * error[1] + integral.y,
         step.heading * speed + gains.heading_gain * error[2] + integral.heading,
     )
+    shake_x, shake_y = _shake(drive, gains, error, elapsed_s)
+    velocity = velocity[0] + shake_x, velocity[1] + shake_y, velocity[2]
     forward, left, turn = _to_body(velocity, now)
     left, turn = gains.sideways_slip * left, gains.turn_slip * turn
     speeds = wheel_speeds(car.lever_m, car.radius_m, forward, left, turn)
@@ -94,6 +96,22 @@ def _wheels(now: Record, drive: Record, known: Record, error: Triple, elapsed_s:
         _command(speeds[2] * rear, torques[2], known),
         _command(speeds[3] * rear, torques[3], known),
     )
+
+
+@compiled
+def _shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tuple[float, float]:
+    """Return the velocity by which a car that does not get to its goal is shaken, across the way that is left.
+
+    On an uneven floor a car without springs rocks on two wheels of a diagonal, which cannot push across their rollers;
+    what they can do, speeding up the other way, tips it onto the other two. It shakes for two cycles out of four, and
+    settles in between.
+    """
+    cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
+    left_over = math.hypot(error[0], error[1])
+    if cycles <= 0 or drive.there_periods > 0 or math.floor(cycles) % 4 >= 2:
+        return 0.0, 0.0
+    speed = gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
+    return -speed * error[1], speed * error[0]
 
 
 @compiled

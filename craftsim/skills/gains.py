@@ -58,6 +58,12 @@ class DriveGains:
     """rad: and its heading."""
     settle_allowance: float
     """s: time beyond the profile's end after which a move that is not done has failed."""
+    shake_after: float
+    """s: a car that has not arrived so long after the profile's end is shaken..."""
+    shake_speed: float
+    """m/s: ...to and fro with this amplitude of its speed..."""
+    shake_rate: float
+    """Hz: ...and so often (:mod:`craftsim.skills.driving_law`)."""
     blocked_error: float
     """m: falling this far behind the path, for longer than ``blocked_time``, means that something is in the way."""
     blocked_time: float

@@ -20,7 +20,7 @@ from craftsim.models.bearings import Bearings
 from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
 from craftsim.models.extent import check_extent
-from craftsim.models.grip import Grip
+from craftsim.models.grip import Grip, soften
 from craftsim.models.imperfection import FLAT, Floor
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
@@ -129,6 +129,8 @@ class Site:
         if machines.drive == "reduced":
             for car in parts.cars:
                 car.add_spin(self.model)
+            if not floor.flat:
+                soften(self.model, parts.cars)
             mujoco.mj_setConst(self.model, self.data)
             self._grip = Grip(self.model, self.data, parts.cars)
         self._ctrl, self._steps_per_period = self.data.ctrl, self.config.steps_per_period
@@ -237,6 +239,8 @@ class Site:
             mujoco.mj_step(model, data)
             self.follow()
             self.capped_steps += reaches(iterations, cap)
+            if self._grip is not None and self.tiles is not None:
+                self._grip.limit()
             if observe is not None:
                 observe()
 

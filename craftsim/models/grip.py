@@ -21,7 +21,6 @@ from craftsim.discrete.compiled import compiled
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.parts import WHEELS, Car
 
-
 TREAD_S: Final = 0.05
 """Time constant of the wheels' contacts on an uneven floor. Assumed: each gives way by 0.17 mm under a quarter of
 the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand on two or three wheels and

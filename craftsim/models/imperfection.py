@@ -46,7 +46,9 @@ class Floor:
         if not self.tile_m or not self.wavelength_m:
             raise InputError("Floor.tile_m and Floor.wavelength_m must be above 0")
         if self.joint_m >= self.tile_m:
-            raise InputError(f"Floor.joint_m must be below Floor.tile_m, {self.tile_m:g}, not {self.joint_m:g}")
+            raise InputError(
+                f"Floor.joint_m must be below Floor.tile_m, {self.tile_m:g}, not {self.joint_m:g}"
+            )
 
     @property
     def flat(self) -> bool:

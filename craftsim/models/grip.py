@@ -3,8 +3,8 @@
 Wheels without rollers do not touch the floor with friction; their motors push the car as if they did. A mecanum wheel
 holds the ground along its roller's axis, at 45 degrees to its way, with a force of at most the friction coefficient
 times its load N: no more of its motor's torque than mu N R / sqrt(2), less what the gear takes, reaches the ground. The
-loads are those of the last physics step, and the limits hold for one control period, on an uneven floor, where wheels
-come off it, for one physics step.
+loads are those of the last physics step, and the limits hold for one control period, where wheels come
+off an uneven floor, or are not equal, for one physics step.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.parts import WHEELS, Car
 
 TREAD_S: Final = 0.05
-"""Time constant of the wheels' contacts on an uneven floor. Assumed: each gives way by 0.17 mm under a quarter of
-the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand on two or three wheels and
-drift sideways by ten times what it does on rollers, whose rattle shares the load out (docs/imperfections.md)."""
+"""Time constant of the wheels' contacts on an uneven floor, or under unequal wheels. Assumed: each gives way by 0.17 mm
+under a quarter of the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand on two or
+three wheels and drift sideways by ten times what it does on rollers, which rattle (docs/imperfections.md)."""
 SUNK_M: Final = 0.00017
 """By so much the wheels then stand lower in the car, which keeps its height."""
 
 
 def soften(model: mujoco.MjModel, cars: Sequence[Car]) -> None:
-    """Give the wheels of all cars the tread that they need on an uneven floor."""
+    """Give the wheels of all cars a tread."""
     wheels = _wheels(model, cars)
     model.geom_solref[wheels, 0] = TREAD_S
     model.geom_pos[wheels, 2] -= SUNK_M

@@ -20,7 +20,7 @@ from craftsim.models.bearings import Bearings
 from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
 from craftsim.models.extent import check_extent
-from craftsim.models.grip import Grip, soften
+from craftsim.models.grip import Grip
 from craftsim.models.imperfection import FLAT, Floor
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
@@ -109,6 +109,8 @@ class Site:
         self.machines = machines
         self.size = grid.size
         self.floor = floor
+        self.uneven = False
+        """Whether wheels may come off the ground, so that the reduced drive's limits have to follow each step."""
         self.lift_m = 0.0
         """How high above its place everything that moves is put by a reset, to come down onto an uneven floor."""
         self.overlaps: tuple[Overlap, ...] = ()
@@ -129,8 +131,6 @@ class Site:
         if machines.drive == "reduced":
             for car in parts.cars:
                 car.add_spin(self.model)
-            if not floor.flat:
-                soften(self.model, parts.cars)
             mujoco.mj_setConst(self.model, self.data)
             self._grip = Grip(self.model, self.data, parts.cars)
         self._ctrl, self._steps_per_period = self.data.ctrl, self.config.steps_per_period
@@ -239,7 +239,7 @@ class Site:
             mujoco.mj_step(model, data)
             self.follow()
             self.capped_steps += reaches(iterations, cap)
-            if self._grip is not None and self.tiles is not None:
+            if self._grip is not None and self.uneven:
                 self._grip.limit()
             if observe is not None:
                 observe()

@@ -3,13 +3,15 @@
 Wheels without rollers do not touch the floor with friction; their motors push the car as if they did. A mecanum wheel
 holds the ground along its roller's axis, at 45 degrees to its way, with a force of at most the friction coefficient
 times its load N: no more of its motor's torque than mu N R / sqrt(2), less what the gear takes, reaches the ground. The
-loads are those of the last physics step, and the limits hold for one control period.
+loads are those of the last physics step, and the limits hold for one control period, where wheels come
+off an uneven floor, or are not equal, for one physics step.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -19,6 +21,30 @@ from craftsim.discrete.compiled import compiled
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.parts import WHEELS, Car
 
+TREAD_S: Final = 0.05
+"""Time constant of the wheels' contacts on an uneven floor, or under unequal wheels. Assumed: each gives way by 0.17 mm
+under a quarter of the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand on two or
+three wheels and drift sideways by ten times what it does on rollers, which rattle (docs/imperfections.md)."""
+SUNK_M: Final = 0.00017
+"""By so much the wheels then stand lower in the car, which keeps its height."""
+
+
+def soften(model: mujoco.MjModel, cars: Sequence[Car]) -> None:
+    """Give the wheels of all cars a tread."""
+    wheels = _wheels(model, cars)
+    model.geom_solref[wheels, 0] = TREAD_S
+    model.geom_pos[wheels, 2] -= SUNK_M
+
+
+def _wheels(model: mujoco.MjModel, cars: Sequence[Car]) -> NDArray[np.int32]:
+    """Return the geoms that stand for the wheels of all cars, car by car."""
+    names = [f"{prefix}{wheel}" for prefix in _prefixes(model, cars) for wheel in WHEELS]
+    return np.array([model.geom(name).id for name in names], np.int32)
+
+
+def _prefixes(model: mujoco.MjModel, cars: Sequence[Car]) -> list[str]:
+    return [model.body(car.base.body).name.rpartition("/")[0] + "/" for car in cars]
+
 
 class Grip:
     """The limits of the wheel motors of all cars of a compiled model with the reduced drive."""
@@ -27,13 +53,11 @@ class Grip:
         """Take the motors' own limits as they are in the model now."""
         self._model, self._data = model, data
         self._limits = model.actuator_forcerange.copy()
-        prefixes = [model.body(car.base.body).name.rpartition("/")[0] + "/" for car in cars]
-        wheels = [prefix + wheel for prefix in prefixes for wheel in WHEELS]
-        geoms = np.array([model.geom(name).id for name in wheels], np.int32)
+        prefixes, geoms = _prefixes(model, cars), _wheels(model, cars)
         wheel = np.full(model.ngeom, -1, np.int32)
-        wheel[geoms] = np.arange(len(wheels))
+        wheel[geoms] = np.arange(len(geoms))
         gears = [model.actuator(p + w.replace("wheel", "gear")).id for p in prefixes for w in WHEELS]
-        motors = np.array([model.actuator(name).id for name in wheels], np.intp)
+        motors = np.array([motor for car in cars for motor in car.wheel_actuators], np.intp)
         radii = np.repeat([car.parameters.wheel_radius_m for car in cars], len(WHEELS))
         spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in cars], len(WHEELS))
         self._arrays = (
@@ -48,7 +72,7 @@ class Grip:
             spin[:, None] * model.actuator_gear[motors],
             np.repeat([car.base.dof for car in cars], len(WHEELS)),
             np.repeat([car.base.body for car in cars], len(WHEELS)),
-            np.zeros(len(wheels)),
+            np.zeros(len(geoms)),
         )
 
     def begin(self) -> None:

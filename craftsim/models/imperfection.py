@@ -110,11 +110,11 @@ class Making:
     board_place_m: float = 0.0
     """Of the place of board and boss on the car, forward and sideways."""
     foot_m: float = 0.0
-    """Of the length of each leg of a block."""
+    """Of the height of each foot of a block or a flag."""
     underside_m: float = 0.0
     """Of the height of a block's pocket and of a slope's pads above the floor."""
     pocket_m: float = 0.0
-    """Of the place of a block's pocket, forward and sideways."""
+    """Of the place of a block's pocket and of a slope's pads, forward and sideways."""
 
     def __post_init__(self) -> None:
         check_shares(self)

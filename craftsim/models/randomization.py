@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.models.floor import lay, tiles_body
+from craftsim.models.grip import soften
 from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
+from craftsim.models.making import make
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.overlaps import Overlap
 from craftsim.models.site import Site, SiteState
@@ -75,9 +77,16 @@ class Nominal:
     actuator_biasprm: NDArray[np.float64]
     dof_frictionloss: NDArray[np.float64]
     dof_damping: NDArray[np.float64]
-    hfield_data: NDArray[np.float32]
+    actuator_gear: NDArray[np.float64]
     body_pos: NDArray[np.float64]
     body_quat: NDArray[np.float64]
+    geom_pos: NDArray[np.float64]
+    geom_size: NDArray[np.float64]
+    geom_solref: NDArray[np.float64]
+    geom_rbound: NDArray[np.float64]
+    geom_aabb: NDArray[np.float64]
+    bvh_aabb: NDArray[np.float64]
+    hfield_data: NDArray[np.float32]
     gravity: NDArray[np.float64]
 
     @classmethod
@@ -137,7 +146,7 @@ class RandomizedSite:
         """Go back to the nominal physics and to the start, as a reset leaves it."""
         self.site.show_figures()
         self._nominal.write(self.site.model)
-        self.site.lift_m = 0.0
+        self.site.lift_m, self.site.uneven = 0.0, False
         if not self._is_nominal:
             self._follow()
             self._is_nominal = True
@@ -184,9 +193,14 @@ class RandomizedSite:
             [math.sin(tilt) * math.cos(towards), math.sin(tilt) * math.sin(towards), -math.cos(tilt)]
         )
         model.opt.gravity[:] = float(np.linalg.norm(self._nominal.gravity)) * down
-        # Generators of their own: what is drawn of the floor does not depend on what else is drawn, nor the other way.
-        (surface,) = rng.spawn(1)
+        # Generators of their own: what is drawn of one does not depend on what else is drawn.
+        surface, workshop = rng.spawn(2)
         self.site.lift_m = lay(model, tiles, surface) if tiles else 0.0
+        if not randomization.making.exact:
+            make(self.site, randomization.making, workshop)
+        self.site.uneven = tiles is not None or randomization.making.wheel_radius_m > 0
+        if self.site.uneven and self.site.machines.drive == "reduced":
+            soften(model, self.site.cars)
         self._follow()
         self.site.reset()
 

@@ -109,6 +109,8 @@ class Site:
         self.machines = machines
         self.size = grid.size
         self.floor = floor
+        self.uneven = False
+        """Whether wheels may come off the ground, so that the reduced drive's limits have to follow each step."""
         self.lift_m = 0.0
         """How high above its place everything that moves is put by a reset, to come down onto an uneven floor."""
         self.overlaps: tuple[Overlap, ...] = ()
@@ -237,6 +239,8 @@ class Site:
             mujoco.mj_step(model, data)
             self.follow()
             self.capped_steps += reaches(iterations, cap)
+            if self._grip is not None and self.uneven:
+                self._grip.limit()
             if observe is not None:
                 observe()
 

@@ -1,0 +1,189 @@
+"""Machines that are made a little off: each tolerance shows in measured poses, and only where it should."""
+
+from dataclasses import fields, replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.imperfection import Making
+from craftsim.models.parameters import NOMINAL, Drive
+from craftsim.models.randomization import NONE, RandomizedSite
+from craftsim.models.site import Site
+
+DRIVES: tuple[Drive, ...] = ("rollers", "reduced")
+
+
+class Largest:
+    """Draws the upper end of everything."""
+
+    def spawn(self, count: int) -> list["Largest"]:
+        return [self] * count
+
+    def uniform(self, low: float = 0.0, high: float = 1.0, size: object = None) -> object:
+        return high if size is None else np.full(size, high)
+
+
+def _site(
+    drive: Drive, cell: tuple[int, int] = (0, 1), kind: Kind = Kind.AIR, load: Kind = Kind.AIR
+) -> RandomizedSite:
+    grid = Grid.empty((5, 3, 2), 1)
+    grid.cars[0, :6] = 0, 1, 1, 0, load, 0
+    if kind != Kind.AIR:
+        grid.kind[*cell, 1] = kind
+    grid.derive_marks()
+    return RandomizedSite(Site(grid, machines=replace(NOMINAL, drive=drive), reset=False))
+
+
+def _drawn(world: RandomizedSite, seed: int, **making: float) -> Site:
+    world.draw(replace(NONE, making=Making(**making)), np.random.default_rng(seed))
+    return world.site
+
+
+def _pose(site: Site, body) -> np.ndarray:
+    return site.free_body_state(body)[0]
+
+
+def _heading(site: Site) -> float:
+    _, (w, _, _, z) = site.free_body_state(site.cars[0].base)
+    return float(2 * np.arctan2(z, w))
+
+
+def _radii(site: Site) -> np.ndarray:
+    """Return (4,): the radius of each wheel, as its shape in the model has it."""
+    model = site.model
+    if site.machines.drive == "reduced":
+        return np.array([model.geom(f"car0/wheel_{w}").size[0] for w in ("fl", "fr", "rl", "rr")])
+    bodies = [model.dof_bodyid[dof] for dof in site.cars[0].wheel_dofs]
+    rollers = [np.flatnonzero(model.body_parentid == body) for body in bodies]
+    thick = site.cars[0].parameters.roller_radius_m
+    return np.array([np.linalg.norm(model.body_pos[r], axis=1).mean() + thick for r in rollers])
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_a_car_with_larger_wheels_stands_higher_and_gets_further(drive):
+    """All four larger by 1 mm, 2.0 % of their radius: 2.0 % further."""
+    world, ways, heights = _site(drive), [], []
+    for more in (0.0, 0.001):
+        world.draw(replace(NONE, making=Making(wheel_radius_m=max(more, 1e-12))), Largest())
+        site = world.site
+        start = _pose(site, site.cars[0].base)
+        site.drive(0, [8.0] * 4)
+        places = []
+        for _ in range(80):
+            site.advance()
+            places.append(_pose(site, site.cars[0].base)[0])
+        ways.append(places[-1] - places[40])
+        heights.append(start[2])
+    assert ways[1] / ways[0] == pytest.approx(1 + 0.001 / NOMINAL.cars[0].wheel_radius_m, abs=0.003)
+    assert heights[1] - heights[0] == pytest.approx(0.001, abs=5e-5)
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_unequal_wheels_turn_a_car(drive):
+    world = _site(drive)
+    headings = []
+    for tolerance in (1e-12, 0.0002):
+        site = _drawn(world, 0, wheel_radius_m=tolerance)
+        assert abs(_radii(site) - NOMINAL.cars[0].wheel_radius_m).max() <= tolerance
+        assert len(np.unique(_radii(site))) == 4
+        site.drive(0, [8.0] * 4)
+        for _ in range(60):
+            site.advance()
+        headings.append(abs(_heading(site)))
+    assert headings[1] > max(0.005, 2 * headings[0])
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_a_car_with_a_longer_wheelbase_and_track_turns_less(drive):
+    world, turned, levers = _site(drive), [], []
+    for seed in range(3):
+        site = _drawn(world, seed, wheel_place_m=0.008)
+        site.drive(0, [-6.0, 6.0, -6.0, 6.0])
+        for _ in range(50):
+            site.advance()
+        turned.append(_heading(site))
+        model = site.model
+        if drive == "reduced":
+            places = np.array([model.geom(f"car0/wheel_{wheel}").pos for wheel in ("fl", "fr", "rl", "rr")])
+        else:
+            places = model.body_pos[model.dof_bodyid[site.cars[0].wheel_dofs]]
+        levers.append(np.abs(places[:, :2]).sum(axis=1).mean())
+    assert np.ptp(levers) > 0.001
+    assert (np.argsort(levers) == np.argsort(turned)[::-1]).all()
+    np.testing.assert_allclose(np.array(turned) * levers, np.mean(turned) * np.mean(levers), rtol=0.01)
+
+
+def test_a_board_that_is_too_high_carries_its_load_higher():
+    world, heights = _site("reduced", load=Kind.BLOCK), []
+    for more in (1e-12, 0.002):
+        world.draw(replace(NONE, making=Making(board_m=more)), Largest())
+        heights.append(_pose(world.site, world.site.blocks[0])[2])
+    assert heights[1] - heights[0] == pytest.approx(0.002, abs=5e-5)
+
+
+def test_a_block_with_uneven_feet_leans():
+    world = _site("reduced", (2, 1), Kind.BLOCK)
+    leans = []
+    for seed in range(4):
+        site = _drawn(world, seed, foot_m=0.002)
+        _, (_, x, y, _) = site.free_body_state(site.blocks[0])
+        leans.append(2 * np.hypot(x, y))
+        feet = [site.model.geom(f"block0/foot_{corner}").pos[2] for corner in ("fl", "fr", "rl", "rr")]
+        assert abs(np.array(feet) - NOMINAL.block.foot_radius_m).max() <= 0.002
+    # Two diagonal feet of 0.44 m, each off by up to 2 mm, lean it by up to 9 mrad.
+    assert 1e-3 < max(leans) < 0.01
+
+
+def test_a_load_with_a_higher_pocket_rides_lower():
+    """By up to the 1 mm that a boss leaves below the deck."""
+    world, heights = _site("reduced", load=Kind.BLOCK), []
+    for more in (1e-12, 0.0008):
+        world.draw(replace(NONE, making=Making(underside_m=more)), Largest())
+        heights.append(_pose(world.site, world.site.blocks[0])[2])
+    assert heights[0] - heights[1] == pytest.approx(0.0008, abs=5e-5)
+
+
+def test_a_load_sits_off_its_car_by_as_much_as_its_pocket_is_off():
+    """Within the play of 0.1 mm to each side, and of board and boss alike."""
+    for making, sign in ((Making(pocket_m=0.003), -1), (Making(board_place_m=0.003), 1)):
+        world = _site("reduced", load=Kind.BLOCK)
+        world.draw(replace(NONE, making=making), Largest())
+        site = world.site
+        for _ in range(50):
+            site.advance()
+        off = _pose(site, site.blocks[0])[:2] - _pose(site, site.cars[0].base)[:2]
+        assert off == pytest.approx(2 * [sign * 0.003], abs=0.3e-3)
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Making)])
+@pytest.mark.parametrize("drive", DRIVES)
+def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(name, drive):
+    grid = Grid.empty((5, 3, 2), 1)
+    grid.cars[0, :3] = 0, 1, 1
+    grid.kind[2, 1, 1], grid.kind[3, 1, 1], grid.kind[4, 1, 1] = Kind.BLOCK, Kind.FSLOPE, Kind.GEAR
+    grid.derive_marks()
+    world = RandomizedSite(Site(grid, machines=replace(NOMINAL, drive=drive), reset=False))
+    world.restore()
+    model = world.site.model
+    before = {
+        n: getattr(model, n).copy()
+        for n in ("geom_pos", "geom_size", "body_pos", "actuator_gear", "bvh_aabb")
+    }
+    _drawn(world, 0, **{name: 0.001})
+    assert any(
+        not np.array_equal(getattr(model, n), before[n]) for n in ("geom_pos", "geom_size", "body_pos")
+    )
+    world.restore()
+    for n, array in before.items():
+        np.testing.assert_array_equal(getattr(model, n), array, err_msg=n)
+
+
+def test_no_shape_that_is_drawn_shares_its_frame_with_its_body():
+    """MuJoCo takes the body's frame for such a shape's, whatever its place."""
+    world = _site("reduced", (2, 1), Kind.BLOCK)
+    model = world.site.model
+    same = mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT
+    for name in ("car0/wheel_fl", "block0/foot_fl", "block0/frame_front", "block0/frame_left"):
+        assert model.geom_sameframe[model.geom(name).id] == int(same)

@@ -7,14 +7,14 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.compiled import Record, compiled, records
+from craftsim.discrete.compiled import compiled, records
 from craftsim.models.localising import Localisations
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise
 
 _N_NORMALS = 9
 """Normal numbers for each reading of a car: x, y, z, heading, pitch, roll, board, its force, hinge."""
-_LEVELS = ("tilt_rad", "board_m", "board_force_n", "hinge_rad", "undocked_share", "encoder_step_rad")
+_LEVELS = ("tilt_rad", "board_m", "board_force_n", "hinge_rad", "undocked_share")
 _BIASES: Final = {
     "pitch": "tilt_bias_rad",
     "roll": "tilt_bias_rad",
@@ -23,8 +23,6 @@ _BIASES: Final = {
     "hinge_rad": "hinge_bias_rad",
 }
 """Readings whose bias has a sign that is drawn, and the figures of that bias."""
-_WHEELS: Final = np.dtype([("angles", "f8", (4,)), ("speeds", "f8", (4,)), ("counts", "f8", (4,))])
-"""Of a car's wheels: angles in counts of their encoders, speeds in rad/s, and what has been counted."""
 
 
 class Disturber:
@@ -33,7 +31,8 @@ class Disturber:
     def __init__(self, noise: SensorNoise, n_cars: int, period_s: float, rng: np.random.Generator) -> None:
         """Disturb one set of readings each control period."""
         self.readings = records(n_cars, READING)
-        self._rng, self._period_s = rng, period_s
+        self._rng = rng
+        # What is not white noise comes from another generator: whatever of it there is, the noise is the same.
         (more,) = rng.spawn(1)
         self._localisations = Localisations(noise, n_cars, period_s, rng, more)
         self._encoder_share = (
@@ -44,8 +43,6 @@ class Disturber:
         self._biases = records(n_cars, np.dtype([(reading, "f8") for reading in _BIASES]))
         for reading, figure in _BIASES.items():
             self._biases[reading] = getattr(noise, figure) * more.choice((-1.0, 1.0), n_cars)
-        self._wheels = records(n_cars, _WHEELS)
-        self._wheels["angles"] = more.uniform(0, 1, (n_cars, 4))
         self._normals = np.zeros((n_cars, _N_NORMALS))
         self._uniforms = np.zeros(n_cars)
 
@@ -57,9 +54,7 @@ class Disturber:
         self._localisations.take(true, self._normals, self.readings)
         _disturb(
             true,
-            self._wheels,
             self._encoder_share,
-            self._period_s,
             self._levels,
             self._biases,
             self._normals,
@@ -71,9 +66,7 @@ class Disturber:
 @compiled
 def _disturb(
     true: Records,
-    wheels: Records,
     encoder_share: float,
-    period_s: float,
     levels: Records,
     biases: Records,
     normals: Floats,
@@ -85,11 +78,8 @@ def _disturb(
         real, now, bias = true[i], out[i], biases[i]
         now.time_s = real.time_s
         for wheel in range(4):
-            speed = real.wheel_speeds[wheel]
-            if noise.encoder_step_rad > 0.0:
-                speed = _counted(wheels[i], wheel, speed, period_s, noise.encoder_step_rad)
             old = now.wheel_speeds[wheel]
-            now.wheel_speeds[wheel] = old + encoder_share * (speed - old)
+            now.wheel_speeds[wheel] = old + encoder_share * (real.wheel_speeds[wheel] - old)
         now.pitch = real.pitch + noise.tilt_rad * normals[i, 4] + bias.pitch
         now.roll = real.roll + noise.tilt_rad * normals[i, 5] + bias.roll
         now.board_m = real.board_m + noise.board_m * normals[i, 6] + bias.board_m
@@ -98,14 +88,3 @@ def _disturb(
         now.slope = real.slope if docked else -1
         now.hinge_rad = real.hinge_rad + noise.hinge_rad * normals[i, 8] + bias.hinge_rad if docked else 0.0
         now.position_std_m = now.heading_std_rad = 0.0
-
-
-@compiled
-def _counted(car: Record, wheel: int, speed: float, period_s: float, step_rad: float) -> float:
-    """Return a wheel's speed as the counts of its encoder over a period say, between whose ends it changes evenly."""
-    car.angles[wheel] += period_s * (car.speeds[wheel] + speed) / 2 / step_rad
-    car.speeds[wheel] = speed
-    counts = math.floor(car.angles[wheel])
-    new = counts - car.counts[wheel]
-    car.counts[wheel] = counts
-    return new * step_rad / period_s

@@ -14,6 +14,7 @@ from craftsim.discrete.compiled import records
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.readback import Poses
 from craftsim.models.disturbing import Disturber
+from craftsim.models.encoders import Encoders
 from craftsim.models.measuring import READING, Records, Wiring, read_cars
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.site import Site
@@ -100,17 +101,23 @@ class Sensors:
         n = len(site.cars)
         self._true = records(n, READING)
         self._disturber: Disturber | None = None
+        self._encoders: Encoders | None = None
         if noise.silent:
             return
         if rng is None:
             raise ValueError("noisy sensors need a random generator")
         self._disturber = Disturber(noise, n, site.config.control_period_s, rng)
+        if noise.encoder_step_rad:
+            self._encoders = Encoders(site, self.wiring, noise.encoder_step_rad, *rng.spawn(1))
         self.observe()
 
     def observe(self) -> None:
         """Take the readings of this moment; call it once after each control period."""
         if self._disturber is not None:
-            self._disturber.disturb(self._read())
+            true = self._read()
+            if self._encoders is not None:
+                self._encoders.read(true)
+            self._disturber.disturb(true)
 
     def read(self) -> Records:
         """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""

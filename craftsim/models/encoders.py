@@ -32,7 +32,7 @@ class Encoders:
         self._encoders["joints"] = -1
         self._encoders["before"] = step_rad * rng.uniform(0, 1, (len(site.cars), 4))
         for row, car in zip(self._encoders, site.cars, strict=True):
-            row["pose"] = data.qpos[car.base.qpos : car.base.qpos + 7]
+            row["pose"] = np.concatenate(site.free_body_state(car.base))
             row["angles"] = row["before"]
             if wiring.on_axles:
                 row["joints"] = model.jnt_qposadr[model.dof_jntid[car.wheel_dofs]]

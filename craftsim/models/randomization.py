@@ -129,7 +129,8 @@ class RandomizedSite:
         self._rested: list[_Rested] = [] if start is None else _kept(start)
 
     def restore(self) -> None:
-        """Go back to the nominal physics and to the start, as a reset leaves it."""
+        """Go back to the nominal physics, ideal motors and gears, and to the start, as a reset leaves it."""
+        self.site.set_drivetrain(IDEAL)
         self.site.show_figures()
         self._nominal.write(self.site.model)
         if not self._is_nominal:
@@ -144,8 +145,12 @@ class RandomizedSite:
         self._rested.append(_Rested(self.site.save(), self.site.overlaps))
 
     def draw(self, randomization: DomainRandomization, rng: np.random.Generator) -> None:
-        """Draw new physics around the nominal one and reset the Site; equal generators give equal physics."""
+        """Draw new physics around the nominal one and reset the Site; equal generators give equal physics.
+
+        Motors and gears come to rest as ideal ones: what they lack is set afterwards.
+        """
         model = self.site.model
+        self.site.set_drivetrain(IDEAL)
         self.site.show_figures()
         self._nominal.write(model)
         self._is_nominal = False

@@ -121,6 +121,7 @@ def judge_on(
     Raises StartError where something stood in something else when the Site was reset.
     """
     check_start(site)
+    site.set_drivetrain(setup.randomization.drivetrain)
     motors = Motors(site, setup.randomization.sensors.motor_lag_s)
     executor = Executor(site, setup.gains, sensors=sensors, motors=motors, assumed=setup.assumed)
     return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

@@ -98,7 +98,7 @@ class _Period:
     ctrl: NDArray[np.float64]
     policies: NDArray[np.int32]
     limits: NDArray[np.float64]
-    """Of the motors' forces: those of the reduced drive depend on its grip."""
+    """Of the motors' forces: those of the reduced drive's wheels depend on its grip."""
     rouse: bool = False
     """Whether its first step ran with sleep switched off, to wake what is commanded."""
 
@@ -180,7 +180,9 @@ def _step(site: Site, period: _Period) -> None:
     model, data, n = site.model, site.data, site.config.steps_per_period
     data.ctrl[:] = period.ctrl
     model.tree_sleep_policy[:] = period.policies
-    model.actuator_forcerange[:] = period.limits
+    if site.machines.drive == "reduced":
+        for car in site.cars:
+            model.actuator_forcerange[car.wheel_actuators] = period.limits[car.wheel_actuators]
     if period.rouse:
         model.opt.enableflags &= ~_SLEEP
     for _ in range(n):

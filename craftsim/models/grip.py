@@ -52,7 +52,8 @@ class Grip:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, cars: Sequence[Car]) -> None:
         """Take the motors' own limits as they are in the model now."""
         self._model, self._data = model, data
-        self._limits = model.actuator_forcerange.copy()
+        self.limits = model.actuator_forcerange.copy()
+        """(nu, 2): the motors' own."""
         prefixes, geoms = _prefixes(model, cars), _wheels(model, cars)
         wheel = np.full(model.ngeom, -1, np.int32)
         wheel[geoms] = np.arange(len(geoms))
@@ -61,7 +62,7 @@ class Grip:
         radii = np.repeat([car.parameters.wheel_radius_m for car in cars], len(WHEELS))
         spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in cars], len(WHEELS))
         self._arrays = (
-            *(model.actuator_forcerange, self._limits),
+            *(model.actuator_forcerange, self.limits),
             *(data.actuator_force, data.tree_asleep, data.qacc, data.xmat),
             # By geom its wheel, counted over all cars, or -1; by wheel its motors.
             *(wheel, motors, np.array(gears, np.intp)),
@@ -77,7 +78,7 @@ class Grip:
 
     def begin(self) -> None:
         """Give the motors their own limits."""
-        self._model.actuator_forcerange[:] = self._limits
+        self._model.actuator_forcerange[:] = self.limits
 
     def limit(self) -> None:
         """Limit all motors for what their wheels carry now; of cars that sleep, the loads of which MuJoCo leaves out,

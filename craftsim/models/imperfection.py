@@ -72,13 +72,14 @@ class Drivetrain:
     """
 
     torque_slope: float = 0.0
-    """Share of the largest torque that is lost at the motor's top speed, in proportion to the speed."""
+    """Share of a driving motor's largest torque that is lost at its top speed, in proportion to the speed."""
     gear_loss: float = 0.0
-    """Share of the motor's torque that the gear takes, on top of its dry friction."""
+    """Share of a driving motor's torque that the gear takes, on top of its dry friction; it helps a brake as much."""
     backlash_rad: float = 0.0
-    """Angle of the wheel that the gear leaves free when the torque changes its sign."""
+    """Angle by which the gear leaves the wheel free when the torque changes its sign."""
     sag: float = 0.0
-    """Share of torque and speed that is lost when all motors of a car give their all: the battery's voltage drops."""
+    """Share of the largest torque, of that at standstill, that is lost at any speed when all motors of a car drive with
+    all they have: the battery's voltage drops."""
 
     def __post_init__(self) -> None:
         check_shares(self)

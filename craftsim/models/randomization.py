@@ -143,7 +143,8 @@ class RandomizedSite:
         self._rested: list[_Rested] = [] if start is None else _kept(start)
 
     def restore(self) -> None:
-        """Go back to the nominal physics and to the start, as a reset leaves it."""
+        """Go back to the nominal physics, ideal motors and gears, and to the start, as a reset leaves it."""
+        self.site.set_drivetrain(IDEAL)
         self.site.show_figures()
         self._nominal.write(self.site.model)
         self.site.lift_m, self.site.uneven = 0.0, False
@@ -161,11 +162,14 @@ class RandomizedSite:
     def draw(self, randomization: DomainRandomization, rng: np.random.Generator) -> None:
         """Draw new physics around the nominal one and reset the Site; equal generators give equal physics.
 
+        Motors and gears come to rest as ideal ones: what they lack is set afterwards.
+
         Raises InputError for a floor that the Site was not composed with.
         """
         model, tiles = self.site.model, self.site.tiles
         if randomization.floor != (self.site.floor if tiles else FLAT):
             raise InputError("a floor that is not flat must be given to the Site, too: Site(..., floor=...)")
+        self.site.set_drivetrain(IDEAL)
         self.site.show_figures()
         self._nominal.write(model)
         self._is_nominal = False

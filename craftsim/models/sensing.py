@@ -14,6 +14,7 @@ from craftsim.discrete.compiled import records
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.readback import Poses
 from craftsim.models.disturbing import Disturber
+from craftsim.models.encoders import Encoders
 from craftsim.models.measuring import READING, Records, Wiring, read_cars
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.site import Site
@@ -49,15 +50,20 @@ class CarMeasurement(NamedTuple):
     """How unsure the car is of its position: one standard deviation of x and of y."""
     heading_std_rad: float = 0.0
     """How unsure the car is of its heading."""
+    fresh: bool = True
+    """Whether a localisation has arrived since the last reading; else x, y, z and heading are as they were."""
 
 
-_WHEELS, _SLOPE, _HINGE = map(CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad"))
+_WHEELS, _SLOPE, _HINGE, _FRESH = map(
+    CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad", "fresh")
+)
 
 
 def measurement_of(reading: np.void) -> CarMeasurement:
     """Return a reading, a record of READING, as a measurement."""
     values: list[Any] = list(reading.tolist())
     values[_WHEELS] = tuple(values[_WHEELS].tolist())
+    values[_FRESH] = bool(values[_FRESH])
     if values[_SLOPE] < 0:
         values[_SLOPE] = values[_HINGE] = None
     return CarMeasurement(*values)
@@ -95,17 +101,23 @@ class Sensors:
         n = len(site.cars)
         self._true = records(n, READING)
         self._disturber: Disturber | None = None
+        self._encoders: Encoders | None = None
         if noise.silent:
             return
         if rng is None:
             raise ValueError("noisy sensors need a random generator")
         self._disturber = Disturber(noise, n, site.config.control_period_s, rng)
+        if noise.encoder_step_rad:
+            self._encoders = Encoders(site, self.wiring, noise.encoder_step_rad, *rng.spawn(1))
         self.observe()
 
     def observe(self) -> None:
         """Take the readings of this moment; call it once after each control period."""
         if self._disturber is not None:
-            self._disturber.disturb(self._read())
+            true = self._read()
+            if self._encoders is not None:
+                self._encoders.read(true)
+            self._disturber.disturb(true)
 
     def read(self) -> Records:
         """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""

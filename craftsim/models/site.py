@@ -19,9 +19,10 @@ from craftsim.errors import InputError
 from craftsim.models.bearings import Bearings
 from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
+from craftsim.models.drivetrain import Drivetrains
 from craftsim.models.extent import check_extent
 from craftsim.models.grip import Grip
-from craftsim.models.imperfection import FLAT, Floor
+from craftsim.models.imperfection import FLAT, Drivetrain, Floor
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import FreeBody
@@ -63,6 +64,8 @@ class SiteState:
     data: mujoco.MjData
     policies: NDArray[np.int32]
     capped_steps: int
+    played: NDArray[np.float64] | None
+    """By wheel, where its gear is in its backlash; None without."""
 
 
 class Site:
@@ -133,6 +136,7 @@ class Site:
                 car.add_spin(self.model)
             mujoco.mj_setConst(self.model, self.data)
             self._grip = Grip(self.model, self.data, parts.cars)
+        self._drivetrains: Drivetrains | None = None
         self._ctrl, self._steps_per_period = self.data.ctrl, self.config.steps_per_period
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = np.full(self.model.nu, UNKNOWN, np.int8)
@@ -161,6 +165,8 @@ class Site:
         mujoco.mj_forward(self.model, self.data)
         self.overlaps = tuple(overlaps(self.machine_names, self.data))
         self.capped_steps = 0
+        if self._drivetrains is not None:
+            self._drivetrains.start()
         self.follow()
         self._step(round(self.config.settle_s / self.config.timestep_s))
 
@@ -169,20 +175,25 @@ class Site:
         return mujoco.MjData(self.model)
 
     def show_figures(self) -> None:
-        """Put figures into the model that its drive changes while it runs: motors' limits, the rollers' friction.
+        """Put figures into the model that its drive changes as it runs: motors, gears, the rollers' friction.
 
         A reset, :meth:`restore` or :meth:`follow` comes next.
         """
+        if self._drivetrains is not None:
+            self._drivetrains.show()
         if self._grip is not None:
             self._grip.begin()
         if self._bearings is not None:
             self._bearings.show()
 
     def follow(self) -> None:
-        """Let the rollers' friction follow the contacts of the state; motors' limits do so in :meth:`advance`.
+        """Let the rollers' friction follow the contacts of the state, and motors and gears what they do; the limits of
+        grip do so in :meth:`advance`.
 
         Who steps ``model`` and ``data`` on its own calls it after each ``mj_step``.
         """
+        if self._drivetrains is not None:
+            self._drivetrains.follow()
         if self._bearings is not None:
             self._bearings.follow(self.data)
 
@@ -195,6 +206,20 @@ class Site:
             self._grip = Grip(self.model, self.data, self.cars)
         if self._bearings is not None:
             self._bearings.take()
+        if self._drivetrains is not None:
+            self._drivetrains = self._drivetrains_of(self._drivetrains.lacks)
+
+    def set_drivetrain(self, drivetrain: Drivetrain) -> None:
+        """Let the wheels' motors and gears lack this from now on, on top of what the model says of them."""
+        if self._drivetrains is None and drivetrain.ideal:
+            return
+        self.show_figures()
+        self._drivetrains = None if drivetrain.ideal else self._drivetrains_of(drivetrain)
+        self.follow()
+
+    def _drivetrains_of(self, drivetrain: Drivetrain) -> Drivetrains:
+        limits = self.model.actuator_forcerange if self._grip is None else self._grip.limits
+        return Drivetrains(self.model, self.data, self.cars, drivetrain, limits)
 
     @property
     def diverged(self) -> bool:
@@ -246,10 +271,14 @@ class Site:
 
     def save(self) -> SiteState:
         """Return a copy of the full state: restoring it and going on gives the same numbers, bit for bit."""
-        return SiteState(copy.copy(self.data), self.model.tree_sleep_policy.copy(), self.capped_steps)
+        played = None if self._drivetrains is None else self._drivetrains.played.copy()
+        return SiteState(copy.copy(self.data), self.model.tree_sleep_policy.copy(), self.capped_steps, played)
 
     def restore(self, state: SiteState) -> None:
-        """Go back to a state that this Site, or another one composed from an equal grid and config, has saved."""
+        """Go back to a state that this Site, or another one composed from an equal grid and config, has saved.
+
+        Where motors and gears lack something, the other's lacked the same.
+        """
         if (
             state.data.qpos.shape != self.data.qpos.shape
             or state.policies.shape != self.model.tree_sleep_policy.shape
@@ -258,6 +287,8 @@ class Site:
                 "this state was saved by a Site with other parts; restore it on one of an equal grid"
             )
         mujoco.mj_copyData(self.data, self.model, state.data)
+        if self._drivetrains is not None:
+            self._drivetrains.start(state.played)
         self.follow()
         self.capped_steps = state.capped_steps
         self._set_policies(state.policies)

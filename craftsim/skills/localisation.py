@@ -1,9 +1,11 @@
-"""Where cars believe they are: wheel odometry, corrected by localisations that are noisy and late.
+"""Where cars believe they are: wheel odometry, corrected by localisations that are noisy, and late by they know not what.
 
-A scalar Kalman filter for each of x, y and heading. Between two localisations the pose is carried on by the body twist
-that the wheel encoders imply, and its variance grows with the way travelled, for wheels slip. A localisation is
-compared with where the car believed to be when it was taken, and pulls by the Kalman gain. At rest the variance
-shrinks with every localisation, so a parked car knows its place much better than from one localisation.
+Odometry is prompt and smooth, so a car is controlled by it; localisations only say by how much odometry is off. A
+scalar Kalman filter for each of x, y and heading estimates that: its variance grows with the way travelled, for wheels
+slip, and each localisation is compared with where the car believed to be when it was taken. How long ago that was is
+estimated from the motion itself (:mod:`craftsim.skills.ages`). As far as it is unknown, a localisation says little
+while the car moves, and all that it can say once the car has rested for long enough: a delay that is not known yet
+cannot make a car swing. How noisy localisations are is found from how they scatter at rest.
 """
 
 from __future__ import annotations
@@ -18,19 +20,29 @@ from craftsim.discrete.compiled import Record, compiled, records
 from craftsim.discrete.rotation import wrap
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise
+from craftsim.skills.ages import WINDOW, assume_age, likeliest_age, weigh_ages
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import Mecanum, body_twist
 
+_OLDEST_S: Final = 0.3
+"""The greatest age that is looked for, unless more is assumed."""
+_COUNTS: Final = 8.0
+"""The assumed noise counts as much as so many localisations at rest..."""
+_MEMORY: Final = 500.0
+"""...and these as much as so many at most."""
+_STILL_M_S: Final = 0.002
+"""A car that rolls slower than this rests."""
+
 _COORDINATE: Final = np.dtype(
-    [(name, "f8") for name in ("noise_variance", "drift_variance", "value", "variance", "moved")]
+    [(name, "f8") for name in ("noise_variance", "drift_variance", "correction", "variance", "last", "scatter")]
 )
 _ESTIMATE: Final = np.dtype(
     [
         ("x", _COORDINATE),
         ("y", _COORDINATE),
         ("heading", _COORDINATE),
-        *((name, "f8") for name in ("period_s", "lever_m", "radius_m", "late", "age_std", "slip")),
-        ("n_past", "i8"),
+        *((name, "f8") for name in ("period_s", "lever_m", "radius_m", "slip", "jitter", "counts", "age", "age_std")),
+        *((name, "i8") for name in ("n_past", "n_still")),
     ],
     align=True,
 )
@@ -50,96 +62,148 @@ class Localiser:
         n = len(kinematics)
         self.readings = records(n, READING)
         """(n,) READING: the newest, with the estimated poses in place of the localised ones."""
-        late = 0.5 * (assumed.min_delay_s + assumed.max_delay_s) / period_s
+        least, most = assumed.min_delay_s / period_s, assumed.max_delay_s / period_s
+        n_ages = math.ceil(max(assumed.max_delay_s, _OLDEST_S) / period_s) + 1
+        self._ages = np.zeros((n, n_ages))
+        """The mismatch of each age in periods."""
+        for mismatches in self._ages:
+            assume_age(mismatches, (least + most) / 2, max(0.1, (most - least) / math.sqrt(12)))
         self._estimates = records(n, _ESTIMATE)
         for row, wheels in zip(self._estimates, kinematics, strict=True):
             row["period_s"], row["lever_m"], row["radius_m"] = period_s, wheels.lever_m, wheels.radius_m
-            # Localisations are late by so many periods, give or take ``age_std``.
-            row["late"], row["slip"] = late, gains.slip
-            row["age_std"] = (assumed.max_delay_s - assumed.min_delay_s) / math.sqrt(12) / period_s
+            row["slip"], row["jitter"], row["counts"] = gains.slip, assumed.jitter_s / period_s, _COUNTS
+            row["age"], row["age_std"] = likeliest_age(self._ages[0])
             for name in ("x", "y", "heading"):
                 std = assumed.heading_rad if name == "heading" else assumed.position_m
                 drift = gains.heading_drift if name == "heading" else gains.position_drift
                 row[name]["noise_variance"], row[name]["drift_variance"] = std**2, drift**2
-        self._past = np.zeros((n, 3, math.ceil(late) + 1))
-        """What was believed of x, y and heading at the end of each period; the newest first."""
+                row[name]["scatter"] = _COUNTS * std**2
+        self._odometry = np.zeros((n, 3, n_ages + WINDOW))
+        """x, y and heading by odometry alone at the end of each period; the newest first."""
+        self._located = np.zeros((n, 3, WINDOW + 1))
+        """The localisations; the newest first."""
 
     def update(self, readings: Records) -> Records:
         """Take in the readings of all cars, shape (n,), and return :attr:`readings`."""
-        _update(readings, self._estimates, self._past, self.readings)
+        _update(readings, self._estimates, self._ages, self._odometry, self._located, self.readings)
         return self.readings
 
 
 @compiled
-def _update(readings: Records, estimates: Records, past: Floats, out: Records) -> None:
+def _update(
+    readings: Records, estimates: Records, ages: Floats, odometry: Floats, located: Floats, out: Records
+) -> None:
     for i in range(len(readings)):
         out[i] = readings[i]
-        now, estimate = out[i], estimates[i]
-        x, y, heading, n = estimate.x, estimate.y, estimate.heading, estimate.n_past
-        if n:
-            _predict(now, estimate)
-            late = estimate.late
-            _correct(x, past[i, 0], n, now.x - _remembered(x, past[i, 0], n, late), estimate.age_std)
-            _correct(y, past[i, 1], n, now.y - _remembered(y, past[i, 1], n, late), estimate.age_std)
-            turned = wrap(now.heading - _remembered(heading, past[i, 2], n, late))
-            _correct(heading, past[i, 2], n, turned, estimate.age_std)
+        now, estimate, rolled, seen = out[i], estimates[i], odometry[i], located[i]
+        if estimate.n_past:
+            _predict(now, estimate, rolled)
+            _note(seen, now, seen[2, 0] + wrap(now.heading - seen[2, 0]))
+            _find_age(estimate, ages[i], rolled, seen)
+            _find_noise(estimate, seen)
+            _correct(estimate.x, rolled[0], seen[0, 0], estimate)
+            _correct(estimate.y, rolled[1], seen[1, 0], estimate)
+            _correct(estimate.heading, rolled[2], seen[2, 0], estimate)
         else:
-            _start(x, past[i, 0], now.x)
-            _start(y, past[i, 1], now.y)
-            _start(heading, past[i, 2], now.heading)
-        estimate.n_past = min(n + 1, past.shape[2])
-        now.x, now.y, now.heading = x.value, y.value, wrap(heading.value)
-        now.position_std_m, now.heading_std_rad = math.sqrt(x.variance), math.sqrt(heading.variance)
+            _start(estimate, rolled, seen, now)
+        estimate.n_past += 1
+        x, y, heading = estimate.x, estimate.y, estimate.heading
+        now.x, now.y = rolled[0, 0] + x.correction, rolled[1, 0] + y.correction
+        now.heading = wrap(rolled[2, 0] + heading.correction)
+        now.position_std_m = math.sqrt(max(x.variance, y.variance))
+        now.heading_std_rad = math.sqrt(heading.variance)
 
 
 @compiled
-def _start(coordinate: Record, past: Floats, value: float) -> None:
+def _start(estimate: Record, rolled: Floats, seen: Floats, now: Record) -> None:
     """Begin with what is measured."""
-    coordinate.value, coordinate.variance = value, coordinate.noise_variance
-    past[0] = value
+    for k in range(rolled.shape[1]):
+        rolled[0, k], rolled[1, k], rolled[2, k] = now.x, now.y, now.heading
+    for k in range(seen.shape[1]):
+        seen[0, k], seen[1, k], seen[2, k] = now.x, now.y, now.heading
+    estimate.x.variance, estimate.y.variance = estimate.x.noise_variance, estimate.y.noise_variance
+    estimate.heading.variance = estimate.heading.noise_variance
 
 
 @compiled
-def _predict(now: Record, estimate: Record) -> None:
+def _note(past: Floats, now: Record, heading: float) -> None:
+    """Put a pose before those of the past."""
+    for k in range(past.shape[1] - 1, 0, -1):
+        past[0, k], past[1, k], past[2, k] = past[0, k - 1], past[1, k - 1], past[2, k - 1]
+    past[0, 0], past[1, 0], past[2, 0] = now.x, now.y, heading
+
+
+@compiled
+def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
     """Go on as the wheels do, no further than the car moved; they may slip on all that they rolled."""
     wheels, period_s, slip = now.wheel_speeds, estimate.period_s, estimate.slip
     twist = body_twist(estimate.lever_m, estimate.radius_m, wheels[0], wheels[1], wheels[2], wheels[3])
     forward, left, turn = period_s * twist[0], period_s * twist[1], period_s * twist[2]
     forward, left = forward * math.cos(now.pitch), left * math.cos(now.roll)
-    middle = estimate.heading.value + turn / 2
+    middle = rolled[2, 0] + estimate.heading.correction + turn / 2
     c, s = math.cos(middle), math.sin(middle)
+    for k in range(rolled.shape[1] - 1, 0, -1):
+        rolled[0, k], rolled[1, k], rolled[2, k] = rolled[0, k - 1], rolled[1, k - 1], rolled[2, k - 1]
+    rolled[0, 0] += c * forward - s * left
+    rolled[1, 0] += s * forward + c * left
+    rolled[2, 0] += turn
     length = math.hypot(forward, left)
-    _go_on(estimate.x, c * forward - s * left, length, slip * length)
-    _go_on(estimate.y, s * forward + c * left, length, slip * length)
-    _go_on(estimate.heading, turn, abs(turn), slip * (abs(turn) + length / estimate.lever_m))
+    _grow(estimate.x, slip * length)
+    _grow(estimate.y, slip * length)
+    _grow(estimate.heading, slip * (abs(turn) + length / estimate.lever_m))
+    still = length + estimate.lever_m * abs(turn) < _STILL_M_S * period_s
+    estimate.n_still = estimate.n_still + 1 if still else 0
 
 
 @compiled
-def _go_on(coordinate: Record, way: float, moved: float, unsure: float) -> None:
-    coordinate.value += way
+def _grow(coordinate: Record, unsure: float) -> None:
     coordinate.variance += unsure**2 + coordinate.drift_variance
-    coordinate.moved = moved
 
 
 @compiled
-def _correct(coordinate: Record, past: Floats, n: int, innovation: float, age_std: float) -> None:
+def _find_age(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
+    """Take in what the way of the last periods says of how late localisations are."""
+    if estimate.n_still >= rolled.shape[1]:
+        return
+    way = math.hypot(seen[0, 0] - seen[0, WINDOW], seen[1, 0] - seen[1, WINDOW])
+    turn = seen[2, 0] - seen[2, WINDOW]
+    unsure = (estimate.slip * way) ** 2
+    weigh_ages(mismatches, seen[0, 0] - seen[0, WINDOW], rolled[0], 2 * estimate.x.noise_variance + unsure)
+    weigh_ages(mismatches, seen[1, 0] - seen[1, WINDOW], rolled[1], 2 * estimate.y.noise_variance + unsure)
+    weigh_ages(mismatches, turn, rolled[2], 2 * estimate.heading.noise_variance + (estimate.slip * turn) ** 2)
+    age, std = likeliest_age(mismatches)
+    estimate.age, estimate.age_std = age, math.hypot(std, estimate.jitter)
+
+
+@compiled
+def _find_noise(estimate: Record, seen: Floats) -> None:
+    """Take in by how much localisations at rest differ from one to the next."""
+    if estimate.n_still < estimate.age + 3 * estimate.age_std + 2:
+        return
+    fade = min(1.0, _MEMORY / (estimate.counts + 1))
+    estimate.counts = fade * (estimate.counts + 1)
+    for k in range(3):
+        coordinate = estimate.x if k == 0 else estimate.y if k == 1 else estimate.heading
+        coordinate.scatter = fade * (coordinate.scatter + (seen[k, 0] - seen[k, 1]) ** 2 / 2)
+        coordinate.noise_variance = coordinate.scatter / estimate.counts
+
+
+@compiled
+def _correct(coordinate: Record, rolled: Floats, seen: float, estimate: Record) -> None:
     """Take in by how much a localisation differs from what was believed when it was taken."""
-    # A localisation of unknown age says little while the car moves.
-    unsure = coordinate.noise_variance + (age_std * coordinate.moved) ** 2
-    gain = coordinate.variance / (coordinate.variance + unsure)
-    coordinate.value += gain * innovation
+    innovation = seen - _at(rolled, estimate.age) - coordinate.correction
+    # A localisation of unknown age says little of a car that moved.
+    spread = (_at(rolled, estimate.age - estimate.age_std) - _at(rolled, estimate.age + estimate.age_std)) / 2
+    gain = coordinate.variance / (coordinate.variance + coordinate.noise_variance + spread**2)
+    coordinate.correction += gain * innovation
     coordinate.variance *= 1 - gain
-    for k in range(min(n, len(past) - 1), 0, -1):
-        past[k] = past[k - 1] + gain * innovation
-    past[0] = coordinate.value
 
 
 @compiled
-def _remembered(coordinate: Record, past: Floats, n: int, late: float) -> float:
-    """Return what was believed when the localisation was taken, between two control periods."""
-    back = min(late, n)
+def _at(past: Floats, age: float) -> float:
+    """Return what was so many periods ago, between two of them."""
+    back = max(0.0, min(age, len(past) - 1.0))
     newer = math.floor(back)
-    older = min(newer + 1, n)
-    share = back - newer
-    recent: float = past[newer - 1] if newer else coordinate.value
-    return (1 - share) * recent + share * past[older - 1]
+    older = min(newer + 1, len(past) - 1)
+    value: float = past[newer] + (back - newer) * (past[older] - past[newer])
+    return value

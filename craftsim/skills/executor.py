@@ -18,6 +18,7 @@ from craftsim.models.site import Site
 from craftsim.skills.control import read_paths, step_cars
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.holding import on_incline
+from craftsim.skills.leading import leads
 from craftsim.skills.library import make_skill
 from craftsim.skills.localisation import Localiser
 from craftsim.skills.mecanum import Mecanum
@@ -87,7 +88,7 @@ class Executor:
         wiring = self.sensors.wiring
         self._arrays = (
             *(self._tasks, self._past, self._constants, self._commands, wiring.cars, wiring.plugs),
-            *(self._docked, self.motors.speeds, self.motors.share, site.data.ctrl),
+            *(self._docked, leads(n, period), self.motors.speeds, self.motors.share, site.data.ctrl),
         )
         """What the compiled laws work on."""
         self._skills: dict[int, Skill] = {}

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
 from craftsim.discrete.compiled import Record, compiled, records
-from craftsim.discrete.rotation import wrap
+from craftsim.models.localising import Localisations
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise
 
 _N_NORMALS = 9
 """Normal numbers for each reading of a car: x, y, z, heading, pitch, roll, board, its force, hinge."""
-_LEVELS = (
-    *("position_m", "heading_rad", "tilt_rad", "board_m", "board_force_n", "hinge_rad", "undocked_share"),
-)
+_LEVELS = ("tilt_rad", "board_m", "board_force_n", "hinge_rad", "undocked_share", "encoder_step_rad")
+_BIASES: Final = {
+    "pitch": "tilt_bias_rad",
+    "roll": "tilt_bias_rad",
+    "board_m": "board_bias_m",
+    "board_force_n": "board_force_bias_n",
+    "hinge_rad": "hinge_bias_rad",
+}
+"""Readings whose bias has a sign that is drawn, and the figures of that bias."""
+_WHEELS: Final = np.dtype([("angles", "f8", (4,)), ("speeds", "f8", (4,)), ("counts", "f8", (4,))])
+"""Of a car's wheels: angles in counts of their encoders, speeds in rad/s, and what has been counted."""
 
 
 class Disturber:
@@ -24,17 +33,19 @@ class Disturber:
     def __init__(self, noise: SensorNoise, n_cars: int, period_s: float, rng: np.random.Generator) -> None:
         """Disturb one set of readings each control period."""
         self.readings = records(n_cars, READING)
-        self._rng = rng
-        self._delays = rng.uniform(noise.min_delay_s, noise.max_delay_s, n_cars) / period_s
-        depth = math.ceil(noise.max_delay_s / period_s) + 2
-        self._past = np.zeros((n_cars, depth, 4))
-        """x, y, z and heading in the last periods, the newest first."""
-        self._n_past = 0
+        self._rng, self._period_s = rng, period_s
+        (more,) = rng.spawn(1)
+        self._localisations = Localisations(noise, n_cars, period_s, rng, more)
         self._encoder_share = (
             1.0 if not noise.encoder_lag_s else 1 - math.exp(-period_s / noise.encoder_lag_s)
         )
         self._levels = records(1, np.dtype([(name, "f8") for name in _LEVELS]))
         self._levels[0] = tuple(getattr(noise, name) for name in _LEVELS)
+        self._biases = records(n_cars, np.dtype([(reading, "f8") for reading in _BIASES]))
+        for reading, figure in _BIASES.items():
+            self._biases[reading] = getattr(noise, figure) * more.choice((-1.0, 1.0), n_cars)
+        self._wheels = records(n_cars, _WHEELS)
+        self._wheels["angles"] = more.uniform(0, 1, (n_cars, 4))
         self._normals = np.zeros((n_cars, _N_NORMALS))
         self._uniforms = np.zeros(n_cars)
 
@@ -43,14 +54,14 @@ class Disturber:
         for car, normals in enumerate(self._normals):
             self._rng.standard_normal(out=normals)
             self._uniforms[car] = self._rng.random()
-        self._n_past = min(self._n_past + 1, self._past.shape[1])
+        self._localisations.take(true, self._normals, self.readings)
         _disturb(
             true,
-            self._delays,
-            self._past,
-            self._n_past,
+            self._wheels,
             self._encoder_share,
+            self._period_s,
             self._levels,
+            self._biases,
             self._normals,
             self._uniforms,
             self.readings,
@@ -60,50 +71,41 @@ class Disturber:
 @compiled
 def _disturb(
     true: Records,
-    delays: Floats,
-    past: Floats,
-    n_past: int,
+    wheels: Records,
     encoder_share: float,
+    period_s: float,
     levels: Records,
+    biases: Records,
     normals: Floats,
     uniforms: Floats,
     out: Records,
 ) -> None:
     noise = levels[0]
     for i in range(len(true)):
-        real, now = true[i], out[i]
-        _remember(real, past[i])
+        real, now, bias = true[i], out[i], biases[i]
         now.time_s = real.time_s
-        _localise(now, past[i], min(delays[i], n_past - 1.0), noise, normals[i])
         for wheel in range(4):
+            speed = real.wheel_speeds[wheel]
+            if noise.encoder_step_rad > 0.0:
+                speed = _counted(wheels[i], wheel, speed, period_s, noise.encoder_step_rad)
             old = now.wheel_speeds[wheel]
-            now.wheel_speeds[wheel] = old + encoder_share * (real.wheel_speeds[wheel] - old)
-        now.pitch = real.pitch + noise.tilt_rad * normals[i, 4]
-        now.roll = real.roll + noise.tilt_rad * normals[i, 5]
-        now.board_m = real.board_m + noise.board_m * normals[i, 6]
-        now.board_force_n = real.board_force_n + noise.board_force_n * normals[i, 7]
+            now.wheel_speeds[wheel] = old + encoder_share * (speed - old)
+        now.pitch = real.pitch + noise.tilt_rad * normals[i, 4] + bias.pitch
+        now.roll = real.roll + noise.tilt_rad * normals[i, 5] + bias.roll
+        now.board_m = real.board_m + noise.board_m * normals[i, 6] + bias.board_m
+        now.board_force_n = real.board_force_n + noise.board_force_n * normals[i, 7] + bias.board_force_n
         docked = real.slope >= 0 and uniforms[i] >= noise.undocked_share
         now.slope = real.slope if docked else -1
-        now.hinge_rad = real.hinge_rad + noise.hinge_rad * normals[i, 8] if docked else 0.0
+        now.hinge_rad = real.hinge_rad + noise.hinge_rad * normals[i, 8] + bias.hinge_rad if docked else 0.0
         now.position_std_m = now.heading_std_rad = 0.0
 
 
 @compiled
-def _remember(real: Record, past: Floats) -> None:
-    for row in range(len(past) - 1, 0, -1):
-        for k in range(4):
-            past[row, k] = past[row - 1, k]
-    past[0, 0], past[0, 1], past[0, 2], past[0, 3] = real.x, real.y, real.z, real.heading
-
-
-@compiled
-def _localise(now: Record, past: Floats, back: float, noise: Record, normals: Floats) -> None:
-    """Read the pose of ``back`` periods ago."""
-    newer = math.floor(back)
-    share = back - newer
-    a, b = past[newer], past[math.ceil(back)]
-    now.x = a[0] + share * (b[0] - a[0]) + noise.position_m * normals[0]
-    now.y = a[1] + share * (b[1] - a[1]) + noise.position_m * normals[1]
-    now.z = a[2] + share * (b[2] - a[2]) + noise.position_m * normals[2]
-    turn = wrap(b[3] - a[3])
-    now.heading = wrap(a[3] + share * turn + noise.heading_rad * normals[3])
+def _counted(car: Record, wheel: int, speed: float, period_s: float, step_rad: float) -> float:
+    """Return a wheel's speed as the counts of its encoder over a period say, between whose ends it changes evenly."""
+    car.angles[wheel] += period_s * (car.speeds[wheel] + speed) / 2 / step_rad
+    car.speeds[wheel] = speed
+    counts = math.floor(car.angles[wheel])
+    new = counts - car.counts[wheel]
+    car.counts[wheel] = counts
+    return new * step_rad / period_s

@@ -25,6 +25,7 @@ READING: Final = np.dtype(
         ("hinge_rad", "f8"),
         ("position_std_m", "f8"),
         ("heading_std_rad", "f8"),
+        ("fresh", "i8"),
     ],
     align=True,
 )
@@ -116,6 +117,7 @@ def _read_cars(
         now.slope = _docked_slope(now, forward, left, up, qpos, plugs, reach[0])
         now.hinge_rad = qpos[plugs[now.slope].hinge] if now.slope >= 0 else 0.0
         now.position_std_m = now.heading_std_rad = 0.0
+        now.fresh = 1
 
 
 @compiled

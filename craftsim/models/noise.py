@@ -13,7 +13,8 @@ from craftsim.models.imperfection import check_shares
 class SensorNoise:
     """What one car's sensors and motors lack; hashable. Raises InputError for a negative figure, or one of 1 or more.
 
-    All sensors are read at the control rate of 50 Hz; all noise is white, and drawn for each car.
+    All sensors are read at the control rate of 50 Hz, and localisations arrive as often unless a period is given. All
+    noise is drawn for each car; standard deviations are those of white noise, but of a drift and of jitter.
 
     Example:
         >>> import craftsim
@@ -26,30 +27,32 @@ class SensorNoise:
     heading_rad: float = 0.0
     """Standard deviation of the heading of one localisation, white."""
     position_bias_m: float = 0.0
-    """By so much each car is localised beside its place, in a direction that is drawn once."""
+    """By so much each car is localised beside its place, in a horizontal direction of the world that is drawn once."""
     heading_bias_rad: float = 0.0
     """By so much each car's heading is localised off, to a side that is drawn once."""
     position_drift_m: float = 0.0
-    """Standard deviation of what each position coordinate's bias walks in a second."""
+    """Standard deviation of what the bias of x and that of y walk in a second: sqrt(t) as much in t seconds."""
     heading_drift_rad: float = 0.0
     """Standard deviation of what the heading's bias walks in a second."""
     min_delay_s: float = 0.0
     """Least age of a localisation; each car's own delay is drawn once, uniformly up to ``max_delay_s``."""
     max_delay_s: float = 0.0
     jitter_s: float = 0.0
-    """Standard deviation of the age of single localisations."""
+    """Standard deviation of the age of single localisations; none comes before it was taken."""
     localisation_period_s: float = 0.0
-    """Time between two localisations, as of a camera; a car reads the last one until then. 0: the control period."""
+    """Time between two localisations, as of a camera; a car reads the last one until then. Each car has its own phase.
+    0: the control period."""
     lost_share: float = 0.0
     """Share of the localisations that do not arrive: the car reads the one before."""
     outlier_share: float = 0.0
     """Share of the localisations that are wrong..."""
     outlier_m: float = 0.0
-    """...and by how much, in a direction that is drawn each time."""
+    """...and by how much, in a horizontal direction that is drawn each time."""
     encoder_lag_s: float = 0.0
     """Time constant of the wheel speeds' low-pass filter."""
     encoder_step_rad: float = 0.0
-    """Angle of one count of a wheel's encoder; speeds are differences of counts over a control period."""
+    """Angle of one count of a wheel's encoder; speeds are differences of counts over a control period. 0: the speed of
+    the moment."""
     motor_lag_s: float = 0.0
     """Time constant with which a wheel's commanded speed reaches its servo."""
     tilt_rad: float = 0.0

@@ -49,15 +49,20 @@ class CarMeasurement(NamedTuple):
     """How unsure the car is of its position: one standard deviation of x and of y."""
     heading_std_rad: float = 0.0
     """How unsure the car is of its heading."""
+    fresh: bool = True
+    """Whether a localisation has arrived since the last reading; else x, y, z and heading are as they were."""
 
 
-_WHEELS, _SLOPE, _HINGE = map(CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad"))
+_WHEELS, _SLOPE, _HINGE, _FRESH = map(
+    CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad", "fresh")
+)
 
 
 def measurement_of(reading: np.void) -> CarMeasurement:
     """Return a reading, a record of READING, as a measurement."""
     values: list[Any] = list(reading.tolist())
     values[_WHEELS] = tuple(values[_WHEELS].tolist())
+    values[_FRESH] = bool(values[_FRESH])
     if values[_SLOPE] < 0:
         values[_SLOPE] = values[_HINGE] = None
     return CarMeasurement(*values)

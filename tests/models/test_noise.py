@@ -107,6 +107,107 @@ def test_no_noise_but_a_motors_lag_is_silent(name):
     assert SensorNoise(**{name: 0.01}).silent is (name == "motor_lag_s")
 
 
+BIASED = SensorNoise(
+    position_bias_m=0.005,
+    heading_bias_rad=0.01,
+    tilt_bias_rad=0.002,
+    board_bias_m=0.0001,
+    board_force_bias_n=0.3,
+    hinge_bias_rad=0.001,
+)
+
+
+def test_a_bias_is_as_long_as_declared_on_every_seed_and_points_anywhere(docked):
+    true, ways = measure(docked, 0), []
+    for seed in range(200):
+        now = Sensors(docked, BIASED, np.random.default_rng(seed)).measure(0)
+        assert math.hypot(now.x - true.x, now.y - true.y) == pytest.approx(0.005, rel=1e-9)
+        assert now.z == true.z
+        biased = {
+            "heading": "heading_bias_rad",
+            "pitch": "tilt_bias_rad",
+            "roll": "tilt_bias_rad",
+            "board_m": "board_bias_m",
+            "board_force_n": "board_force_bias_n",
+            "hinge_rad": "hinge_bias_rad",
+        }
+        off = {name: getattr(now, name) - getattr(true, name) for name in biased}
+        for name, figure in biased.items():
+            assert abs(off[name]) == pytest.approx(getattr(BIASED, figure), rel=1e-9)
+        ways.append([*(np.sign(way) for way in off.values()), now.x > true.x, now.y > true.y])
+    # Each side in half of the seeds, give or take four deviations.
+    assert (abs((np.array(ways) > 0).mean(axis=0) - 0.5) < 4 * 0.5 / math.sqrt(200)).all()
+
+
+def test_a_bias_drifts_as_far_as_declared_and_as_a_random_walk(site):
+    noise = SensorNoise(position_drift_m=0.001, heading_drift_rad=0.002)
+    seconds = _readings(site, noise, 1, 60 * 50)[::50]
+    steps = np.diff(seconds[:, [0, 1, 3]], axis=0) / (0.001, 0.001, 0.002)
+    np.testing.assert_allclose(steps.std(axis=0), 1.0, rtol=4 / math.sqrt(2 * len(steps)))
+    assert (abs((steps[1:] * steps[:-1]).mean(axis=0)) < 4 / math.sqrt(len(steps))).all()
+    assert not np.diff(seconds[:, 2]).any()
+
+
+def _ages(site, monkeypatch, noise, n=600, seed=0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ages in seconds of what a car that drives at 1 m/s reads of x, and whether each is fresh."""
+    moving = Moving(site, monkeypatch)
+    sensors = Sensors(site, noise, np.random.default_rng(seed))
+    seen = []
+    for moving.period in range(1, n + 1):
+        sensors.observe()
+        now = sensors.measure(0)
+        assert now.time_s == moving.period * PERIOD_S
+        seen.append((now.time_s - now.x, now.fresh))
+    ages, fresh = np.array(seen).T
+    return ages, fresh > 0
+
+
+def test_the_age_of_single_localisations_jitters_as_declared_and_none_is_of_the_future(site, monkeypatch):
+    ages, fresh = _ages(site, monkeypatch, SensorNoise(min_delay_s=0.1, max_delay_s=0.1, jitter_s=0.01))
+    assert fresh.all()
+    late = ages[20:]
+    assert late.mean() == pytest.approx(0.1, abs=4 * 0.01 / math.sqrt(len(late)))
+    assert late.std() == pytest.approx(0.01, rel=4 / math.sqrt(2 * len(late)))
+    assert _ages(site, monkeypatch, SensorNoise(jitter_s=0.01))[0].min() >= -1e-12
+
+
+@pytest.mark.parametrize("period_s", [1 / 30, 0.05, 0.01])
+def test_between_two_localisations_a_car_reads_the_last_one(site, monkeypatch, period_s):
+    noise = SensorNoise(min_delay_s=0.03, max_delay_s=0.03, localisation_period_s=period_s)
+    ages, fresh = _ages(site, monkeypatch, noise)
+    # One that arrives between two control periods waits for the next.
+    assert 0.03 - 1e-9 <= ages[fresh][5:].min() <= ages[fresh][5:].max() < 0.03 + min(PERIOD_S, period_s)
+    assert fresh.sum() == pytest.approx(600 * min(PERIOD_S / period_s, 1.0), abs=2)
+    np.testing.assert_allclose(np.diff(ages)[~fresh[1:]], PERIOD_S, atol=1e-9)
+
+
+def test_of_the_localisations_the_declared_share_is_lost_and_the_car_reads_the_one_before(site, monkeypatch):
+    ages, fresh = _ages(site, monkeypatch, SensorNoise(lost_share=0.2), N)
+    assert (~fresh).mean() == pytest.approx(0.2, abs=4 * math.sqrt(0.2 * 0.8 / N))
+    np.testing.assert_allclose(ages[fresh], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.diff(ages)[~fresh[1:]], PERIOD_S, atol=1e-9)
+
+
+def test_of_the_localisations_the_declared_share_is_off_by_the_declared_length(site):
+    true = measure(site, 0)
+    errors = _readings(site, SensorNoise(outlier_share=0.1, outlier_m=0.3), 2)[:, :2] - (true.x, true.y)
+    off = np.hypot(*errors.T)
+    wrong = off > 1e-9
+    np.testing.assert_allclose(off[wrong], 0.3, rtol=1e-9)
+    assert wrong.mean() == pytest.approx(0.1, abs=4 * math.sqrt(0.1 * 0.9 / N))
+    assert (abs(errors[wrong].mean(axis=0)) < 4 * 0.3 / math.sqrt(2 * wrong.sum())).all()
+
+
+def test_a_new_figure_changes_no_reading_that_it_does_not_concern(site):
+    more = replace(NOISY, outlier_share=0.1, lost_share=0.1, jitter_s=0.01, board_bias_m=0.001)
+    both = [Sensors(site, noise, np.random.default_rng(4)) for noise in (NOISY, more)]
+    for _ in range(20):
+        for sensors in both:
+            sensors.observe()
+        old, new = (sensors.measure(0) for sensors in both)
+        assert (old.pitch, old.roll, old.board_force_n) == (new.pitch, new.roll, new.board_force_n)
+
+
 def test_two_cars_have_noise_of_their_own(site):
     sensors = Sensors(site, NOISY, np.random.default_rng(0))
     offsets = [sensors.measure(car).y - measure(site, car).y for car in (0, 1)]
@@ -129,6 +230,7 @@ def test_silent_sensors_are_exact_and_need_no_generator(site):
         assert getattr(now, name) == getattr(true, name)
     np.testing.assert_array_equal(now.wheel_speeds, true.wheel_speeds)
     assert now.position_std_m == now.heading_std_rad == 0.0
+    assert now.fresh
 
 
 def test_noisy_sensors_without_a_generator_are_refused(site):

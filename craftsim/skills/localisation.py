@@ -30,11 +30,13 @@ _COUNTS: Final = 8.0
 """The assumed noise counts as much as so many localisations at rest..."""
 _MEMORY: Final = 500.0
 """...and these as much as so many at most."""
+_OUTLIER: Final = 4.0
+"""A localisation that is further off than so many standard deviations pulls no more than one that is so far off."""
 _STILL_M_S: Final = 0.002
 """A car that rolls slower than this rests."""
 
 _COORDINATE: Final = np.dtype(
-    [(name, "f8") for name in ("noise_variance", "drift_variance", "correction", "variance", "last", "scatter")]
+    [(name, "f8") for name in ("noise_variance", "drift_variance", "correction", "variance", "scatter")]
 )
 _ESTIMATE: Final = np.dtype(
     [
@@ -42,7 +44,7 @@ _ESTIMATE: Final = np.dtype(
         ("y", _COORDINATE),
         ("heading", _COORDINATE),
         *((name, "f8") for name in ("period_s", "lever_m", "radius_m", "slip", "jitter", "counts", "age", "age_std")),
-        *((name, "i8") for name in ("n_past", "n_still")),
+        *((name, "i8") for name in ("begun", "n_still")),
     ],
     align=True,
 )
@@ -96,17 +98,13 @@ def _update(
     for i in range(len(readings)):
         out[i] = readings[i]
         now, estimate, rolled, seen = out[i], estimates[i], odometry[i], located[i]
-        if estimate.n_past:
+        if estimate.begun:
             _predict(now, estimate, rolled)
-            _note(seen, now, seen[2, 0] + wrap(now.heading - seen[2, 0]))
-            _find_age(estimate, ages[i], rolled, seen)
-            _find_noise(estimate, seen)
-            _correct(estimate.x, rolled[0], seen[0, 0], estimate)
-            _correct(estimate.y, rolled[1], seen[1, 0], estimate)
-            _correct(estimate.heading, rolled[2], seen[2, 0], estimate)
+            _note(seen, now)
+            if now.fresh:
+                _localise(now, estimate, ages[i], rolled, seen)
         else:
             _start(estimate, rolled, seen, now)
-        estimate.n_past += 1
         x, y, heading = estimate.x, estimate.y, estimate.heading
         now.x, now.y = rolled[0, 0] + x.correction, rolled[1, 0] + y.correction
         now.heading = wrap(rolled[2, 0] + heading.correction)
@@ -123,14 +121,32 @@ def _start(estimate: Record, rolled: Floats, seen: Floats, now: Record) -> None:
         seen[0, k], seen[1, k], seen[2, k] = now.x, now.y, now.heading
     estimate.x.variance, estimate.y.variance = estimate.x.noise_variance, estimate.y.noise_variance
     estimate.heading.variance = estimate.heading.noise_variance
+    estimate.begun = 1
 
 
 @compiled
-def _note(past: Floats, now: Record, heading: float) -> None:
-    """Put a pose before those of the past."""
-    for k in range(past.shape[1] - 1, 0, -1):
-        past[0, k], past[1, k], past[2, k] = past[0, k - 1], past[1, k - 1], past[2, k - 1]
-    past[0, 0], past[1, 0], past[2, 0] = now.x, now.y, heading
+def _note(seen: Floats, now: Record) -> None:
+    """Put a pose before those of the past, or nan where none has come; headings are counted on beyond half a turn."""
+    for k in range(seen.shape[1] - 1, 0, -1):
+        seen[0, k], seen[1, k], seen[2, k] = seen[0, k - 1], seen[1, k - 1], seen[2, k - 1]
+    seen[0, 0] = seen[1, 0] = seen[2, 0] = math.nan
+
+
+@compiled
+def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
+    """Take in a localisation."""
+    x, y, heading = estimate.x, estimate.y, estimate.heading
+    off_x = now.x - _at(rolled[0], estimate.age) - x.correction
+    off_y = now.y - _at(rolled[1], estimate.age) - y.correction
+    believed = _at(rolled[2], estimate.age) + heading.correction
+    turned = wrap(now.heading - believed)
+    straight = _correct(x, rolled[0], off_x, estimate)
+    straight &= _correct(y, rolled[1], off_y, estimate)
+    straight &= _correct(heading, rolled[2], turned, estimate)
+    if straight:
+        seen[0, 0], seen[1, 0], seen[2, 0] = now.x, now.y, believed + turned
+        _find_age(estimate, mismatches, rolled, seen)
+        _find_noise(estimate, seen)
 
 
 @compiled
@@ -167,6 +183,8 @@ def _find_age(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats
         return
     way = math.hypot(seen[0, 0] - seen[0, WINDOW], seen[1, 0] - seen[1, WINDOW])
     turn = seen[2, 0] - seen[2, WINDOW]
+    if not math.isfinite(turn):
+        return
     unsure = (estimate.slip * way) ** 2
     weigh_ages(mismatches, seen[0, 0] - seen[0, WINDOW], rolled[0], 2 * estimate.x.noise_variance + unsure)
     weigh_ages(mismatches, seen[1, 0] - seen[1, WINDOW], rolled[1], 2 * estimate.y.noise_variance + unsure)
@@ -178,25 +196,30 @@ def _find_age(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats
 @compiled
 def _find_noise(estimate: Record, seen: Floats) -> None:
     """Take in by how much localisations at rest differ from one to the next."""
-    if estimate.n_still < estimate.age + 3 * estimate.age_std + 2:
+    last = 1
+    while last < WINDOW and not math.isfinite(seen[0, last]):
+        last += 1
+    if estimate.n_still < estimate.age + 3 * estimate.age_std + 1 + last or not math.isfinite(seen[0, last]):
         return
     fade = min(1.0, _MEMORY / (estimate.counts + 1))
     estimate.counts = fade * (estimate.counts + 1)
     for k in range(3):
         coordinate = estimate.x if k == 0 else estimate.y if k == 1 else estimate.heading
-        coordinate.scatter = fade * (coordinate.scatter + (seen[k, 0] - seen[k, 1]) ** 2 / 2)
+        coordinate.scatter = fade * (coordinate.scatter + (seen[k, 0] - seen[k, last]) ** 2 / 2)
         coordinate.noise_variance = coordinate.scatter / estimate.counts
 
 
 @compiled
-def _correct(coordinate: Record, rolled: Floats, seen: float, estimate: Record) -> None:
-    """Take in by how much a localisation differs from what was believed when it was taken."""
-    innovation = seen - _at(rolled, estimate.age) - coordinate.correction
+def _correct(coordinate: Record, rolled: Floats, innovation: float, estimate: Record) -> bool:
+    """Take in by how much a localisation differs from what was believed when it was taken; False for an outlier."""
     # A localisation of unknown age says little of a car that moved.
     spread = (_at(rolled, estimate.age - estimate.age_std) - _at(rolled, estimate.age + estimate.age_std)) / 2
-    gain = coordinate.variance / (coordinate.variance + coordinate.noise_variance + spread**2)
-    coordinate.correction += gain * innovation
+    expected = coordinate.variance + coordinate.noise_variance + spread**2
+    most = _OUTLIER * math.sqrt(expected)
+    gain = coordinate.variance / expected
+    coordinate.correction += gain * max(-most, min(most, innovation))
     coordinate.variance *= 1 - gain
+    return abs(innovation) <= most
 
 
 @compiled

@@ -34,7 +34,7 @@ class Disturber:
         """Disturb one set of readings each control period."""
         self.readings = records(n_cars, READING)
         self._rng, self._period_s = rng, period_s
-        (more,) = rng.spawn(1)
+        more, self._of_lines = rng.spawn(2)
         self._localisations = Localisations(noise, n_cars, period_s, rng, more)
         self._encoder_share = (
             1.0 if not noise.encoder_lag_s else 1 - math.exp(-period_s / noise.encoder_lag_s)
@@ -48,6 +48,7 @@ class Disturber:
         self._wheels["angles"] = more.uniform(0, 1, (n_cars, 4))
         self._normals = np.zeros((n_cars, _N_NORMALS))
         self._uniforms = np.zeros(n_cars)
+        self._line_m, self._line_normals = noise.line_m, np.zeros((n_cars, 4))
 
     def disturb(self, true: Records) -> None:
         """Take in the exact readings of a control period."""
@@ -66,6 +67,10 @@ class Disturber:
             self._uniforms,
             self.readings,
         )
+        self.readings["lines"] = true["lines"]
+        if self._line_m:
+            self._of_lines.standard_normal(out=self._line_normals)
+            self.readings["lines"] += self._line_m * self._line_normals
 
 
 @compiled

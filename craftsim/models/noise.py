@@ -71,6 +71,8 @@ class SensorNoise:
     """Standard deviation of the hinge angle of a docked slope."""
     hinge_bias_rad: float = 0.0
     """By so much that angle is off, drawn once."""
+    line_m: float = 0.0
+    """Standard deviation of where a line sensor sees a line."""
     undocked_share: float = 0.0
     """Share of the readings in which the plug of a docked slope has no contact: the car feels no slope, and its command
     does not reach the hinge."""
@@ -122,6 +124,8 @@ NOISY = SensorNoise(
     board_force_n=0.3,
     # A magnetic encoder of 12 bits (ams AS5600, 0.015 degrees RMS in its slow filter mode).
     hinge_rad=0.00026,
+    # Assumed: a row of reflex sensors 8 mm apart, interpolated.
+    line_m=0.0004,
     # Assumed: spring contacts that chatter.
     undocked_share=0.001,
 )

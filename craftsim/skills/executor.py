@@ -21,7 +21,6 @@ from craftsim.skills.holding import on_incline
 from craftsim.skills.leading import leads
 from craftsim.skills.library import make_skill
 from craftsim.skills.localisation import Localiser
-from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.skill import CompiledSkill, Skill, SkillSetup, Terrain, n_past
 from craftsim.skills.state import COMMAND, CONSTANTS, HOLD, IDLE, OWN, TASK
@@ -73,9 +72,7 @@ class Executor:
         self._localiser = (
             None
             if assumed.exact_pose
-            else Localiser(
-                assumed, period, [Mecanum(car.parameters) for car in site.cars], self.gains.localisation
-            )
+            else Localiser(assumed, period, [car.parameters for car in site.cars], self.gains.localisation)
         )
         n = len(site.cars)
         self._constants = records(n, CONSTANTS)

@@ -1,11 +1,15 @@
-"""Where cars believe they are: wheel odometry, corrected by localisations that are noisy, and late by they know not what.
+"""Where cars believe they are: wheel odometry, corrected by localisations that are noisy, late and biased.
 
-Odometry is prompt and smooth, so a car is controlled by it; localisations only say by how much odometry is off. A
-scalar Kalman filter for each of x, y and heading estimates that: its variance grows with the way travelled, for wheels
-slip, and each localisation is compared with where the car believed to be when it was taken. How long ago that was is
-estimated from the motion itself (:mod:`craftsim.skills.ages`). As far as it is unknown, a localisation says little
-while the car moves, and all that it can say once the car has rested for long enough: a delay that is not known yet
-cannot make a car swing. How noisy localisations are is found from how they scatter at rest.
+Odometry is prompt and smooth, so a car is controlled by it; all else only says by how much odometry is off. One Kalman
+filter for each car estimates that, for x, y and heading, and with it by how much its localisations are beside its
+place. Uncertainty grows with the way travelled, for wheels slip.
+
+- A localisation is compared with where the car believed to be when it was taken. How long ago that was is estimated
+  from the motion itself (:mod:`craftsim.skills.ages`). As far as it is unknown, a localisation says little while the
+  car moves, and all that it can say once the car has rested for long enough: a delay that is not known yet cannot make
+  a car swing. How noisy localisations are is found from how they scatter at rest.
+- Below a block or a slope, which stands in the middle of its cell, line sensors say where the car is, at once and
+  without bias (:mod:`craftsim.skills.sighting`). Nothing else can tell a bias; what is learnt of it there stays known.
 """
 
 from __future__ import annotations
@@ -20,9 +24,12 @@ from craftsim.discrete.compiled import Record, compiled, records
 from craftsim.discrete.rotation import wrap
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise
+from craftsim.models.parameters import SmartcarParameters
 from craftsim.skills.ages import WINDOW, assume_age, likeliest_age, weigh_ages
+from craftsim.skills.filtering import FILTER, correct
 from craftsim.skills.gains import LocalisationGains
-from craftsim.skills.mecanum import Mecanum, body_twist
+from craftsim.skills.mecanum import body_twist
+from craftsim.skills.sighting import sight
 
 _OLDEST_S: Final = 0.3
 """The greatest age that is looked for, unless more is assumed."""
@@ -30,24 +37,26 @@ _COUNTS: Final = 8.0
 """The assumed noise counts as much as so many localisations at rest..."""
 _MEMORY: Final = 500.0
 """...and these as much as so many at most."""
-_OUTLIER: Final = 4.0
-"""A localisation that is further off than so many standard deviations pulls no more than one that is so far off."""
 _STILL_M_S: Final = 0.002
 """A car that rolls slower than this rests."""
+_LEAST: Final = 1e-12
+"""m^2 or rad^2: what is exact is not taken to be quite so."""
+_X, _Y, _HEADING, _BIAS = range(4)
+"""Places in the state: what odometry lacks of x, y and heading, and then the biases of their localisations."""
 
-_COORDINATE: Final = np.dtype(
-    [(name, "f8") for name in ("noise_variance", "drift_variance", "correction", "variance", "scatter")]
-)
 _ESTIMATE: Final = np.dtype(
     [
-        ("x", _COORDINATE),
-        ("y", _COORDINATE),
-        ("heading", _COORDINATE),
-        *((name, "f8") for name in ("period_s", "lever_m", "radius_m", "slip", "jitter", "counts", "age", "age_std")),
+        *((name, "f8") for name in ("period_s", "lever_m", "radius_m", "along_m", "across_m", "line_m")),
+        *((name, "f8") for name in ("slip", "jitter", "counts", "age", "age_std")),
         *((name, "i8") for name in ("begun", "n_still")),
+        ("known", FILTER),
+        ("drifts", "f8", (6,)),
+        *((name, "f8", (3,)) for name in ("noise", "scatter")),
     ],
     align=True,
 )
+"""What one car estimates. ``drifts`` are variances that each state gains in a period at rest; ``noise`` has those of
+localisations, and ``scatter`` the sums that they come from."""
 
 
 class Localiser:
@@ -57,11 +66,11 @@ class Localiser:
         self,
         assumed: SensorNoise,
         period_s: float,
-        kinematics: Sequence[Mecanum],
+        cars: Sequence[SmartcarParameters],
         gains: LocalisationGains,
     ) -> None:
-        """Expect readings with this noise at this period, of cars with these wheels; they may come otherwise."""
-        n = len(kinematics)
+        """Expect readings with this noise at this period, of cars with these figures; they may come otherwise."""
+        n = len(cars)
         self.readings = records(n, READING)
         """(n,) READING: the newest, with the estimated poses in place of the localised ones."""
         least, most = assumed.min_delay_s / period_s, assumed.max_delay_s / period_s
@@ -71,15 +80,22 @@ class Localiser:
         for mismatches in self._ages:
             assume_age(mismatches, (least + most) / 2, max(0.1, (most - least) / math.sqrt(12)))
         self._estimates = records(n, _ESTIMATE)
-        for row, wheels in zip(self._estimates, kinematics, strict=True):
-            row["period_s"], row["lever_m"], row["radius_m"] = period_s, wheels.lever_m, wheels.radius_m
+        for row, car in zip(self._estimates, cars, strict=True):
+            row["period_s"], row["lever_m"], row["radius_m"] = period_s, car.turn_radius_m, car.wheel_radius_m
+            row["along_m"], row["across_m"] = car.board_length_m / 2, car.board_width_m / 2
+            row["line_m"] = math.hypot(assumed.line_m, gains.placement)
             row["slip"], row["jitter"], row["counts"] = gains.slip, assumed.jitter_s / period_s, _COUNTS
             row["age"], row["age_std"] = likeliest_age(self._ages[0])
-            for name in ("x", "y", "heading"):
-                std = assumed.heading_rad if name == "heading" else assumed.position_m
-                drift = gains.heading_drift if name == "heading" else gains.position_drift
-                row[name]["noise_variance"], row[name]["drift_variance"] = std**2, drift**2
-                row[name]["scatter"] = _COUNTS * std**2
+            place, turn = gains.position_drift**2, gains.heading_drift**2
+            walk, sway = assumed.position_drift_m**2 * period_s, assumed.heading_drift_rad**2 * period_s
+            row["drifts"] = place, place, turn, walk, walk, sway
+            row["noise"] = assumed.position_m**2, assumed.position_m**2, assumed.heading_rad**2
+            row["scatter"] = _COUNTS * row["noise"]
+            for k, std in enumerate((assumed.position_bias_m, assumed.position_bias_m, assumed.heading_bias_rad)):
+                bias, noise = std**2, row["noise"][k]
+                covariance = row["known"]["covariance"]
+                covariance[k, k], covariance[_BIAS + k, _BIAS + k] = bias + noise, bias
+                covariance[k, _BIAS + k] = covariance[_BIAS + k, k] = -bias
         self._odometry = np.zeros((n, 3, n_ages + WINDOW))
         """x, y and heading by odometry alone at the end of each period; the newest first."""
         self._located = np.zeros((n, 3, WINDOW + 1))
@@ -98,53 +114,67 @@ def _update(
     for i in range(len(readings)):
         out[i] = readings[i]
         now, estimate, rolled, seen = out[i], estimates[i], odometry[i], located[i]
+        state, covariance = estimate.known.state, estimate.known.covariance
         if estimate.begun:
             _predict(now, estimate, rolled)
-            _note(seen, now)
+            _note(seen)
             if now.fresh:
                 _localise(now, estimate, ages[i], rolled, seen)
         else:
             _start(estimate, rolled, seen, now)
-        x, y, heading = estimate.x, estimate.y, estimate.heading
-        now.x, now.y = rolled[0, 0] + x.correction, rolled[1, 0] + y.correction
-        now.heading = wrap(rolled[2, 0] + heading.correction)
-        now.position_std_m = math.sqrt(max(x.variance, y.variance))
-        now.heading_std_rad = math.sqrt(heading.variance)
+        now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
+        now.heading = rolled[_HEADING, 0] + state[_HEADING]
+        sight(now, estimate.known, estimate.along_m, estimate.across_m, estimate.line_m**2)
+        now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
+        now.heading = wrap(rolled[_HEADING, 0] + state[_HEADING])
+        now.position_std_m = math.sqrt(max(_variance(covariance, _X), _variance(covariance, _Y)))
+        now.heading_std_rad = math.sqrt(_variance(covariance, _HEADING))
+
+
+@compiled
+def _variance(covariance: Floats, k: int) -> float:
+    """Return how well a coordinate is known, from localisations up to their bias, or below a cross altogether."""
+    both = covariance[k, k] + 2 * covariance[k, _BIAS + k] + covariance[_BIAS + k, _BIAS + k]
+    return max(0.0, min(covariance[k, k], both))
 
 
 @compiled
 def _start(estimate: Record, rolled: Floats, seen: Floats, now: Record) -> None:
     """Begin with what is measured."""
     for k in range(rolled.shape[1]):
-        rolled[0, k], rolled[1, k], rolled[2, k] = now.x, now.y, now.heading
+        rolled[_X, k], rolled[_Y, k], rolled[_HEADING, k] = now.x, now.y, now.heading
     for k in range(seen.shape[1]):
-        seen[0, k], seen[1, k], seen[2, k] = now.x, now.y, now.heading
-    estimate.x.variance, estimate.y.variance = estimate.x.noise_variance, estimate.y.noise_variance
-    estimate.heading.variance = estimate.heading.noise_variance
+        seen[_X, k], seen[_Y, k], seen[_HEADING, k] = now.x, now.y, now.heading
     estimate.begun = 1
 
 
 @compiled
-def _note(seen: Floats, now: Record) -> None:
-    """Put a pose before those of the past, or nan where none has come; headings are counted on beyond half a turn."""
-    for k in range(seen.shape[1] - 1, 0, -1):
-        seen[0, k], seen[1, k], seen[2, k] = seen[0, k - 1], seen[1, k - 1], seen[2, k - 1]
-    seen[0, 0] = seen[1, 0] = seen[2, 0] = math.nan
+def _note(seen: Floats) -> None:
+    """Let localisations grow older by a period; none has come yet."""
+    for row in range(3):
+        for k in range(seen.shape[1] - 1, 0, -1):
+            seen[row, k] = seen[row, k - 1]
+        seen[row, 0] = math.nan
 
 
 @compiled
 def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
     """Take in a localisation."""
-    x, y, heading = estimate.x, estimate.y, estimate.heading
-    off_x = now.x - _at(rolled[0], estimate.age) - x.correction
-    off_y = now.y - _at(rolled[1], estimate.age) - y.correction
-    believed = _at(rolled[2], estimate.age) + heading.correction
-    turned = wrap(now.heading - believed)
-    straight = _correct(x, rolled[0], off_x, estimate)
-    straight &= _correct(y, rolled[1], off_y, estimate)
-    straight &= _correct(heading, rolled[2], turned, estimate)
+    age, std, known = estimate.age, estimate.age_std, estimate.known
+    state = known.state
+    turned = now.heading - _at(rolled[_HEADING], age) - state[_HEADING] - state[_BIAS + _HEADING]
+    # Headings are counted on beyond half a turn.
+    located = (now.x, now.y, now.heading - turned + wrap(turned))
+    straight = True
+    for k in range(3):
+        known.slopes[k] = known.slopes[_BIAS + k] = 1.0
+        off = located[k] - _at(rolled[k], age) - state[k] - state[_BIAS + k]
+        # A localisation of unknown age says little of a car that moved.
+        spread = (_at(rolled[k], age - std) - _at(rolled[k], age + std)) / 2
+        straight &= correct(known, off, estimate.noise[k] + spread**2 + _LEAST)
     if straight:
-        seen[0, 0], seen[1, 0], seen[2, 0] = now.x, now.y, believed + turned
+        for k in range(3):
+            seen[k, 0] = located[k]
         _find_age(estimate, mismatches, rolled, seen)
         _find_noise(estimate, seen)
 
@@ -156,39 +186,43 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
     twist = body_twist(estimate.lever_m, estimate.radius_m, wheels[0], wheels[1], wheels[2], wheels[3])
     forward, left, turn = period_s * twist[0], period_s * twist[1], period_s * twist[2]
     forward, left = forward * math.cos(now.pitch), left * math.cos(now.roll)
-    middle = rolled[2, 0] + estimate.heading.correction + turn / 2
+    middle = rolled[_HEADING, 0] + estimate.known.state[_HEADING] + turn / 2
     c, s = math.cos(middle), math.sin(middle)
-    for k in range(rolled.shape[1] - 1, 0, -1):
-        rolled[0, k], rolled[1, k], rolled[2, k] = rolled[0, k - 1], rolled[1, k - 1], rolled[2, k - 1]
-    rolled[0, 0] += c * forward - s * left
-    rolled[1, 0] += s * forward + c * left
-    rolled[2, 0] += turn
+    x, y = c * forward - s * left, s * forward + c * left
+    for row in range(3):
+        for k in range(rolled.shape[1] - 1, 0, -1):
+            rolled[row, k] = rolled[row, k - 1]
+    rolled[_X, 0] += x
+    rolled[_Y, 0] += y
+    rolled[_HEADING, 0] += turn
     length = math.hypot(forward, left)
-    _grow(estimate.x, slip * length)
-    _grow(estimate.y, slip * length)
-    _grow(estimate.heading, slip * (abs(turn) + length / estimate.lever_m))
+    covariance = estimate.known.covariance
+    # A car whose heading is off goes astray.
+    for k in range(6):
+        covariance[_X, k] -= y * covariance[_HEADING, k]
+        covariance[_Y, k] += x * covariance[_HEADING, k]
+    for k in range(6):
+        covariance[k, _X] -= y * covariance[k, _HEADING]
+        covariance[k, _Y] += x * covariance[k, _HEADING]
+    for k in range(6):
+        covariance[k, k] += estimate.drifts[k]
+    covariance[_X, _X] += (slip * length) ** 2
+    covariance[_Y, _Y] += (slip * length) ** 2
+    covariance[_HEADING, _HEADING] += (slip * (abs(turn) + length / estimate.lever_m)) ** 2
     still = length + estimate.lever_m * abs(turn) < _STILL_M_S * period_s
     estimate.n_still = estimate.n_still + 1 if still else 0
 
 
 @compiled
-def _grow(coordinate: Record, unsure: float) -> None:
-    coordinate.variance += unsure**2 + coordinate.drift_variance
-
-
-@compiled
 def _find_age(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
     """Take in what the way of the last periods says of how late localisations are."""
-    if estimate.n_still >= rolled.shape[1]:
+    if estimate.n_still >= rolled.shape[1] or not math.isfinite(seen[_X, WINDOW]):
         return
-    way = math.hypot(seen[0, 0] - seen[0, WINDOW], seen[1, 0] - seen[1, WINDOW])
-    turn = seen[2, 0] - seen[2, WINDOW]
-    if not math.isfinite(turn):
-        return
-    unsure = (estimate.slip * way) ** 2
-    weigh_ages(mismatches, seen[0, 0] - seen[0, WINDOW], rolled[0], 2 * estimate.x.noise_variance + unsure)
-    weigh_ages(mismatches, seen[1, 0] - seen[1, WINDOW], rolled[1], 2 * estimate.y.noise_variance + unsure)
-    weigh_ages(mismatches, turn, rolled[2], 2 * estimate.heading.noise_variance + (estimate.slip * turn) ** 2)
+    way = math.hypot(seen[_X, 0] - seen[_X, WINDOW], seen[_Y, 0] - seen[_Y, WINDOW])
+    turn = seen[_HEADING, 0] - seen[_HEADING, WINDOW]
+    for k in range(3):
+        unsure = estimate.slip * (turn if k == _HEADING else way)
+        weigh_ages(mismatches, seen[k, 0] - seen[k, WINDOW], rolled[k], 2 * estimate.noise[k] + unsure**2 + _LEAST)
     age, std = likeliest_age(mismatches)
     estimate.age, estimate.age_std = age, math.hypot(std, estimate.jitter)
 
@@ -197,29 +231,15 @@ def _find_age(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats
 def _find_noise(estimate: Record, seen: Floats) -> None:
     """Take in by how much localisations at rest differ from one to the next."""
     last = 1
-    while last < WINDOW and not math.isfinite(seen[0, last]):
+    while last < WINDOW and not math.isfinite(seen[_X, last]):
         last += 1
-    if estimate.n_still < estimate.age + 3 * estimate.age_std + 1 + last or not math.isfinite(seen[0, last]):
+    if estimate.n_still < estimate.age + 3 * estimate.age_std + 1 + last or not math.isfinite(seen[_X, last]):
         return
     fade = min(1.0, _MEMORY / (estimate.counts + 1))
     estimate.counts = fade * (estimate.counts + 1)
     for k in range(3):
-        coordinate = estimate.x if k == 0 else estimate.y if k == 1 else estimate.heading
-        coordinate.scatter = fade * (coordinate.scatter + (seen[k, 0] - seen[k, last]) ** 2 / 2)
-        coordinate.noise_variance = coordinate.scatter / estimate.counts
-
-
-@compiled
-def _correct(coordinate: Record, rolled: Floats, innovation: float, estimate: Record) -> bool:
-    """Take in by how much a localisation differs from what was believed when it was taken; False for an outlier."""
-    # A localisation of unknown age says little of a car that moved.
-    spread = (_at(rolled, estimate.age - estimate.age_std) - _at(rolled, estimate.age + estimate.age_std)) / 2
-    expected = coordinate.variance + coordinate.noise_variance + spread**2
-    most = _OUTLIER * math.sqrt(expected)
-    gain = coordinate.variance / expected
-    coordinate.correction += gain * max(-most, min(most, innovation))
-    coordinate.variance *= 1 - gain
-    return abs(innovation) <= most
+        estimate.scatter[k] = fade * (estimate.scatter[k] + (seen[k, 0] - seen[k, last]) ** 2 / 2)
+        estimate.noise[k] = estimate.scatter[k] / estimate.counts
 
 
 @compiled

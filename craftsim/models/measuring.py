@@ -76,7 +76,7 @@ class Wiring:
         """(n,) PLUG, by slope."""
         for row, slope in zip(self.plugs, site.slopes, strict=True):
             row["pose"], row["hinge"], row["motor"] = slope.base.qpos, slope.hinge.qpos, slope.hinge.actuator
-        crossed = [*site.blocks, *(slope.base for slope in site.slopes)]
+        crossed = [*site.blocks, *site.flags, *(slope.base for slope in site.slopes)]
         self.crosses = np.array([body.qpos for body in crossed], np.int64)
         """Where the poses of what bears a cross below lie in MjData.qpos."""
         self.lines = records(len(site.cars), LINE_SENSORS)

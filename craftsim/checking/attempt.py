@@ -97,6 +97,8 @@ class Attempt:
     """The largest force between any two machines, the ground included, of all that ran at the same time."""
     capped_steps: int = 0
     """Physics steps meanwhile in which the solver gave up, at ``SimulationConfig.solver_iterations``."""
+    tries: int = 1
+    """How often the car tried: a failed try may have been made up for by another one."""
 
     @classmethod
     def of(cls, fields: Mapping[str, Any]) -> Attempt:
@@ -193,6 +195,7 @@ def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:
         duration_s=0.0 if outcome is None else round(outcome.duration_s, 6),
         peak_force_n=evidence.peak_force_n,
         capped_steps=evidence.capped_steps,
+        tries=0 if outcome is None else outcome.tries,
     )
 
 

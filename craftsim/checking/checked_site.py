@@ -181,7 +181,7 @@ class CheckedSite:
             other.meant.update(one.about)
             one.meant.update(other.about)
         one.cars.update(running)
-        self.executor.begin(step.car, step.action, Terrain(*step.inclines))
+        self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         return one
 
     def _now(self, step: ScheduledAction, index: int = -1) -> _Running:

@@ -62,8 +62,9 @@ SEED_0: Final = Seed((0,))
 
 def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> RandomizedSite:
     """Return the compiled world of a grid, to be set up again and again; it stands nowhere yet."""
-    site = Site(grid, setup.simulation, goals, reset=False, machines=setup.machines)
-    return RandomizedSite(site, (_visible(grid), tuple(goals), setup.simulation, setup.machines))
+    floor = setup.randomization.floor
+    site = Site(grid, setup.simulation, goals, reset=False, machines=setup.machines, floor=floor)
+    return RandomizedSite(site, (_visible(grid), tuple(goals), setup.simulation, setup.machines, floor))
 
 
 def _visible(grid: Grid) -> tuple[bytes, ...]:
@@ -86,8 +87,8 @@ def set_up(
         setup: everything that is configured.
         seed: decides the physics and the noise that are drawn.
         goals: cells to mark.
-        reuse: a Site of an equal grid, simulation and goals to be used again, which saves compiling; its numbers are
-            the same as those of a fresh one.
+        reuse: a Site of an equal grid, simulation, floor and goals to be used again, which saves compiling; its
+            numbers are the same as those of a fresh one.
         watch_contacts: as of :class:`CheckedSite`.
 
     Raises StartError where something would stand in something else.

@@ -51,15 +51,15 @@ def audit(
     """
     from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.films import record_failures, rendering_works
+    from craftsim.commands.notes_text import print_notes
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
-    from craftsim.commands.solver_text import print_capped
     from craftsim.validation.audit.audit import run_audit
     from craftsim.validation.audit.quick import quick_rows
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
-    from craftsim.validation.statistics.records import capped_steps
+    from craftsim.validation.statistics.records import capped_steps, retried
 
     console = Terminal()
     filming = video and rendering_works(console)
@@ -98,7 +98,7 @@ def audit(
     )
     print_results(console, result.results)
     print_smallest(console, out, result.smallest)
-    print_capped(capped_steps(result.records))
+    print_notes(capped_steps(result.records), retried(result.records))
     if result.comparison is not None:
         say(result.comparison)
     say(f"Report: {out / 'report.json'}\nPage:   {page}")

@@ -49,8 +49,8 @@ def demo(
     from craftsim.checking.episode import Watch
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
+    from craftsim.commands.notes_text import print_notes
     from craftsim.commands.progress import counting
-    from craftsim.commands.solver_text import print_capped
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.report import output_directory, write_report
@@ -93,7 +93,7 @@ def demo(
         config |= done[0].files
         console.print(demo_text.actions_table(done[0]))
         demo_text.print_worst(figures)
-    print_capped(sum(one.figures["capped_steps"] for one in done))
+    print_notes(*(sum(one.figures[name] for one in done) for name in ("capped_steps", "retried")))
     wall = {"total_s": time.perf_counter() - started}
     report = write_report(out, figures, command="demo", seed=physics.seed, config=config, wall=wall)
     say(f"Report: {report}")

@@ -63,9 +63,9 @@ def validate(
             of random play the worlds and plans.
     """
     from craftsim.commands.films import film_runs, record_failures, rendering_works
+    from craftsim.commands.notes_text import print_notes
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
-    from craftsim.commands.solver_text import print_capped
     from craftsim.commands.validate_text import conclusion, coverage_table, print_disagreements, runs_table
     from craftsim.report import output_directory
     from craftsim.validation import validation
@@ -131,7 +131,7 @@ def validate(
         console.print(coverage_table(result.coverage))
     print_disagreements(out, result.records)
     print_smallest(console, out, result.smallest)
-    print_capped(result.figures.capped_steps)
+    print_notes(result.figures.capped_steps, result.figures.retried)
     if result.comparison is not None:
         say(result.comparison)
     say(f"Report: {out / 'report.json'}\nPage:   {page}")

@@ -17,7 +17,7 @@ from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.rules.table import footprint
-from craftsim.discrete.terrain import inclines_of
+from craftsim.discrete.terrain import inclines_of, is_tight
 
 Order = Literal["sequential", "concurrent", "at-once"]
 """How the actions of a plan follow each other: one by one; as early as the dependencies allow; or, to see what goes
@@ -43,6 +43,11 @@ class ScheduledAction:
     def inclines(self) -> tuple[float, float]:
         """How far the ground raises the car's nose at the start and at the end of the step, in radians."""
         return inclines_of(self.before, self.after, self.car)
+
+    @property
+    def tight(self) -> bool:
+        """Whether the way of the step leads under something, or takes a load past something."""
+        return is_tight(self.before, self.after, self.car)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The ground that the map shows under a car."""
+"""What the map shows of a car's way: the ground under it, and how much room there is."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import INCLINE_RAD
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import CarField, Grid, Kind
 
 
 def incline_under(grid: Grid, car: NDArray[np.int64]) -> float:
@@ -26,3 +26,21 @@ def incline_under(grid: Grid, car: NDArray[np.int64]) -> float:
 def inclines_of(before: Grid, after: Grid, car: int) -> tuple[float, float]:
     """Return how far the ground raises a car's nose where it stands before and where it stands after an action."""
     return incline_under(before, before.cars[car]), incline_under(before, after.cars[car])
+
+
+def is_tight(before: Grid, after: Grid, car: int) -> bool:
+    """Return whether a car's way leads under something, or takes a load past something.
+
+    A lowered board clears what it passes under by a millimetre, and loads pass each other at two.
+    """
+    cells = [tuple(grid.cars[car, :3].tolist()) for grid in (before, after)]
+    cells = [cell for cell in cells if cell[2] < before.kind.shape[2]]  # above the top there is nothing
+    if before.cars[car, CarField.LOAD] == Kind.AIR:
+        return any(before.kind[cell] != Kind.AIR for cell in cells)
+    others = np.arange(before.n_cars) != car
+    for x, y, z in cells:
+        around = before.kind[max(x - 1, 0) : x + 2, max(y - 1, 0) : y + 2, z]
+        near = np.abs(before.cars[others, :2] - (x, y)).max(axis=1, initial=0) <= 1
+        if (around != Kind.AIR).any() or (near & (before.cars[others, CarField.Z] == z)).any():
+            return True
+    return False

@@ -29,6 +29,8 @@ from craftsim.models.composition import (
     ground_pose_and_size,
 )
 from craftsim.models.config import SimulationConfig
+from craftsim.models.floor import Tiles, add_tiles, level, put_below, tiles_of
+from craftsim.models.imperfection import Floor
 from craftsim.models.overlaps import MachineNames
 from craftsim.models.parameters import Machines
 from craftsim.models.parts import Car, FreeBody, Slope, load_part, trees_of_motors
@@ -63,6 +65,8 @@ class CompiledParts:
     flags: tuple[FreeBody, ...]
     tree_of_motor: NDArray[np.intp]
     names: MachineNames
+    tiles: Tiles | None
+    """Of a floor that is not flat."""
 
     def placed(
         self, size: Cell, parts: Sequence[Placement], goals: Sequence[Cell]
@@ -79,6 +83,8 @@ class CompiledParts:
             model.site_pos[model.site_bodyid == 0] = [goal_position(goal) for goal in goals]
         ground = model.geom("ground").id
         model.geom_pos[ground], model.geom_size[ground] = ground_pose_and_size(size)
+        if self.tiles:
+            put_below(model, self.tiles)
         for camera, aim in cameras(size, built_levels(parts, goals)).items():
             number = model.camera(camera).id
             model.cam_pos[number], model.cam_quat[number] = aim.position, _normalized(aim.quaternion)
@@ -90,9 +96,15 @@ class CompiledParts:
 
 @lru_cache(maxsize=KEPT)
 def compiled_parts(
-    kinds: tuple[str, ...], n_goals: int, config: SimulationConfig, machines: Machines
+    kinds: tuple[str, ...],
+    n_goals: int,
+    config: SimulationConfig,
+    machines: Machines,
+    uneven: tuple[Floor, Cell] | None = None,
 ) -> CompiledParts:
     """Return the compiled world of parts of these kinds, in their order.
+
+    ``uneven`` is a floor that is not flat and the size of its area.
 
     Raises InputError for figures of which MuJoCo makes no world.
     """
@@ -102,12 +114,17 @@ def compiled_parts(
     ]
     goals = [(0, 0, 1)] * n_goals
     spec, names = compose(_painted_ground(machines).copy(), (1, 1, 1), apart, config, goals, machines)
+    tiles = tiles_of(*uneven) if uneven else None
+    if tiles:
+        add_tiles(spec, tiles)
     try:
         model: mujoco.MjModel = spec.compile()
     except ValueError as error:
         raise InputError(f"MuJoCo makes no world of these figures: {error}") from error
+    if tiles:
+        level(model)
     _check_damping(model)
-    roots = np.flatnonzero(model.body_parentid == 0)[1:]  # the first is the world itself
+    roots = np.flatnonzero(model.body_parentid == 0)[1 : len(kinds) + 1]  # the first is the world itself
     free = np.flatnonzero(model.body_jntnum[roots])
     first = model.jnt_qposadr[model.body_jntadr[roots[free]]]
     return CompiledParts(
@@ -121,6 +138,7 @@ def compiled_parts(
         tuple(FreeBody.find(model, name + "flag") for name in names["flag"]),
         trees_of_motors(model),
         MachineNames.of(model),
+        tiles,
     )
 
 

@@ -35,7 +35,7 @@ class Floor:
     joint_m: float = 0.0
     """Width of the joints between tiles..."""
     joint_depth_m: float = 0.0
-    """...and by how much they lie below the tiles."""
+    """...and by how much their bottom lies below the lowest tile."""
     unevenness_m: float = 0.0
     """Height from the lowest to the highest point of the smooth undulation of the whole floor..."""
     wavelength_m: float = 0.6
@@ -45,6 +45,10 @@ class Floor:
         check_shares(self)
         if not self.tile_m or not self.wavelength_m:
             raise InputError("Floor.tile_m and Floor.wavelength_m must be above 0")
+        if self.joint_m >= self.tile_m:
+            raise InputError(
+                f"Floor.joint_m must be below Floor.tile_m, {self.tile_m:g}, not {self.joint_m:g}"
+            )
 
     @property
     def flat(self) -> bool:

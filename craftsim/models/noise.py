@@ -131,5 +131,20 @@ NOISY = SensorNoise(
 )
 """The noise under which skills are validated."""
 
+ASSUMED = SensorNoise(
+    position_m=0.001,
+    heading_rad=0.003,
+    position_bias_m=0.005,
+    heading_bias_rad=0.01,
+    # A bias that is learnt is not kept for ever: 1 mm and 2 mrad in a minute and a half.
+    position_drift_m=0.0001,
+    heading_drift_rad=0.0002,
+    max_delay_s=0.15,
+    jitter_s=0.01,
+    line_m=0.0004,
+)
+"""What cars take the noise of their sensors to be unless told otherwise, whatever it is: where they start from before
+they find out. Only what the pose estimate uses is in it."""
+
 MILD = SensorNoise(**{field.name: getattr(NOISY, field.name) / 2 for field in fields(SensorNoise)})
 """Half of it."""

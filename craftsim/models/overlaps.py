@@ -10,6 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.models.floor import tiles_body
+
 GROUND: Final = "ground"
 WALL: Final = "wall"
 ALLOWED_M: Final = 1e-3
@@ -32,9 +34,9 @@ class MachineNames:
         """Return the machines of a model."""
         free = int(mujoco.mjtJoint.mjJNT_FREE)
         roots = tuple(int(body) for body in model.jnt_bodyid[model.jnt_type == free])
-        number = {body: i + 2 for i, body in enumerate(roots)}
+        number = {0: 0, tiles_body(model): 0} | {body: i + 2 for i, body in enumerate(roots)}
         root = model.body_rootid[model.geom_bodyid].tolist()
-        machine = [number.get(body, 0 if body == 0 else 1) for body in root]
+        machine = [number.get(body, 1) for body in root]
         names = (GROUND, WALL, *(_name(model.body(body).name) for body in roots))
         return cls(names, roots, np.array(machine, np.intp))
 

@@ -6,12 +6,14 @@ import math
 from collections.abc import Hashable
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.errors import InputError
+from craftsim.models.floor import lay, tiles_body
 from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.overlaps import Overlap
@@ -73,6 +75,9 @@ class Nominal:
     actuator_biasprm: NDArray[np.float64]
     dof_frictionloss: NDArray[np.float64]
     dof_damping: NDArray[np.float64]
+    hfield_data: NDArray[np.float32]
+    body_pos: NDArray[np.float64]
+    body_quat: NDArray[np.float64]
     gravity: NDArray[np.float64]
 
     @classmethod
@@ -89,7 +94,7 @@ class Nominal:
             array[:] = getattr(self, name)
 
     @classmethod
-    def _arrays(cls, model: mujoco.MjModel) -> dict[str, NDArray[np.float64]]:
+    def _arrays(cls, model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
         """Return the model's own arrays by field name."""
         return {f.name: getattr(model.opt if f.name == "gravity" else model, f.name) for f in fields(cls)}
 
@@ -132,6 +137,7 @@ class RandomizedSite:
         """Go back to the nominal physics and to the start, as a reset leaves it."""
         self.site.show_figures()
         self._nominal.write(self.site.model)
+        self.site.lift_m = 0.0
         if not self._is_nominal:
             self._follow()
             self._is_nominal = True
@@ -144,8 +150,13 @@ class RandomizedSite:
         self._rested.append(_Rested(self.site.save(), self.site.overlaps))
 
     def draw(self, randomization: DomainRandomization, rng: np.random.Generator) -> None:
-        """Draw new physics around the nominal one and reset the Site; equal generators give equal physics."""
-        model = self.site.model
+        """Draw new physics around the nominal one and reset the Site; equal generators give equal physics.
+
+        Raises InputError for a floor that the Site was not composed with.
+        """
+        model, tiles = self.site.model, self.site.tiles
+        if randomization.floor != (self.site.floor if tiles else FLAT):
+            raise InputError("a floor that is not flat must be given to the Site, too: Site(..., floor=...)")
         self.site.show_figures()
         self._nominal.write(model)
         self._is_nominal = False
@@ -173,13 +184,18 @@ class RandomizedSite:
             [math.sin(tilt) * math.cos(towards), math.sin(tilt) * math.sin(towards), -math.cos(tilt)]
         )
         model.opt.gravity[:] = float(np.linalg.norm(self._nominal.gravity)) * down
+        # Generators of their own: what is drawn of the floor does not depend on what else is drawn, nor the other way.
+        (surface,) = rng.spawn(1)
+        self.site.lift_m = lay(model, tiles, surface) if tiles else 0.0
         self._follow()
         self.site.reset()
 
     def _materials(self) -> NDArray[np.intp]:
         """Return (n,): for each geom the first one of its material, which one machine and one friction make."""
         model = self.site.model
-        surfaces = np.column_stack([model.body_rootid[model.geom_bodyid], model.geom_friction[:, 0]])
+        root = model.body_rootid[model.geom_bodyid]
+        root = np.where(root == tiles_body(model), 0, root)
+        surfaces = np.column_stack([root, model.geom_friction[:, 0]])
         _, first, material = np.unique(surfaces, axis=0, return_index=True, return_inverse=True)
         found: NDArray[np.intp] = first[material.reshape(-1)]
         return found

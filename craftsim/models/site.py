@@ -21,6 +21,7 @@ from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
 from craftsim.models.extent import check_extent
 from craftsim.models.grip import Grip
+from craftsim.models.imperfection import FLAT, Floor
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import FreeBody
@@ -87,6 +88,7 @@ class Site:
         goals: Sequence[Cell] = (),
         reset: bool = True,
         machines: Machines = NOMINAL,
+        floor: Floor = FLAT,
     ) -> None:
         """Compose, compile and reset the world of a grid.
 
@@ -96,15 +98,19 @@ class Site:
             goals: cells that get a marker without contact.
             reset: False leaves the first reset to the caller, who is about to change the physics.
             machines: figures of cars, blocks and slopes.
+            floor: how uneven it can be; it is level until it is drawn (:class:`RandomizedSite`).
 
         Raises InputError for a world that is larger than physics takes, for figures of another number of cars than the
-        grid has, and for figures of which MuJoCo makes no world.
+        grid has, for figures of which MuJoCo makes no world, and for a floor that is too fine.
         """
         check_extent(grid, goals)
         machines.check_number(grid.n_cars)
         self.config = config or SimulationConfig.of(machines.drive)
         self.machines = machines
         self.size = grid.size
+        self.floor = floor
+        self.lift_m = 0.0
+        """How high above its place everything that moves is put by a reset, to come down onto an uneven floor."""
         self.overlaps: tuple[Overlap, ...] = ()
         """What stood in something else at the last reset, before it came to rest: such a start cannot be."""
         self.capped_steps = 0
@@ -114,7 +120,9 @@ class Site:
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
         kinds = tuple(placed.kind for placed in self._placements)
-        parts = compiled_parts(kinds, len(goals), self.config, machines)
+        uneven = None if floor.flat else (floor, grid.size)
+        parts = compiled_parts(kinds, len(goals), self.config, machines, uneven)
+        self.tiles, self._heights = parts.tiles, parts.qpos[:, 2]
         self.model, self.data = parts.placed(self.size, self._placements, goals)
         self._bearings = Bearings(self.model) if machines.drive == "rollers" else None
         self._grip: Grip | None = None
@@ -139,6 +147,7 @@ class Site:
         self.show_figures()
         mujoco.mj_resetData(self.model, self.data)
         self._set_policies(self._policies)
+        self.data.qpos[self._heights] += self.lift_m
         joints: dict[str, list[float]] = {"smartcar": [], "slope": []}
         for placed in self._placements:
             if placed.kind in joints:

@@ -19,9 +19,9 @@ from craftsim.skills.control import read_paths, step_cars
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.holding import on_incline
 from craftsim.skills.leading import leads
-from craftsim.skills.library import make_skill
 from craftsim.skills.localisation import Localiser
 from craftsim.skills.outcome import Outcome, Reason
+from craftsim.skills.recovery import Tries
 from craftsim.skills.skill import CompiledSkill, Skill, SkillSetup, Terrain, n_past
 from craftsim.skills.state import COMMAND, CONSTANTS, HOLD, IDLE, OWN, TASK
 
@@ -89,6 +89,7 @@ class Executor:
         )
         """What the compiled laws work on."""
         self._skills: dict[int, Skill] = {}
+        self._tries: dict[int, Tries] = {}
         self._own: list[int] = []
         """The cars whose skills are in Python."""
         self._look()
@@ -129,7 +130,11 @@ class Executor:
         """Let an idle car start an action; it runs as :meth:`advance` is called."""
         assert car not in self._skills, f"car {car} is busy"
         setup = self._setups[car]
-        skill = make_skill(action, setup if terrain is None else setup.on(terrain))
+        setup = setup if terrain is None else setup.on(terrain)
+        self._tries[car], skill = Tries.begin(action, setup, self._view(car))
+        self._start(car, skill)
+
+    def _start(self, car: int, skill: Skill) -> None:
         skill.start(self._view(car))
         self._skills[car] = skill
         if isinstance(skill, CompiledSkill) and skill.runs_compiled:
@@ -164,15 +169,21 @@ class Executor:
         for car, skill in list(self._skills.items()):
             if car not in self._own:
                 skill.conclude()
-            if skill.outcome is not None:
-                ended[car] = skill.outcome
-                del self._skills[car]
-                self._park(car, readings)
+            if skill.outcome is None:
+                continue
+            following = self._tries[car].next(skill.outcome)
+            del self._skills[car]
+            self._park(car, readings)
+            if following is None:
+                ended[car] = self._tries.pop(car).outcome(skill.outcome)
+            else:
+                self._start(car, following)
         return ended
 
     def _stop_all(self) -> dict[int, Outcome]:
         stopped = {car: Outcome(Reason.STOPPED, skill.elapsed_s) for car, skill in self._skills.items()}
         self._skills.clear()
+        self._tries.clear()
         for car in stopped:
             self.motors.drive(car, (0.0, 0.0, 0.0, 0.0))
             self.site.move_board(car, 0.0)

@@ -38,6 +38,10 @@ class DriveGains:
     """m/s: highest speed of a move from or onto a slope: the wheels meet its foot at an angle."""
     max_slope_acceleration: float
     """m/s^2: on a slope, and therefore on the things that carry it."""
+    max_tight_speed: float
+    """m/s: highest speed of a move under something, or of a load past something: a lowered board clears by a millimetre
+    what it passes under, and on an uneven floor a car without springs hops."""
+    max_tight_acceleration: float
     rocking: float
     """m^3/s^2: largest product of acceleration and height above the floor squared. A stack of n blocks gives way under
     a car by its push times its height in each of n joints, and tips in the end."""
@@ -165,6 +169,14 @@ class HealthGains:
 
 
 @dataclass(frozen=True)
+class RecoveryGains:
+    """What becomes of an action that failed for a reason that may pass."""
+
+    tries: float
+    """How often it is tried; before each further try the car goes back to where it began."""
+
+
+@dataclass(frozen=True)
 class Gains:
     """The gains of all skills; hashable. Raises InputError for a gain that is no positive number near the nominal one.
 
@@ -182,6 +194,7 @@ class Gains:
     hold: HoldGains
     localisation: LocalisationGains
     health: HealthGains
+    recovery: RecoveryGains
     source: str = field(default="nominal", compare=False)
 
     @property
@@ -207,6 +220,7 @@ SECTIONS: Final[dict[str, type]] = {
     "hold": HoldGains,
     "localisation": LocalisationGains,
     "health": HealthGains,
+    "recovery": RecoveryGains,
 }
 
 

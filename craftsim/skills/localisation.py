@@ -91,7 +91,9 @@ class Localiser:
             row["drifts"] = place, place, turn, walk, walk, sway
             row["noise"] = assumed.position_m**2, assumed.position_m**2, assumed.heading_rad**2
             row["scatter"] = _COUNTS * row["noise"]
-            for k, std in enumerate((assumed.position_bias_m, assumed.position_bias_m, assumed.heading_bias_rad)):
+            for k, std in enumerate(
+                (assumed.position_bias_m, assumed.position_bias_m, assumed.heading_bias_rad)
+            ):
                 bias, noise = std**2, row["noise"][k]
                 covariance = row["known"]["covariance"]
                 covariance[k, k], covariance[_BIAS + k, _BIAS + k] = bias + noise, bias
@@ -222,7 +224,9 @@ def _find_age(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats
     turn = seen[_HEADING, 0] - seen[_HEADING, WINDOW]
     for k in range(3):
         unsure = estimate.slip * (turn if k == _HEADING else way)
-        weigh_ages(mismatches, seen[k, 0] - seen[k, WINDOW], rolled[k], 2 * estimate.noise[k] + unsure**2 + _LEAST)
+        weigh_ages(
+            mismatches, seen[k, 0] - seen[k, WINDOW], rolled[k], 2 * estimate.noise[k] + unsure**2 + _LEAST
+        )
     age, std = likeliest_age(mismatches)
     estimate.age, estimate.age_std = age, math.hypot(std, estimate.jitter)
 

@@ -35,6 +35,8 @@ class Outcome:
     """None when it succeeded."""
     duration_s: float
     detail: str = ""
+    tries: int = 1
+    """How often the car tried (:mod:`craftsim.skills.recovery`)."""
 
     @property
     def succeeded(self) -> bool:

@@ -24,10 +24,12 @@ Law = Callable[[Records, Records, Floats, Records, Records, int], None]
 
 @dataclass(frozen=True)
 class Terrain:
-    """What the map says of the ground of a move: how far it raises the car's nose in the first and in the last cell."""
+    """What the map says of a move: by how much the ground raises the car's nose in its two cells, and the room."""
 
     start_rad: float = 0.0
     end_rad: float = 0.0
+    tight: bool = False
+    """Whether the way leads under something, or takes a load past something."""
 
     @property
     def sloping(self) -> bool:

@@ -91,6 +91,7 @@ class Building:
             "simulated_s": round(self.episode.end_s, 6),
             "makespan_s": self.episode.makespan_s,
             "capped_steps": sum(attempt.capped_steps for attempt in self.attempts),
+            "retried": sum(attempt.tries > 1 for attempt in self.attempts),
             "max_car_error_mm": worst("car_error_m"),
             "max_car_heading_error_mrad": worst("heading_error_rad"),
             "max_placed_error_mm": worst("placed_error_m"),

@@ -26,6 +26,7 @@ class _Judged(Attempt):
     result: Result
     finding: Finding
     capped_steps: _Count = 0
+    tries: _Count = 1
 
 
 @dataclass(frozen=True)

@@ -235,3 +235,27 @@ def test_a_step_knows_the_ground_of_its_move(scene, car):
     ticks = [[(0, action)] for action in (RIGHT, RIGHT, RIGHT, Action.ROTATE_LEFT)]
     inclines = [step.inclines for step in make_schedule(grid, ticks, RULES).steps]
     assert inclines == [(0.0, INCLINE_RAD), (INCLINE_RAD, INCLINE_RAD), (INCLINE_RAD, 0.0), (0.0, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("objects", "load", "tight"),
+    [
+        ([], Kind.AIR, False),
+        ([(Kind.BLOCK, (2, 3, 1))], Kind.AIR, False),
+        ([(Kind.BLOCK, (3, 2, 1))], Kind.AIR, True),
+        ([(Kind.BLOCK, (2, 2, 1))], Kind.AIR, True),
+        ([(Kind.BLOCK, (2, 4, 1))], Kind.BLOCK, False),
+        ([(Kind.BLOCK, (2, 3, 1))], Kind.BLOCK, True),
+        ([(Kind.WALL, (4, 1, 1))], Kind.BLOCK, True),
+    ],
+    ids=["free", "beside", "in below", "out from below", "load far off", "load beside", "load past a corner"],
+)
+def test_a_step_is_tight_under_things_and_where_a_load_passes_something(scene, car, objects, load, tight):
+    grid = scene(objects, [car(2, 2, load=load)])
+    (step,) = make_schedule(grid, [[(0, RIGHT)]], RULES).steps
+    assert step.tight == tight
+
+
+def test_a_load_that_passes_a_car_is_tight_too(scene, car):
+    grid = scene([], [car(2, 2, load=Kind.BLOCK), car(2, 4), car(3, 3)])
+    assert make_schedule(grid, [[(0, RIGHT)]], RULES).steps[0].tight

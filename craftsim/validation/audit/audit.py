@@ -20,7 +20,7 @@ from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrin
 from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
 from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
-from craftsim.validation.statistics.records import capped_steps
+from craftsim.validation.statistics.records import capped_steps, retried
 from craftsim.validation.validation import Progress
 
 COMMAND = "audit"
@@ -114,7 +114,8 @@ def run_audit(
     write_report(
         out,
         {
-            "audit": results.figures(plan, corrections) | {"capped_steps": capped_steps(records)},
+            "audit": results.figures(plan, corrections)
+            | {"capped_steps": capped_steps(records), "retried": retried(records)},
             "validation": figures,
             "paired": comparison,
             "smallest": smallest,

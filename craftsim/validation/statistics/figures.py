@@ -19,6 +19,7 @@ from craftsim.validation.statistics.records import (
     capped_steps,
     carried_out,
     error_counts,
+    retried,
 )
 from craftsim.validation.statistics.survival import PlanSurvival, plan_survival
 
@@ -42,6 +43,8 @@ class Figures:
     """Trials that did not come to an end, by what kept them from it; they count in no other figure."""
     capped_steps: int
     """Physics steps in which the solver gave up, summed over all attempts."""
+    retried: int
+    """Actions that were tried more than once."""
     all: GroupFigures
     by_group: dict[str, GroupFigures]
     by_verb: dict[str, MatrixRow]
@@ -73,6 +76,7 @@ def campaign_figures(records: Iterable[Record], seed: int) -> Figures:
         trials=sum(1 for _ in known),
         errors=error_counts(known),
         capped_steps=capped_steps(carried_out(known)),
+        retried=retried(carried_out(known)),
         all=every.figures(),
         by_group={name: group.figures() for name, group in sorted(groups.items())},
         by_verb={verb: MatrixRow.counted(results) for verb, results in sorted(verbs.items())},

@@ -47,6 +47,11 @@ def capped_steps(records: Iterable[Record]) -> int:
     return sum(int(attempt.get("capped_steps", 0)) for attempt in attempts_of(records))
 
 
+def retried(records: Iterable[Record]) -> int:
+    """Return how many actions were tried more than once."""
+    return sum(attempt.get("tries", 1) > 1 for attempt in attempts_of(records))
+
+
 def error_counts(records: Iterable[Record]) -> dict[str, int]:
     """Return how many trials did not come to an end, by what kept them from it, commonest first."""
     found = Counter(str(record["error"]) for record in records if record["error"] is not None)

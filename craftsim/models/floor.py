@@ -1,0 +1,187 @@
+"""A floor that is not a plane: tiles in the world, and the heights that a seed draws for them, written in place.
+
+Each tile is a height field: its sides are vertical, so a wheel meets an edge as sharp as a tile's, and its face may be
+flat or part of an undulation. The plane of a flat floor lies below them, as the bottom of their joints. Boxes would do
+for flat tiles and cost a tenth less, but not for an undulation (docs/imperfections.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.grid import Cell
+from craftsim.errors import InputError
+from craftsim.models.imperfection import Floor
+
+NAME: Final = "floor"
+"""The body of the tiles."""
+MOST_TILES: Final = 4096
+"""Of one floor: compiled in half a second, and felt in each physics step from some hundreds on."""
+_MOST_POINTS: Final = 2**20
+"""Of one floor: 4 MB."""
+_MARGIN_CELLS: Final = 0.5
+"""Width of uneven floor around the area; what falls off its edge is caught by the plane below."""
+_POINTS_A_WAVE: Final = 12
+"""An arc of a wave's twelfth is 0.0086 of its height above its chord."""
+_WAVES: Final = 6
+_BELOW_M: Final = 0.001
+"""By how much the plane lies below the lowest tile where there are no joints."""
+_THICK_M: Final = 0.02
+"""Of a tile: more than anything sinks in."""
+_LEAST_SPAN_M: Final = 1e-4
+"""A height field cannot have less."""
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """Where the tiles of a floor lie, in the frame of the floor, and at which points their heights are given."""
+
+    floor: Floor
+    radius_m: float
+    """Of the circle about the middle of the area that tiles cover however they lie."""
+    centres: NDArray[np.float64]
+    """(n, 2) metres."""
+    points: int
+    """Along each side of a tile."""
+
+    @property
+    def half_m(self) -> float:
+        """Half a tile's side."""
+        return (self.floor.tile_m - self.floor.joint_m) / 2
+
+    @property
+    def span_m(self) -> float:
+        """Height from the lowest to the highest point that a tile can have."""
+        return max(self.floor.relief_m, _LEAST_SPAN_M)
+
+    @property
+    def bottom_m(self) -> float:
+        """Height of the plane below the tiles."""
+        depth = self.floor.joint_depth_m if self.floor.joint_m else 0.0
+        return -self.floor.relief_m / 2 - (depth or _BELOW_M)
+
+    def heights(self, drawn: FloorDraw) -> NDArray[np.float64]:
+        """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn."""
+        along = np.linspace(-self.half_m, self.half_m, self.points)
+        x = self.centres[:, None, None, 0] + along[None, None, :]
+        y = self.centres[:, None, None, 1] + along[None, :, None]
+        heights = np.broadcast_to(
+            self.floor.lippage_m * drawn.steps[:, None, None], (len(self.centres), *2 * (self.points,))
+        )
+        if not self.floor.unevenness_m:
+            return heights
+        wave = np.zeros(heights.shape)
+        for towards, number, phase in drawn.waves:
+            k = math.tau * number / self.floor.wavelength_m
+            wave += np.sin(k * (math.cos(towards) * x + math.sin(towards) * y) + phase)
+        # Of the lowest and the highest point those count where machines are.
+        within = wave[np.hypot(x, y) <= self.radius_m]
+        low, high = float(within.min()), float(within.max())
+        share = np.clip((wave - low) / (high - low), 0.0, 1.0) - 0.5
+        uneven: NDArray[np.float64] = heights + self.floor.unevenness_m * share
+        return uneven
+
+
+@dataclass(frozen=True)
+class FloorDraw:
+    """What a seed draws of a floor; the same for all figures of one layout."""
+
+    turn_rad: float
+    shift: NDArray[np.float64]
+    """(2,): of the tiles, in sides of a tile."""
+    waves: NDArray[np.float64]
+    """(n, 3): direction in radians, wave number as a share of the largest, phase in radians."""
+    steps: NDArray[np.float64]
+    """(n,): each tile's height, from -0.5 to 0.5."""
+
+    @classmethod
+    def of(cls, tiles: Tiles, rng: np.random.Generator) -> FloorDraw:
+        """Draw a floor."""
+        turn = rng.uniform(0, math.tau)
+        shift = rng.uniform(-0.5, 0.5, 2)
+        waves = rng.uniform([0, 0.5, 0], [math.tau, 1, math.tau], (_WAVES, 3))
+        return cls(turn, shift, waves, rng.uniform(-0.5, 0.5, len(tiles.centres)))
+
+
+@lru_cache(maxsize=8)
+def tiles_of(floor: Floor, size: Cell) -> Tiles:
+    """Return the tiles of a floor under an area of ``size`` cells. Raises InputError for too many of them."""
+    radius = CELL_PITCH_M * math.hypot(*(n / 2 + _MARGIN_CELLS for n in size[:2]))
+    # A tile may be shifted by half of its diagonal, and reaches as far from its centre.
+    reach = radius + math.sqrt(2) * floor.tile_m
+    n = math.ceil(reach / floor.tile_m)
+    points = 2
+    if floor.unevenness_m:
+        points += math.ceil(_POINTS_A_WAVE * floor.tile_m / floor.wavelength_m) - 1
+    if math.pi * n**2 > MOST_TILES or math.pi * (n * points) ** 2 > _MOST_POINTS:
+        raise InputError(
+            f"a floor of tiles of {floor.tile_m:g} m under {size[0]} by {size[1]} cells, with waves of "
+            f"{floor.wavelength_m:g} m: too fine to compute; larger tiles, longer waves or a smaller world will do"
+        )
+    centres = floor.tile_m * np.stack(np.meshgrid(*2 * [np.arange(-n, n + 1)]), -1).reshape(-1, 2)
+    return Tiles(floor, radius, centres[np.hypot(*centres.T) <= reach], points)
+
+
+def add_tiles(spec: mujoco.MjSpec, tiles: Tiles) -> None:
+    """Put tiles on the ground of a spec, which touch as it does."""
+    ground = spec.geom("ground")
+    body = spec.worldbody.add_body(name=NAME)
+    half, span, count = tiles.half_m, tiles.span_m, tiles.points
+    for number, (x, y) in enumerate(tiles.centres):
+        field = spec.add_hfield(
+            name=f"tile{number}",
+            size=[half, half, span, _THICK_M],
+            nrow=count,
+            ncol=count,
+            userdata=np.zeros(count**2),
+        )
+        body.add_geom(
+            name=f"tile{number}",
+            type=mujoco.mjtGeom.mjGEOM_HFIELD,
+            hfieldname=field.name,
+            pos=[x, y, -span / 2],
+            rgba=[0.80, 0.81, 0.80, 1.0],
+            contype=ground.contype,
+            conaffinity=ground.conaffinity,
+            friction=ground.friction,
+            solref=ground.solref,
+            solimp=ground.solimp,
+        )
+
+
+def tiles_body(model: mujoco.MjModel) -> int:
+    """Return the body of the tiles, -1 where there are none."""
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, NAME)
+
+
+def level(model: mujoco.MjModel) -> None:
+    """Put all tiles of a compiled model at height 0."""
+    model.hfield_data[:] = 0.5
+
+
+def put_below(model: mujoco.MjModel, tiles: Tiles) -> None:
+    """Put the tiles of a compiled model in the middle of its ground, and the plane of the ground below them."""
+    ground = model.geom_pos[model.geom("ground").id]
+    model.body_pos[tiles_body(model), :2] = ground[:2]
+    ground[2] = tiles.bottom_m
+
+
+def lay(model: mujoco.MjModel, tiles: Tiles, rng: np.random.Generator) -> float:
+    """Draw the floor of a compiled model; return the height of its highest point in metres."""
+    drawn = FloorDraw.of(tiles, rng)
+    body, heights = tiles_body(model), tiles.heights(drawn)
+    c, s = math.cos(drawn.turn_rad), math.sin(drawn.turn_rad)
+    x, y = tiles.floor.tile_m * drawn.shift
+    middle_x, middle_y, _ = model.geom_pos[model.geom("ground").id]
+    model.body_pos[body, :2] = middle_x + c * x - s * y, middle_y + s * x + c * y
+    model.body_quat[body] = math.cos(drawn.turn_rad / 2), 0.0, 0.0, math.sin(drawn.turn_rad / 2)
+    model.hfield_data[:] = (heights / tiles.span_m + 0.5).ravel()
+    return float(heights.max())

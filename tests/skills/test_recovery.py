@@ -1,0 +1,86 @@
+"""A car that failed for a reason that may pass goes back and tries again, and says so."""
+
+from dataclasses import replace
+
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.grid import Kind
+from craftsim.models.sensing import measure
+from craftsim.skills.executor import Executor
+from craftsim.skills.gains import RecoveryGains, load_gains
+from craftsim.skills.outcome import Reason
+
+NOMINAL = load_gains()
+CAREFUL = replace(NOMINAL.drive, max_tight_speed=0.3, max_tight_acceleration=0.8)
+TWICE = replace(NOMINAL, drive=CAREFUL, recovery=RecoveryGains(2.0))
+GONE_M = 20.0
+
+
+def _weaken_wheels(site):
+    for actuator in site.cars[0].wheel_actuators:
+        site.model.actuator_forcerange[actuator] = [-1.2, 1.2]
+
+
+@pytest.fixture
+def blocked(make_site):
+    """Two cars, the second in the first one's way."""
+    site = make_site((2, 1, 1), [(0, 0, 1, 0), (1, 0, 1, 0)])
+    _weaken_wheels(site)
+    return site
+
+
+def _leaves_at(time_s):
+    def hand(site):
+        if site.time_s > time_s:
+            site.data.qpos[site.cars[1].base.qpos] = GONE_M
+
+    return hand
+
+
+def test_what_is_gone_at_the_second_try_blocks_the_first_only(blocked):
+    begun = blocked.time_s
+    outcome = Executor(blocked, TWICE, _leaves_at(1.5)).run({0: Action.MOVE_RIGHT})[0]
+    assert (outcome.succeeded, outcome.tries) == (True, 2)
+    assert outcome.duration_s == pytest.approx(blocked.time_s - begun, abs=0.1)
+    assert abs(measure(blocked, 0).x - 1.5 * CELL_PITCH_M) < 1e-3
+
+
+def test_a_car_that_fails_again_says_why_and_how_often_it_tried(blocked):
+    outcome = Executor(blocked, TWICE).run({0: Action.MOVE_RIGHT})[0]
+    assert (outcome.reason, outcome.tries) == (Reason.BLOCKED, 2)
+
+
+def test_a_car_goes_back_to_where_it_began_before_it_tries_again(blocked):
+    executor, ways = Executor(blocked, TWICE), []
+    executor.observers.append(lambda site: ways.append(measure(site, 0).x - 0.5 * CELL_PITCH_M))
+    executor.run({0: Action.MOVE_RIGHT})
+    forth = next(i for i, way in enumerate(ways) if way > 0.05)
+    back = next(i for i in range(forth, len(ways)) if ways[i] < 0.002)
+    assert max(ways[back:]) > 0.05
+
+
+def test_a_single_try_is_all_that_nominal_gains_give(blocked):
+    outcome = Executor(blocked, NOMINAL, _leaves_at(1.5)).run({0: Action.MOVE_RIGHT})[0]
+    assert (outcome.reason, outcome.tries) == (Reason.BLOCKED, 1)
+
+
+def test_lifting_nothing_is_tried_again_with_the_board_lowered_in_between(make_site):
+    site, heights = make_site((1, 1, 2), [(0, 0, 1, 0)]), []
+    executor = Executor(site, TWICE, lambda site: heights.append(measure(site, 0).board_m))
+    outcome = executor.run({0: Action.LIFT})[0]
+    assert (outcome.reason, outcome.tries) == (Reason.LOAD_LOST, 2)
+    up = [height > 0.04 for height in heights]
+    lowered = heights[up.index(True) : len(up) - up[::-1].index(True)]
+    assert min(lowered) < 0.002
+
+
+def test_a_load_that_is_lost_on_the_way_is_not_tried_again(make_site):
+    site = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
+
+    def hand(site):
+        site.data.qpos[site.blocks[0].qpos] = GONE_M
+
+    outcome = Executor(site, TWICE, hand).run({0: Action.MOVE_RIGHT})[0]
+    assert (outcome.reason, outcome.tries) == (Reason.LOAD_LOST, 1)

@@ -55,8 +55,8 @@ class Setup:
     randomization: DomainRandomization = NONE
     """What each seed draws: the physics, the floor, and what sensors and motors lack."""
     assumed: SensorNoise = ASSUMED
-    """What the cars' pose estimate takes the noise of their sensors to be before it finds out, whatever it is; with none
-    they take each measured pose as it is."""
+    """What the cars' pose estimate takes the noise of their sensors to be before it finds out, whatever it is; with
+    none they take each measured pose as it is."""
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     gains: Gains = field(default_factory=nominal_gains)
     machines: Machines = NOMINAL

@@ -208,10 +208,12 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
         covariance[k, _Y] += x * covariance[k, _HEADING]
     for k in range(6):
         covariance[k, k] += estimate.drifts[k]
-    covariance[_X, _X] += (slip * length) ** 2
-    covariance[_Y, _Y] += (slip * length) ** 2
-    covariance[_HEADING, _HEADING] += (slip * (abs(turn) + length / estimate.lever_m)) ** 2
-    still = length + estimate.lever_m * abs(turn) < _STILL_M_S * period_s
+    # Whichever way the wheels roll, they slip in all directions.
+    rolled_m = length + estimate.lever_m * abs(turn)
+    covariance[_X, _X] += (slip * rolled_m) ** 2
+    covariance[_Y, _Y] += (slip * rolled_m) ** 2
+    covariance[_HEADING, _HEADING] += (slip * rolled_m / estimate.lever_m) ** 2
+    still = rolled_m < _STILL_M_S * period_s
     estimate.n_still = estimate.n_still + 1 if still else 0
 
 

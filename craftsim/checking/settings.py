@@ -13,7 +13,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, suggestion
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Drivetrain, Floor, Making
-from craftsim.models.noise import EXACT, MILD, NOISY, SensorNoise
+from craftsim.models.noise import ASSUMED, MILD, NOISY, SensorNoise
 from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, Drive, Machines
 from craftsim.models.randomization import NONE, DomainRandomization
@@ -54,9 +54,9 @@ class Setup:
     thresholds: Thresholds = field(default_factory=Thresholds)
     randomization: DomainRandomization = NONE
     """What each seed draws: the physics, the floor, and what sensors and motors lack."""
-    assumed: SensorNoise = EXACT
-    """What the cars' pose estimate takes the noise of their sensors to be; with none they take each measured pose as it
-    is."""
+    assumed: SensorNoise = ASSUMED
+    """What the cars' pose estimate takes the noise of their sensors to be before it finds out, whatever it is; with
+    none they take each measured pose as it is."""
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     gains: Gains = field(default_factory=nominal_gains)
     machines: Machines = NOMINAL
@@ -158,8 +158,8 @@ def setup_of(
         gains: of the skills, or a file of them; those of the file of the machines, if it has some, unless given.
         machines: their parameters, or a file of them; the nominal ones unless given.
         noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
-        assume: what the cars take that noise to be: none, mild, strong, noise, or a file of it. Unless given, that of
-            ``randomize``, whatever ``noise`` says.
+        assume: what the cars take that noise to be before they find out: none, mild, strong, noise, or a file of it;
+            ASSUMED of :mod:`craftsim.models.noise` unless given, whatever ``randomize`` and ``noise`` say.
         drive: rollers or reduced; that of the machines unless given.
 
     Raises InputError for what no file should say.
@@ -179,7 +179,7 @@ def setup_of(
         rules,
         widened(thresholds, randomization),
         randomization,
-        _noise(assume, declared),
+        _noise(assume, ASSUMED),
         SimulationConfig.of(machines.drive),
         gains=gains,
         machines=machines,

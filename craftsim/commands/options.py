@@ -36,7 +36,8 @@ class PhysicsOptions:
     assume: Annotated[
         str | None, tyro.conf.arg(metavar="{none,mild,strong,...}|FILE", help_behavior_hint="")
     ] = None
-    """What the cars take that noise to be, whatever it is; that of --randomize unless given."""
+    """What the cars take that noise to be before they find out, whatever it is; with none they take each measured pose
+    as it is. A figure that a file leaves out is that which they assume without this option."""
     gains: File = None
     """YAML file of gains of the skills; those that it leaves out are the nominal ones."""
     parameters: File = None

@@ -60,7 +60,7 @@ class Options:
     noise: SensorNoise | None = None
     """Noise of the cars' sensors and motors; physics only."""
     assumed: SensorNoise | None = None
-    """What the cars' pose estimate takes that noise to be, the same unless given; physics only."""
+    """What the cars' pose estimate takes that noise to be before it finds out, whatever it is; physics only."""
     randomization: DomainRandomization | None = None
     """How far the physics of each episode is drawn from the nominal one; physics only."""
     config: SimulationConfig | None = None
@@ -155,6 +155,7 @@ class Options:
         from craftsim.envs.pictures import Pictures
         from craftsim.envs.records import EpisodeRecords
         from craftsim.models.config import SimulationConfig
+        from craftsim.models.noise import ASSUMED
         from craftsim.models.parameters import NOMINAL
         from craftsim.models.randomization import NONE
         from craftsim.rendering.images import CameraImages
@@ -170,7 +171,7 @@ class Options:
         setup = Setup(
             rules=self.rule_set,
             randomization=randomization if self.noise is None else replace(randomization, sensors=self.noise),
-            assumed=self.assumed or self.noise or randomization.sensors,
+            assumed=self.assumed or ASSUMED,
             simulation=self.config or SimulationConfig.of(machines.drive),
             gains=self.gains or nominal_gains(),
             machines=machines,

@@ -31,9 +31,9 @@ class Disturber:
     def __init__(self, noise: SensorNoise, n_cars: int, period_s: float, rng: np.random.Generator) -> None:
         """Disturb one set of readings each control period."""
         self.readings = records(n_cars, READING)
-        self._rng = rng
-        # What is not white noise comes from another generator: whatever of it there is, the noise is the same.
-        (more,) = rng.spawn(1)
+        self._rng, self._period_s = rng, period_s
+        # What is not white noise comes from other generators: whatever of it there is, the noise is the same.
+        more, self._of_lines = rng.spawn(2)
         self._localisations = Localisations(noise, n_cars, period_s, rng, more)
         self._encoder_share = (
             1.0 if not noise.encoder_lag_s else 1 - math.exp(-period_s / noise.encoder_lag_s)
@@ -45,6 +45,7 @@ class Disturber:
             self._biases[reading] = getattr(noise, figure) * more.choice((-1.0, 1.0), n_cars)
         self._normals = np.zeros((n_cars, _N_NORMALS))
         self._uniforms = np.zeros(n_cars)
+        self._line_m, self._line_normals = noise.line_m, np.zeros((n_cars, 4))
 
     def disturb(self, true: Records) -> None:
         """Take in the exact readings of a control period."""
@@ -61,6 +62,10 @@ class Disturber:
             self._uniforms,
             self.readings,
         )
+        self.readings["lines"] = true["lines"]
+        if self._line_m:
+            self._of_lines.standard_normal(out=self._line_normals)
+            self.readings["lines"] += self._line_m * self._line_normals
 
 
 @compiled

@@ -14,6 +14,7 @@ from craftsim.models.site import Site
 
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]
+Ints = NDArray[np.int64]
 
 READING: Final = np.dtype(
     [
@@ -26,6 +27,7 @@ READING: Final = np.dtype(
         ("position_std_m", "f8"),
         ("heading_std_rad", "f8"),
         ("fresh", "i8"),
+        ("lines", "f8", (4,)),
     ],
     align=True,
 )
@@ -47,6 +49,13 @@ PLUG: Final = np.dtype([("pose", "i8"), ("hinge", "i8"), ("motor", "i8")], align
 REACH: Final = np.dtype([("any_m", "f8"), ("across_m", "f8"), ("above_m", "f8")], align=True)
 """How far a slope's plug reaches: in any direction, horizontally and vertically in the car's frame."""
 
+LINE_SENSORS: Final = np.dtype([("along_m", "f8"), ("across_m", "f8"), ("reach_m", "f8")], align=True)
+"""How far a car's line sensors lie before and behind its middle, and beside it, and how far to a side each sees."""
+
+
+CROSS_M: Final = 0.15
+"""How far the two lines of a cross reach from its middle: assumed, to the legs of a block."""
+
 
 class Wiring:
     """Where the cars and slopes of a Site lie in MuJoCo's arrays, as records."""
@@ -67,6 +76,15 @@ class Wiring:
         """(n,) PLUG, by slope."""
         for row, slope in zip(self.plugs, site.slopes, strict=True):
             row["pose"], row["hinge"], row["motor"] = slope.base.qpos, slope.hinge.qpos, slope.hinge.actuator
+        crossed = [*site.blocks, *site.flags, *(slope.base for slope in site.slopes)]
+        self.crosses = np.array([body.qpos for body in crossed], np.int64)
+        """Where the poses of what bears a cross below lie in MjData.qpos."""
+        self.lines = records(len(site.cars), LINE_SENSORS)
+        """(n,) LINE_SENSORS."""
+        for row, car in zip(self.lines, site.cars, strict=True):
+            figures = car.parameters
+            row["along_m"], row["across_m"] = figures.board_length_m / 2, figures.board_width_m / 2
+            row["reach_m"] = figures.line_reach_m
         self.reach = records(1, REACH)
         machines = site.machines
         self.reach[0]["any_m"] = machines.docking_reach_m
@@ -76,7 +94,7 @@ class Wiring:
         self.arrays = (
             *(data.qpos, data.qvel, data.act, data.qvel if self.on_axles else data.actuator_velocity),
             *(model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange),
-            *(self.cars, self.plugs, self.reach),
+            *(self.cars, self.plugs, self.reach, self.lines, self.crosses),
         )
         """What compiled code reads, in place: MuJoCo's own arrays, which stay where they are, and these."""
 
@@ -99,6 +117,8 @@ def _read_cars(
     cars: Records,
     plugs: Records,
     reach: Records,
+    lines: Records,
+    crosses: Ints,
     out: Records,
 ) -> None:
     for i in range(len(cars)):
@@ -118,6 +138,7 @@ def _read_cars(
         now.hinge_rad = qpos[plugs[now.slope].hinge] if now.slope >= 0 else 0.0
         now.position_std_m = now.heading_std_rad = 0.0
         now.fresh = 1
+        read_lines(now, forward, left, up, lines[i], qpos, crosses, reach[0].above_m)
 
 
 @compiled
@@ -135,6 +156,45 @@ def _board_force(
     force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
     force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
     return min(max(force, ranges[motor, 0]), ranges[motor, 1])
+
+
+@compiled
+def read_lines(
+    now: Record,
+    forward: Axis,
+    left: Axis,
+    up: Axis,
+    sensors: Record,
+    qpos: Floats,
+    crosses: Ints,
+    above_m: float,
+) -> None:
+    """Write where a car's line sensors see the cross below what is right above it; inf where one sees no line."""
+    for k in range(4):
+        now.lines[k] = math.inf
+    far_m = 2 * CROSS_M
+    for at in crosses:
+        x, y, z = qpos[at] - now.x, qpos[at + 1] - now.y, qpos[at + 2] - now.z
+        if abs(x) > far_m or abs(y) > far_m or abs(up[0] * x + up[1] * y + up[2] * z) > above_m:
+            continue
+        first, second, _ = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
+        for k in range(4):
+            if k < 2:
+                place, reach, axis = forward, sensors.along_m * (1 - 2 * k), left
+            else:
+                place, reach, axis = left, sensors.across_m * (5 - 2 * k), forward
+            # From the middle of the cross to the sensor.
+            off = (reach * place[0] - x, reach * place[1] - y, reach * place[2] - z)
+            lies_along = abs(_dot(axis, second)) > abs(_dot(axis, first))
+            line, normal = (first, second) if lies_along else (second, first)
+            seen = -_dot(off, normal) / _dot(axis, normal)
+            if abs(seen) < sensors.reach_m and abs(_dot(off, line) + seen * _dot(axis, line)) < CROSS_M:
+                now.lines[k] = seen
+
+
+@compiled
+def _dot(a: Axis, b: Axis) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled

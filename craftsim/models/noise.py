@@ -71,6 +71,8 @@ class SensorNoise:
     """Standard deviation of the hinge angle of a docked slope."""
     hinge_bias_rad: float = 0.0
     """By so much that angle is off, drawn once."""
+    line_m: float = 0.0
+    """Standard deviation of where a line sensor sees a line."""
     undocked_share: float = 0.0
     """Share of the readings in which the plug of a docked slope has no contact: the car feels no slope, and its command
     does not reach the hinge."""
@@ -122,10 +124,27 @@ NOISY = SensorNoise(
     board_force_n=0.3,
     # A magnetic encoder of 12 bits (ams AS5600, 0.015 degrees RMS in its slow filter mode).
     hinge_rad=0.00026,
+    # Assumed: a row of reflex sensors 8 mm apart, interpolated.
+    line_m=0.0004,
     # Assumed: spring contacts that chatter.
     undocked_share=0.001,
 )
 """The noise under which skills are validated."""
+
+ASSUMED = SensorNoise(
+    position_m=0.001,
+    heading_rad=0.003,
+    position_bias_m=0.005,
+    heading_bias_rad=0.01,
+    # A bias that is learnt is not kept for ever: 1 mm and 2 mrad in a minute and a half.
+    position_drift_m=0.0001,
+    heading_drift_rad=0.0002,
+    max_delay_s=0.15,
+    jitter_s=0.01,
+    line_m=0.0004,
+)
+"""What cars take the noise of their sensors to be unless told otherwise, whatever it is: where they start from before
+they find out. Only what the pose estimate uses is in it."""
 
 MILD = SensorNoise(**{field.name: getattr(NOISY, field.name) / 2 for field in fields(SensorNoise)})
 """Half of it."""

@@ -120,6 +120,12 @@ class SmartcarParameters:
     gear_friction_nm: float = assumed(
         0.45, "self-locking gear: a car carrying a slope needs 0.39 Nm a wheel to stand on the incline"
     )
+    line_reach_m: float = assumed(
+        0.020,
+        "to each side, of a row of reflex sensors in the middle of each edge of the board; blocks and slopes bear a "
+        "printed cross below. The published car has none: 0 is a car without",
+        Allowed(-1e-9, 0.06),
+    )
     camera_proud_m: float = assumed(
         0.003, "a lens in the nose, by so much before it; its few grams are left out"
     )

@@ -52,10 +52,13 @@ class CarMeasurement(NamedTuple):
     """How unsure the car is of its heading."""
     fresh: bool = True
     """Whether a localisation has arrived since the last reading; else x, y, z and heading are as they were."""
+    lines: PerWheel = (math.inf, math.inf, math.inf, math.inf)
+    """Where the sensors before, behind, left and right in the board see a line above: how far to the left those before
+    and behind, how far forward the others; inf where one sees none."""
 
 
-_WHEELS, _SLOPE, _HINGE, _FRESH = map(
-    CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad", "fresh")
+_WHEELS, _SLOPE, _HINGE, _FRESH, _LINES = map(
+    CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad", "fresh", "lines")
 )
 
 
@@ -63,6 +66,7 @@ def measurement_of(reading: np.void) -> CarMeasurement:
     """Return a reading, a record of READING, as a measurement."""
     values: list[Any] = list(reading.tolist())
     values[_WHEELS] = tuple(values[_WHEELS].tolist())
+    values[_LINES] = tuple(values[_LINES].tolist())
     values[_FRESH] = bool(values[_FRESH])
     if values[_SLOPE] < 0:
         values[_SLOPE] = values[_HINGE] = None

@@ -9,6 +9,7 @@ from craftsim.skills.driving_law import drive_law, path_pose
 from craftsim.skills.folding import hinge_law
 from craftsim.skills.health import check_health
 from craftsim.skills.holding import hold_law
+from craftsim.skills.leading import find_lag, lead_wheels
 from craftsim.skills.lifting import board_law
 from craftsim.skills.state import BOARD, DRIVE, HINGE, HOLD, IDLE, OWN, RUNNING, STOP
 from craftsim.skills.stopping import stop_law
@@ -24,6 +25,7 @@ def step_cars(
     cars: Records,
     plugs: Records,
     docked: Records,
+    leads: Records,
     wheel_speeds: Floats,
     wheel_share: float,
     ctrl: Floats,
@@ -39,6 +41,7 @@ def step_cars(
         cars: (n,) WIRING.
         plugs: PLUG of each slope.
         docked: (n,) the slope that each car commands, -1 for none.
+        leads: (n,) LEAD, what the cars know of their motors' lag.
         wheel_speeds: (n, 4) commands to the wheels' servos so far.
         wheel_share: share by which these approach new ones in a period.
         ctrl: MjData.ctrl.
@@ -55,6 +58,9 @@ def step_cars(
         elif task.law != OWN:
             _step(readings, tasks, past, constants, commands, car)
             ended += task.status != RUNNING
+        find_lag(leads[car], readings[car].wheel_speeds)
+        known = constants[car]
+        lead_wheels(leads[car], commands[car].wheels, known.car.wheel_speed_rad_s, known.period_s)
         drive_wheels(commands[car].wheels, wheel_speeds[car], wheel_share, cars[car], ctrl)
         ctrl[cars[car].board_motor] = commands[car].board
         docked[car] = _turn_hinge(commands[car].hinge, readings[car].slope, docked[car], plugs, ctrl)

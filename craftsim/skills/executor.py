@@ -18,8 +18,8 @@ from craftsim.models.site import Site
 from craftsim.skills.control import read_paths, step_cars
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.holding import on_incline
+from craftsim.skills.leading import leads
 from craftsim.skills.localisation import Localiser
-from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.recovery import Tries
 from craftsim.skills.skill import CompiledSkill, Skill, SkillSetup, Terrain, n_past
@@ -72,9 +72,7 @@ class Executor:
         self._localiser = (
             None
             if assumed.exact_pose
-            else Localiser(
-                assumed, period, [Mecanum(car.parameters) for car in site.cars], self.gains.localisation
-            )
+            else Localiser(assumed, period, [car.parameters for car in site.cars], self.gains.localisation)
         )
         n = len(site.cars)
         self._constants = records(n, CONSTANTS)
@@ -87,7 +85,7 @@ class Executor:
         wiring = self.sensors.wiring
         self._arrays = (
             *(self._tasks, self._past, self._constants, self._commands, wiring.cars, wiring.plugs),
-            *(self._docked, self.motors.speeds, self.motors.share, site.data.ctrl),
+            *(self._docked, leads(n, period), self.motors.speeds, self.motors.share, site.data.ctrl),
         )
         """What the compiled laws work on."""
         self._skills: dict[int, Skill] = {}

@@ -156,6 +156,8 @@ class LocalisationGains:
     """m: standard deviation of what moves a resting car unseen in one period."""
     heading_drift: float
     """rad: and of what turns it."""
+    placement: float
+    """m: standard deviation of the places of blocks and slopes from the middles of their cells."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,15 @@
-"""Where cars believe they are: wheel odometry, corrected by localisations that are noisy and late.
+"""Where cars believe they are: wheel odometry, corrected by localisations that are noisy, late and biased.
 
-A scalar Kalman filter for each of x, y and heading. Between two localisations the pose is carried on by the body twist
-that the wheel encoders imply, and its variance grows with the way travelled, for wheels slip. A localisation is
-compared with where the car believed to be when it was taken, and pulls by the Kalman gain. At rest the variance
-shrinks with every localisation, so a parked car knows its place much better than from one localisation.
+Odometry is prompt and smooth, so a car is controlled by it; all else only says by how much odometry is off. One Kalman
+filter for each car estimates that, for x, y and heading, and with it by how much its localisations are beside its
+place. Uncertainty grows with the way travelled, for wheels slip.
+
+- A localisation is compared with where the car believed to be when it was taken. How long ago that was is estimated
+  from the motion itself (:mod:`craftsim.skills.ages`). As far as it is unknown, a localisation says little while the
+  car moves, and all that it can say once the car has rested for long enough: a delay that is not known yet cannot make
+  a car swing. How noisy localisations are is found from how they scatter at rest.
+- Below a block or a slope, which stands in the middle of its cell, line sensors say where the car is, at once and
+  without bias (:mod:`craftsim.skills.sighting`). Nothing else can tell a bias; what is learnt of it there stays known.
 """
 
 from __future__ import annotations
@@ -18,22 +24,39 @@ from craftsim.discrete.compiled import Record, compiled, records
 from craftsim.discrete.rotation import wrap
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise
+from craftsim.models.parameters import SmartcarParameters
+from craftsim.skills.ages import WINDOW, assume_age, likeliest_age, weigh_ages
+from craftsim.skills.filtering import FILTER, correct
 from craftsim.skills.gains import LocalisationGains
-from craftsim.skills.mecanum import Mecanum, body_twist
+from craftsim.skills.mecanum import body_twist
+from craftsim.skills.sighting import sight
 
-_COORDINATE: Final = np.dtype(
-    [(name, "f8") for name in ("noise_variance", "drift_variance", "value", "variance", "moved")]
-)
+_OLDEST_S: Final = 0.3
+"""The greatest age that is looked for, unless more is assumed."""
+_COUNTS: Final = 8.0
+"""The assumed noise counts as much as so many localisations at rest..."""
+_MEMORY: Final = 500.0
+"""...and these as much as so many at most."""
+_STILL_M_S: Final = 0.002
+"""A car that rolls slower than this rests."""
+_LEAST: Final = 1e-12
+"""m^2 or rad^2: what is exact is not taken to be quite so."""
+_X, _Y, _HEADING, _BIAS = range(4)
+"""Places in the state: what odometry lacks of x, y and heading, and then the biases of their localisations."""
+
 _ESTIMATE: Final = np.dtype(
     [
-        ("x", _COORDINATE),
-        ("y", _COORDINATE),
-        ("heading", _COORDINATE),
-        *((name, "f8") for name in ("period_s", "lever_m", "radius_m", "late", "age_std", "slip")),
-        ("n_past", "i8"),
+        *((name, "f8") for name in ("period_s", "lever_m", "radius_m", "along_m", "across_m", "line_m")),
+        *((name, "f8") for name in ("slip", "jitter", "counts", "age", "age_std")),
+        *((name, "i8") for name in ("begun", "n_still")),
+        ("known", FILTER),
+        ("drifts", "f8", (6,)),
+        *((name, "f8", (3,)) for name in ("noise", "scatter")),
     ],
     align=True,
 )
+"""What one car estimates. ``drifts`` are variances that each state gains in a period at rest; ``noise`` has those of
+localisations, and ``scatter`` the sums that they come from."""
 
 
 class Localiser:
@@ -43,103 +66,193 @@ class Localiser:
         self,
         assumed: SensorNoise,
         period_s: float,
-        kinematics: Sequence[Mecanum],
+        cars: Sequence[SmartcarParameters],
         gains: LocalisationGains,
     ) -> None:
-        """Expect readings with this noise at this period, of cars with these wheels; they may come otherwise."""
-        n = len(kinematics)
+        """Expect readings with this noise at this period, of cars with these figures; they may come otherwise."""
+        n = len(cars)
         self.readings = records(n, READING)
         """(n,) READING: the newest, with the estimated poses in place of the localised ones."""
-        late = 0.5 * (assumed.min_delay_s + assumed.max_delay_s) / period_s
+        least, most = assumed.min_delay_s / period_s, assumed.max_delay_s / period_s
+        n_ages = math.ceil(max(assumed.max_delay_s, _OLDEST_S) / period_s) + 1
+        self._ages = np.zeros((n, n_ages))
+        """The mismatch of each age in periods."""
+        for mismatches in self._ages:
+            assume_age(mismatches, (least + most) / 2, max(0.1, (most - least) / math.sqrt(12)))
         self._estimates = records(n, _ESTIMATE)
-        for row, wheels in zip(self._estimates, kinematics, strict=True):
-            row["period_s"], row["lever_m"], row["radius_m"] = period_s, wheels.lever_m, wheels.radius_m
-            # Localisations are late by so many periods, give or take ``age_std``.
-            row["late"], row["slip"] = late, gains.slip
-            row["age_std"] = (assumed.max_delay_s - assumed.min_delay_s) / math.sqrt(12) / period_s
-            for name in ("x", "y", "heading"):
-                std = assumed.heading_rad if name == "heading" else assumed.position_m
-                drift = gains.heading_drift if name == "heading" else gains.position_drift
-                row[name]["noise_variance"], row[name]["drift_variance"] = std**2, drift**2
-        self._past = np.zeros((n, 3, math.ceil(late) + 1))
-        """What was believed of x, y and heading at the end of each period; the newest first."""
+        for row, car in zip(self._estimates, cars, strict=True):
+            row["period_s"], row["lever_m"], row["radius_m"] = period_s, car.turn_radius_m, car.wheel_radius_m
+            row["along_m"], row["across_m"] = car.board_length_m / 2, car.board_width_m / 2
+            row["line_m"] = math.hypot(assumed.line_m, gains.placement)
+            row["slip"], row["jitter"], row["counts"] = gains.slip, assumed.jitter_s / period_s, _COUNTS
+            row["age"], row["age_std"] = likeliest_age(self._ages[0])
+            place, turn = gains.position_drift**2, gains.heading_drift**2
+            walk, sway = assumed.position_drift_m**2 * period_s, assumed.heading_drift_rad**2 * period_s
+            row["drifts"] = place, place, turn, walk, walk, sway
+            row["noise"] = assumed.position_m**2, assumed.position_m**2, assumed.heading_rad**2
+            row["scatter"] = _COUNTS * row["noise"]
+            for k, std in enumerate(
+                (assumed.position_bias_m, assumed.position_bias_m, assumed.heading_bias_rad)
+            ):
+                bias, noise = std**2, row["noise"][k]
+                covariance = row["known"]["covariance"]
+                covariance[k, k], covariance[_BIAS + k, _BIAS + k] = bias + noise, bias
+                covariance[k, _BIAS + k] = covariance[_BIAS + k, k] = -bias
+        self._odometry = np.zeros((n, 3, n_ages + WINDOW))
+        """x, y and heading by odometry alone at the end of each period; the newest first."""
+        self._located = np.zeros((n, 3, WINDOW + 1))
+        """The localisations; the newest first."""
 
     def update(self, readings: Records) -> Records:
         """Take in the readings of all cars, shape (n,), and return :attr:`readings`."""
-        _update(readings, self._estimates, self._past, self.readings)
+        _update(readings, self._estimates, self._ages, self._odometry, self._located, self.readings)
         return self.readings
 
 
 @compiled
-def _update(readings: Records, estimates: Records, past: Floats, out: Records) -> None:
+def _update(
+    readings: Records, estimates: Records, ages: Floats, odometry: Floats, located: Floats, out: Records
+) -> None:
     for i in range(len(readings)):
         out[i] = readings[i]
-        now, estimate = out[i], estimates[i]
-        x, y, heading, n = estimate.x, estimate.y, estimate.heading, estimate.n_past
-        if n:
-            _predict(now, estimate)
-            late = estimate.late
-            _correct(x, past[i, 0], n, now.x - _remembered(x, past[i, 0], n, late), estimate.age_std)
-            _correct(y, past[i, 1], n, now.y - _remembered(y, past[i, 1], n, late), estimate.age_std)
-            turned = wrap(now.heading - _remembered(heading, past[i, 2], n, late))
-            _correct(heading, past[i, 2], n, turned, estimate.age_std)
+        now, estimate, rolled, seen = out[i], estimates[i], odometry[i], located[i]
+        state, covariance = estimate.known.state, estimate.known.covariance
+        if estimate.begun:
+            _predict(now, estimate, rolled)
+            _note(seen)
+            if now.fresh:
+                _localise(now, estimate, ages[i], rolled, seen)
         else:
-            _start(x, past[i, 0], now.x)
-            _start(y, past[i, 1], now.y)
-            _start(heading, past[i, 2], now.heading)
-        estimate.n_past = min(n + 1, past.shape[2])
-        now.x, now.y, now.heading = x.value, y.value, wrap(heading.value)
-        now.position_std_m, now.heading_std_rad = math.sqrt(x.variance), math.sqrt(heading.variance)
+            _start(estimate, rolled, seen, now)
+        now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
+        now.heading = rolled[_HEADING, 0] + state[_HEADING]
+        sight(now, estimate.known, estimate.along_m, estimate.across_m, estimate.line_m**2)
+        now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
+        now.heading = wrap(rolled[_HEADING, 0] + state[_HEADING])
+        now.position_std_m = math.sqrt(max(_variance(covariance, _X), _variance(covariance, _Y)))
+        now.heading_std_rad = math.sqrt(_variance(covariance, _HEADING))
 
 
 @compiled
-def _start(coordinate: Record, past: Floats, value: float) -> None:
+def _variance(covariance: Floats, k: int) -> float:
+    """Return how well a coordinate is known, from localisations up to their bias, or below a cross altogether."""
+    both = covariance[k, k] + 2 * covariance[k, _BIAS + k] + covariance[_BIAS + k, _BIAS + k]
+    return max(0.0, min(covariance[k, k], both))
+
+
+@compiled
+def _start(estimate: Record, rolled: Floats, seen: Floats, now: Record) -> None:
     """Begin with what is measured."""
-    coordinate.value, coordinate.variance = value, coordinate.noise_variance
-    past[0] = value
+    for k in range(rolled.shape[1]):
+        rolled[_X, k], rolled[_Y, k], rolled[_HEADING, k] = now.x, now.y, now.heading
+    for k in range(seen.shape[1]):
+        seen[_X, k], seen[_Y, k], seen[_HEADING, k] = now.x, now.y, now.heading
+    estimate.begun = 1
 
 
 @compiled
-def _predict(now: Record, estimate: Record) -> None:
+def _note(seen: Floats) -> None:
+    """Let localisations grow older by a period; none has come yet."""
+    for row in range(3):
+        for k in range(seen.shape[1] - 1, 0, -1):
+            seen[row, k] = seen[row, k - 1]
+        seen[row, 0] = math.nan
+
+
+@compiled
+def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
+    """Take in a localisation."""
+    age, std, known = estimate.age, estimate.age_std, estimate.known
+    state = known.state
+    turned = now.heading - _at(rolled[_HEADING], age) - state[_HEADING] - state[_BIAS + _HEADING]
+    # Headings are counted on beyond half a turn.
+    located = (now.x, now.y, now.heading - turned + wrap(turned))
+    straight = True
+    for k in range(3):
+        known.slopes[k] = known.slopes[_BIAS + k] = 1.0
+        off = located[k] - _at(rolled[k], age) - state[k] - state[_BIAS + k]
+        # A localisation of unknown age says little of a car that moved.
+        spread = (_at(rolled[k], age - std) - _at(rolled[k], age + std)) / 2
+        straight &= correct(known, off, estimate.noise[k] + spread**2 + _LEAST)
+    if straight:
+        for k in range(3):
+            seen[k, 0] = located[k]
+        _find_age(estimate, mismatches, rolled, seen)
+        _find_noise(estimate, seen)
+
+
+@compiled
+def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
     """Go on as the wheels do, no further than the car moved; they may slip on all that they rolled."""
     wheels, period_s, slip = now.wheel_speeds, estimate.period_s, estimate.slip
     twist = body_twist(estimate.lever_m, estimate.radius_m, wheels[0], wheels[1], wheels[2], wheels[3])
     forward, left, turn = period_s * twist[0], period_s * twist[1], period_s * twist[2]
     forward, left = forward * math.cos(now.pitch), left * math.cos(now.roll)
-    middle = estimate.heading.value + turn / 2
+    middle = rolled[_HEADING, 0] + estimate.known.state[_HEADING] + turn / 2
     c, s = math.cos(middle), math.sin(middle)
+    x, y = c * forward - s * left, s * forward + c * left
+    for row in range(3):
+        for k in range(rolled.shape[1] - 1, 0, -1):
+            rolled[row, k] = rolled[row, k - 1]
+    rolled[_X, 0] += x
+    rolled[_Y, 0] += y
+    rolled[_HEADING, 0] += turn
     length = math.hypot(forward, left)
-    _go_on(estimate.x, c * forward - s * left, length, slip * length)
-    _go_on(estimate.y, s * forward + c * left, length, slip * length)
-    _go_on(estimate.heading, turn, abs(turn), slip * (abs(turn) + length / estimate.lever_m))
+    covariance = estimate.known.covariance
+    # A car whose heading is off goes astray.
+    for k in range(6):
+        covariance[_X, k] -= y * covariance[_HEADING, k]
+        covariance[_Y, k] += x * covariance[_HEADING, k]
+    for k in range(6):
+        covariance[k, _X] -= y * covariance[k, _HEADING]
+        covariance[k, _Y] += x * covariance[k, _HEADING]
+    for k in range(6):
+        covariance[k, k] += estimate.drifts[k]
+    # Whichever way the wheels roll, they slip in all directions.
+    rolled_m = length + estimate.lever_m * abs(turn)
+    covariance[_X, _X] += (slip * rolled_m) ** 2
+    covariance[_Y, _Y] += (slip * rolled_m) ** 2
+    covariance[_HEADING, _HEADING] += (slip * rolled_m / estimate.lever_m) ** 2
+    still = rolled_m < _STILL_M_S * period_s
+    estimate.n_still = estimate.n_still + 1 if still else 0
 
 
 @compiled
-def _go_on(coordinate: Record, way: float, moved: float, unsure: float) -> None:
-    coordinate.value += way
-    coordinate.variance += unsure**2 + coordinate.drift_variance
-    coordinate.moved = moved
+def _find_age(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
+    """Take in what the way of the last periods says of how late localisations are."""
+    if estimate.n_still >= rolled.shape[1] or not math.isfinite(seen[_X, WINDOW]):
+        return
+    way = math.hypot(seen[_X, 0] - seen[_X, WINDOW], seen[_Y, 0] - seen[_Y, WINDOW])
+    turn = seen[_HEADING, 0] - seen[_HEADING, WINDOW]
+    for k in range(3):
+        unsure = estimate.slip * (turn if k == _HEADING else way)
+        weigh_ages(
+            mismatches, seen[k, 0] - seen[k, WINDOW], rolled[k], 2 * estimate.noise[k] + unsure**2 + _LEAST
+        )
+    age, std = likeliest_age(mismatches)
+    estimate.age, estimate.age_std = age, math.hypot(std, estimate.jitter)
 
 
 @compiled
-def _correct(coordinate: Record, past: Floats, n: int, innovation: float, age_std: float) -> None:
-    """Take in by how much a localisation differs from what was believed when it was taken."""
-    # A localisation of unknown age says little while the car moves.
-    unsure = coordinate.noise_variance + (age_std * coordinate.moved) ** 2
-    gain = coordinate.variance / (coordinate.variance + unsure)
-    coordinate.value += gain * innovation
-    coordinate.variance *= 1 - gain
-    for k in range(min(n, len(past) - 1), 0, -1):
-        past[k] = past[k - 1] + gain * innovation
-    past[0] = coordinate.value
+def _find_noise(estimate: Record, seen: Floats) -> None:
+    """Take in by how much localisations at rest differ from one to the next."""
+    last = 1
+    while last < WINDOW and not math.isfinite(seen[_X, last]):
+        last += 1
+    if estimate.n_still < estimate.age + 3 * estimate.age_std + 1 + last or not math.isfinite(seen[_X, last]):
+        return
+    fade = min(1.0, _MEMORY / (estimate.counts + 1))
+    estimate.counts = fade * (estimate.counts + 1)
+    for k in range(3):
+        estimate.scatter[k] = fade * (estimate.scatter[k] + (seen[k, 0] - seen[k, last]) ** 2 / 2)
+        estimate.noise[k] = estimate.scatter[k] / estimate.counts
 
 
 @compiled
-def _remembered(coordinate: Record, past: Floats, n: int, late: float) -> float:
-    """Return what was believed when the localisation was taken, between two control periods."""
-    back = min(late, n)
+def _at(past: Floats, age: float) -> float:
+    """Return what was so many periods ago, between two of them."""
+    back = max(0.0, min(age, len(past) - 1.0))
     newer = math.floor(back)
-    older = min(newer + 1, n)
-    share = back - newer
-    recent: float = past[newer - 1] if newer else coordinate.value
-    return (1 - share) * recent + share * past[older - 1]
+    older = min(newer + 1, len(past) - 1)
+    value: float = past[newer] + (back - newer) * (past[older] - past[newer])
+    return value

@@ -162,8 +162,8 @@ def validate(
         gains: of the skills, or a file of them.
         machines: parameters of the machines, or a file of them, which may hold gains, too.
         noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
-        assume: what the cars take that noise to be: none, mild, strong, noise, or a file of it; that of ``randomize``
-            unless given.
+        assume: what the cars take that noise to be before they find out, whatever it is: none, mild, strong, noise, or
+            a file of it; ASSUMED of :mod:`craftsim.models.noise` unless given.
         drive: rollers or reduced; that of the machines unless given.
         order: how plans are carried out.
         trials: how many runs of each; under ``randomize="none"`` in a fixed world all are alike.

@@ -1,0 +1,77 @@
+"""Wheel commands that lead, by as much as motors lag: the lag of each car is found out from how its wheels follow.
+
+For candidate time constants the speed that the servos would have by now is kept; whose squared distance from the speed
+that the encoders measure is least is the lag, as with the ages of localisations (:mod:`craftsim.skills.ages`). A
+command then goes beyond what is wanted so far that the servo has the wanted speed after one control period.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.compiled import Record, compiled, records
+from craftsim.models.measuring import Floats, Records
+from craftsim.skills.ages import assume_age, likeliest_age
+
+_STEP_S: Final = 0.01
+"""Between two candidate time constants."""
+_N: Final = 13
+_ASSUMED: Final = (1.0, 3.0)
+"""Mean and standard deviation of a motor's lag before it has moved, in such steps."""
+_UNSURE_RAD_S: Final = 0.3
+"""Standard deviation of a wheel's speed from its servo's: dry friction and inertia are fed forward, but not quite."""
+
+LEAD: Final = np.dtype(
+    [("mismatches", "f8", (_N,)), ("servos", "f8", (_N, 4)), ("shares", "f8", (_N,)), ("sent", "f8", (4,))],
+    align=True,
+)
+"""Of one car: the mismatch of each candidate, the speeds that its servos would have, and by what shares these approach
+a command in a control period; then the command sent last."""
+
+
+def leads(n_cars: int, period_s: float) -> Records:
+    """Return the LEAD of each car before it has moved, (n,)."""
+    rows = records(n_cars, LEAD)
+    for row in rows:
+        assume_age(row["mismatches"], *_ASSUMED)
+        row["shares"] = [1.0, *(1 - math.exp(-period_s / (k * _STEP_S)) for k in range(1, _N))]
+    return rows
+
+
+@compiled
+def find_lag(lead: Record, wheel_speeds: Floats) -> None:
+    """Take in how fast the wheels turn, a control period after a command."""
+    for wheel in range(4):
+        if lead.sent[wheel] != 0.0:
+            for k in range(_N):
+                off = wheel_speeds[wheel] - lead.servos[k, wheel]
+                lead.mismatches[k] += (off / _UNSURE_RAD_S) ** 2
+
+
+@compiled
+def lead_wheels(lead: Record, wheels: Floats, limit: float, period_s: float) -> None:
+    """Change commands to four wheels so that their servos have these speeds after a control period.
+
+    Args:
+        lead: of the car.
+        wheels: (4,) rad/s, changed in place; four zeros brake at once.
+        limit: the greatest speed that can be commanded.
+        period_s: the control period.
+    """
+    steps, _ = likeliest_age(lead.mismatches)
+    below = min(int(steps), _N - 2)
+    part = steps - below
+    lag_s = steps * _STEP_S
+    share = 1 - math.exp(-period_s / lag_s) if lag_s > 0 else 1.0
+    stopped = wheels[0] == 0.0 and wheels[1] == 0.0 and wheels[2] == 0.0 and wheels[3] == 0.0
+    for wheel in range(4):
+        servo = lead.servos[below, wheel] * (1 - part) + lead.servos[below + 1, wheel] * part
+        if not stopped:
+            wheels[wheel] = max(-limit, min(limit, servo + (wheels[wheel] - servo) / share))
+        lead.sent[wheel] = wheels[wheel]
+        for k in range(_N):
+            near = 1.0 if stopped else lead.shares[k]
+            lead.servos[k, wheel] += near * (wheels[wheel] - lead.servos[k, wheel])

@@ -101,7 +101,8 @@ def setup_of(
     Args:
         randomize: sensor noise and domain randomization, with limits that suit them.
         rules: the rule set that predicts.
-        gains: of the skills, or a file of them; those of the file of the machines, if it has some, unless given.
+        gains: of the skills, a preset's name, or a file of them; those of the file of the machines, if it has some,
+            unless given.
         machines: their parameters, or a file of them; the nominal ones unless given.
         noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
         assume: what the cars take that noise to be: none, mild, strong, noise, or a file of it. Unless given, that of
@@ -113,7 +114,7 @@ def setup_of(
     if gains is None and isinstance(machines, str | Path):
         gains = machines
     if not isinstance(gains, Gains):
-        gains = nominal_gains() if gains is None else load_gains(Path(gains))
+        gains = nominal_gains() if gains is None else load_gains(gains)
     if not isinstance(machines, Machines):
         machines = NOMINAL if machines is None else load_machines(Path(machines))
     if drive is not None:

@@ -35,8 +35,8 @@ class PhysicsOptions:
         None
     )
     """What the cars take that noise to be, whatever it is; that of --randomize unless given."""
-    gains: File = None
-    """YAML file of gains of the skills; those that it leaves out are the nominal ones."""
+    gains: Annotated[str | None, tyro.conf.arg(metavar="{fast,robust}|FILE", help_behavior_hint="")] = None
+    """Gains of the skills: a preset, or a YAML file; those that it leaves out are the nominal ones."""
     parameters: File = None
     """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
     drive: Drive = "rollers"

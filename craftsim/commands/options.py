@@ -52,6 +52,14 @@ class PhysicsOptions:
             *(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume, self.drive)
         )
 
+    def words(self) -> list[str]:
+        """Return the options that decide the physics, as they can be typed again."""
+        words = ["--rules", self.rules, "--randomize", self.randomize, "--seed", str(self.seed)]
+        words += ["--drive", self.drive] if self.drive != "rollers" else []
+        for name in ("noise", "assume", "gains", "parameters"):
+            words += [f"--{name}", str(value)] if (value := getattr(self, name)) else []
+        return words
+
 
 @dataclass(frozen=True)
 class CampaignOptions(PhysicsOptions):
@@ -70,8 +78,5 @@ class CampaignOptions(PhysicsOptions):
 
     def words(self) -> list[str]:
         """Return the options that decide the results, as they can be typed again."""
-        words = ["--rules", self.rules, "--randomize", self.randomize, "--trials", str(self.trials)]
-        words += ["--seed", str(self.seed), *(["--drive", self.drive] if self.drive != "rollers" else [])]
-        for name in ("noise", "assume", "gains", "parameters", "against"):
-            words += [f"--{name}", str(value)] if (value := getattr(self, name)) else []
-        return words
+        words = [*super().words(), "--trials", str(self.trials)]
+        return [*words, "--against", str(self.against)] if self.against else words

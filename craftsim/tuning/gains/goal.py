@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,9 @@ class Goal:
     """The point of a front that is taken: its knee, or the best by an objective."""
 
     @classmethod
-    def of(cls, words: Sequence[str] = (), objectives: Sequence[Objective] = (), choice: Choice = "knee") -> Goal:
+    def of(
+        cls, words: Sequence[str] = (), objectives: Sequence[Objective] = (), choice: Choice = "knee"
+    ) -> Goal:
         """Return the goal that options stand for.
 
         Args:
@@ -84,4 +86,4 @@ def _weight(word: str) -> tuple[Objective, float]:
         weight = math.nan
     if not 1e-3 <= weight <= 1e3:
         raise InputError(f"the weight of {name} is '{text}'; allowed: 0.001 to 1000, such as {name}=0.5")
-    return name, weight
+    return cast(Objective, name), weight

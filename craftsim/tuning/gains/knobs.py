@@ -6,7 +6,7 @@ A knob turns a gain on a logarithmic scale: 0 is the start, 1 the start times :a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Literal
 
@@ -82,6 +82,10 @@ class Knob:
         """Such as ``drive.position_gain``."""
         return f"{self.section}.{self.field}"
 
+    def of(self, gains: Gains) -> float:
+        """Return its gain among others."""
+        return float(getattr(getattr(gains, self.section), self.field))
+
     @property
     def bounds(self) -> tuple[float, float]:
         """The positions at its smallest and its largest value."""
@@ -92,8 +96,8 @@ class Knob:
         return math.log(value / self.start) / math.log(self.span)
 
     def value(self, position: float) -> float:
-        """Return the gain at a position; beyond its bounds the nearest that is within."""
-        return min(max(self.start * self.span**position, self.least), self.most)
+        """Return the gain at a position, to the six digits that a file shows; beyond its bounds the nearest within."""
+        return float(f"{min(max(self.start * self.span**position, self.least), self.most):.6g}")
 
 
 def knobs_of(subject: Subject, start: Gains) -> tuple[Knob, ...]:
@@ -123,6 +127,6 @@ def turned(start: Gains, knobs: Sequence[Knob], values: Mapping[str, float], sou
     return replace(start, **sections, source=source)
 
 
-def values_at(knobs: Sequence[Knob], positions: Sequence[float]) -> dict[str, float]:
+def values_at(knobs: Sequence[Knob], positions: Iterable[float]) -> dict[str, float]:
     """Return the gains at these positions, by name."""
     return {knob.name: knob.value(float(at)) for knob, at in zip(knobs, positions, strict=True)}

@@ -148,11 +148,11 @@ class Phases:
 
     def judge(self, best: Candidate) -> Verdict:
         """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by."""
-        plan, usual = self.plan, load_gains()
-        shipped = {knob.name: float(getattr(getattr(usual, knob.section), knob.field)) for knob in self.knobs}
+        plan, nominal = self.plan, load_gains()
+        shipped = {knob.name: knob.of(nominal) for knob in self.knobs}
         blocks = self._blocks(plan.trials + FINAL_BLOCKS, HELD_OUT_BLOCKS)
-        records = [self._try_apart(values, blocks) for values in (plan.start, best.values, shipped)]
-        return verdict_on(*records, plan.goal.weights, plan.goal.front)
+        start, found, usual = (self._try_apart(own, blocks) for own in (plan.start, best.values, shipped))
+        return verdict_on(start, found, usual, plan.goal)
 
     def sensitivity(self, values: Values) -> dict[str, Effect]:
         """Return what each knob does around some gains, on the search's seeds."""
@@ -169,8 +169,7 @@ class Phases:
         blocks = self._blocks(0, self.plan.trials)
         records = self._try([(own, blocks) for own in values])
         return [
-            Candidate(own, Score.of(record["attempts"]))
-            for own, record in zip(values, records, strict=True)
+            Candidate(own, Score.of(record["attempts"])) for own, record in zip(values, records, strict=True)
         ]
 
     def _try_apart(self, values: Values, blocks: Sequence[int]) -> list[TrialRecord]:

@@ -82,8 +82,12 @@ def tune(
     plan = Plan(subject, setup, goal, evaluations, trials, seed)
     items = plan.items()
     config = {
-        **{"subject": subject, "goal": goal, "evaluations": plan.n_search, "trials": trials},
-        **{"setup": setup, "digests": setup.digests},
+        "subject": subject,
+        "goal": goal,
+        "evaluations": plan.n_search,
+        "trials": trials,
+        "setup": setup,
+        "digests": setup.digests,
     }
     header = Header(COMMAND, seed, config)
     with (

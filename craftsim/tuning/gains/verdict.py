@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from craftsim.tuning.gains.goal import Goal
 from craftsim.tuning.gains.objectives import Objective, Score
 from craftsim.validation.campaign import TrialRecord
 
@@ -49,21 +50,20 @@ def verdict_on(
     start: Sequence[TrialRecord],
     best: Sequence[TrialRecord],
     shipped: Sequence[TrialRecord],
-    weights: Mapping[Objective, float],
-    front: bool,
+    goal: Goal,
 ) -> Verdict:
     """Return the verdict from the records of the three, one of each for each block of trials."""
     before, after = Score.of(joined(start)), Score.of(joined(best))
-    against_start = _compare(best, start, weights)
-    names = tuple(name for name, weight in weights.items() if weight)
+    against_start = _compare(best, start, goal.weights)
+    names = goal.objectives
     dominated = bool((before.log_costs(names) <= after.log_costs(names)).all())
-    better = not dominated if front else against_start.factor < 1
+    better = not dominated if goal.front else against_start.factor < 1
     return Verdict(
         before,
         after,
         Score.of(joined(shipped)),
         against_start,
-        _compare(best, shipped, weights),
+        _compare(best, shipped, goal.weights),
         better and after.failed <= before.failed,
     )
 

@@ -8,7 +8,7 @@ from craftsim.tuning.gains import plots
 from craftsim.tuning.gains.knobs import KEPT
 from craftsim.tuning.gains.objectives import OBJECTIVES
 from craftsim.tuning.gains.tune import Tuned
-from craftsim.tuning.gains.verdict import Comparison
+from craftsim.tuning.gains.verdict import Ratio
 from craftsim.validation.html.page import Headline, KeyFigure, Page, Tone, count, provenance
 
 
@@ -34,14 +34,14 @@ def tune_page(tuned: Tuned, command: str) -> Page:
     )
 
 
-def change(comparison: Comparison) -> str:
-    """Return a comparison as a change in per cent."""
-    return f"{100 * (comparison.factor - 1):+.1f} %"
+def change(ratio: Ratio) -> str:
+    """Return a ratio as a change in per cent."""
+    return f"{100 * (ratio.factor - 1):+.1f} %"
 
 
-def interval(comparison: Comparison) -> str:
+def interval(ratio: Ratio) -> str:
     """Return its interval, of single blocks of trials."""
-    return f"blocks of trials: {100 * (comparison.low - 1):+.1f} to {100 * (comparison.high - 1):+.1f} %"
+    return f"blocks of trials: {100 * (ratio.low - 1):+.1f} to {100 * (ratio.high - 1):+.1f} %"
 
 
 def sentence(tuned: Tuned) -> str:

@@ -18,7 +18,7 @@ from craftsim.tuning.gains.knobs import Knob, Subject, knobs_of, turned, values_
 from craftsim.tuning.gains.objectives import Score, spread, undominated
 from craftsim.tuning.gains.search import FIRST_STEP, NEXT_STEP, Search, population
 from craftsim.tuning.gains.trials import Job
-from craftsim.tuning.gains.verdict import Verdict, joined, verdict_on
+from craftsim.tuning.gains.verdict import HeldOut, joined, verdict_on
 from craftsim.validation.campaign import Item, Rounds, TrialRecord
 
 FINALISTS: Final = 6
@@ -53,7 +53,7 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class Plan:
+class TuningPlan:
     """What a tuning evaluates, known before it begins."""
 
     subject: Subject
@@ -98,7 +98,7 @@ class Plan:
 class Phases:
     """Carries a plan out; each phase goes by the results of those before."""
 
-    def __init__(self, plan: Plan, rounds: Rounds) -> None:
+    def __init__(self, plan: TuningPlan, rounds: Rounds) -> None:
         """Evaluate in the rounds of a campaign."""
         self.plan, self.knobs, self._rounds = plan, plan.knobs, rounds
         self._next = 0
@@ -146,7 +146,7 @@ class Phases:
         wide = [front[n] for n in spread(_costs(front, goal), FINALISTS)]
         return [one.values for one in (*wide, *(one for one in ranked if one not in wide))][:FINALISTS]
 
-    def judge(self, best: Candidate) -> Verdict:
+    def judge(self, best: Candidate) -> HeldOut:
         """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by."""
         plan, nominal = self.plan, load_gains()
         shipped = {knob.name: knob.of(nominal) for knob in self.knobs}

@@ -30,7 +30,7 @@ WORLDS_KEPT: Final = 96
 
 
 @dataclass(frozen=True)
-class Trial:
+class TriedAction:
     """What one action showed; shares are of the limits (:class:`~craftsim.checking.settings.Thresholds`)."""
 
     __pydantic_config__ = STRICT
@@ -59,7 +59,7 @@ class _Extra:
     """The tuned ones, by name."""
 
 
-FORM: Final = Form(Trial, _Extra)
+FORM: Final = Form(TriedAction, _Extra)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def _count(subject: Subject) -> int:
     return len(situations(subject))
 
 
-def _try(job: Job, block: int, number: int) -> Trial:
+def _try(job: Job, block: int, number: int) -> TriedAction:
     setup = job.setup
     world, grid, action = _world(job.subject, number, job.seed, block, replace(setup, gains=Setup().gains))
     checked = set_up(grid, setup, Seed((job.seed, block, number)), reuse=world)
@@ -94,7 +94,7 @@ def _try(job: Job, block: int, number: int) -> Trial:
     checked.executor.observers.append(meter.note)
     attempt = checked.perform(0, action)
     own, all_of_it = shares(attempt, setup.thresholds)
-    return Trial(
+    return TriedAction(
         situations(job.subject)[number].id,
         block,
         attempt.agrees,

@@ -13,10 +13,10 @@ from craftsim.checking.settings import Setup
 from craftsim.skills.gains import Gains
 from craftsim.tuning.gains.goal import Goal
 from craftsim.tuning.gains.knobs import Knob, Subject, turned
-from craftsim.tuning.gains.phases import Candidate, Effect, Phases, Plan
+from craftsim.tuning.gains.phases import Candidate, Effect, Phases, TuningPlan
 from craftsim.tuning.gains.search import need_cma
 from craftsim.tuning.gains.trials import FORM, try_gains
-from craftsim.tuning.gains.verdict import Verdict
+from craftsim.tuning.gains.verdict import HeldOut
 from craftsim.validation.campaign import Header, TrialRecord, open_rounds
 
 COMMAND: Final = "tune"
@@ -33,7 +33,7 @@ class Tuned:
     knobs: tuple[Knob, ...]
     gains: Gains
     """The best; those of the start where nothing better was found."""
-    verdict: Verdict
+    verdict: HeldOut
     finalists: Sequence[Candidate]
     """On fresh seeds, first the chosen one; of a front those that are on it."""
     searched: Sequence[Candidate]
@@ -79,7 +79,7 @@ def tune(
     """
     need_cma()
     started = time.perf_counter()
-    plan = Plan(subject, setup, goal, evaluations, trials, seed)
+    plan = TuningPlan(subject, setup, goal, evaluations, trials, seed)
     items = plan.items()
     config = {
         "subject": subject,

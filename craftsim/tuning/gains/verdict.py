@@ -14,7 +14,7 @@ from craftsim.validation.campaign import TrialRecord
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Ratio:
     """Gains against others on the same seeds: a factor of the goal's product, below 1 where they are better."""
 
     factor: float
@@ -24,7 +24,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class HeldOut:
     """Scores on the seeds held out."""
 
     before: Score
@@ -33,9 +33,9 @@ class Verdict:
     """Of what was chosen."""
     shipped: Score
     """Of craftsim's own gains, in place of those that were tuned."""
-    against_start: Comparison
+    against_start: Ratio
     """Of what was chosen."""
-    against_shipped: Comparison
+    against_shipped: Ratio
     improved: bool
     """Whether what was chosen takes the place of the start: it fails no more often and costs less; of a front, it fails
     no more often, and the start is not as good in all objectives."""
@@ -51,14 +51,14 @@ def verdict_on(
     best: Sequence[TrialRecord],
     shipped: Sequence[TrialRecord],
     goal: Goal,
-) -> Verdict:
+) -> HeldOut:
     """Return the verdict from the records of the three, one of each for each block of trials."""
     before, after = Score.of(joined(start)), Score.of(joined(best))
     against_start = _compare(best, start, goal.weights)
     names = goal.objectives
     dominated = bool((before.log_costs(names) <= after.log_costs(names)).all())
     better = not dominated if goal.front else against_start.factor < 1
-    return Verdict(
+    return HeldOut(
         before,
         after,
         Score.of(joined(shipped)),
@@ -70,7 +70,7 @@ def verdict_on(
 
 def _compare(
     ours: Sequence[TrialRecord], others: Sequence[TrialRecord], weights: Mapping[Objective, float]
-) -> Comparison:
+) -> Ratio:
     from scipy.stats import t
 
     whole = Score.of(joined(ours)).log_cost(weights) - Score.of(joined(others)).log_cost(weights)
@@ -82,4 +82,4 @@ def _compare(
     )
     half = float(t.ppf(0.975, len(each) - 1) * each.std(ddof=1) / math.sqrt(len(each)))
     middle = float(each.mean())
-    return Comparison(math.exp(whole), math.exp(middle - half), math.exp(middle + half))
+    return Ratio(math.exp(whole), math.exp(middle - half), math.exp(middle + half))

@@ -27,6 +27,8 @@ FINAL_BLOCKS: Final = 4
 """Trials of each situation with which they are."""
 HELD_OUT_BLOCKS: Final = 8
 """Trials of each situation for the verdict."""
+PULL: Final = 0.002
+"""What a knob that is turned to its bound costs the search, as a logarithm: gains without effect stay at the start."""
 NUDGE: Final = 0.1
 """By how much each knob is turned either way to see what it does: a factor of 1.23."""
 
@@ -118,7 +120,10 @@ class Phases:
             for _ in range(plan.generations):
                 positions = search.ask()
                 tried = self._candidates([values_at(knobs, x) for x in positions])
-                search.tell(positions, [one.score.log_cost(weights) for one in tried])
+                costs = [one.score.log_cost(weights) for one in tried]
+                search.tell(
+                    positions, [c + PULL * float(x @ x) for c, x in zip(costs, positions, strict=True)]
+                )
                 found += tried
             favourites.append(values_at(knobs, search.favourite))
         return found, favourites

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from typing import Annotated, Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid
+from craftsim.errors import CraftsimError, StartError
 from craftsim.models.randomization import RandomizedSite
 from craftsim.models.site import Site
 from craftsim.tuning.gains.knobs import Subject
@@ -77,19 +79,24 @@ class Job:
 
 
 def try_gains(job: Job) -> Done:
-    """Try a candidate in every situation of its blocks."""
-    trials = [_try(job, block, number) for block in job.blocks for number in range(_count(job.subject))]
+    """Try a candidate in every situation of its blocks.
+
+    Left out, for all candidates alike, are worlds that cannot be as they were drawn.
+    """
+    wanted = product(job.blocks, range(len(situations(job.subject))))
+    trials = [trial for block, number in wanted if (trial := _try(job, block, number))]
+    if not trials:
+        raise CraftsimError("none of the worlds that were drawn can be")
     return Done(all(trial.agrees for trial in trials), trials, extra={"gains": dict(job.values)})
 
 
-def _count(subject: Subject) -> int:
-    return len(situations(subject))
-
-
-def _try(job: Job, block: int, number: int) -> TriedAction:
+def _try(job: Job, block: int, number: int) -> TriedAction | None:
     setup = job.setup
     world, grid, action = _world(job.subject, number, job.seed, block, replace(setup, gains=Setup().gains))
-    checked = set_up(grid, setup, Seed((job.seed, block, number)), reuse=world)
+    try:
+        checked = set_up(grid, setup, Seed((job.seed, block, number)), reuse=world)
+    except StartError:
+        return None
     meter = _Meter(checked.site)
     checked.executor.observers.append(meter.note)
     attempt = checked.perform(0, action)

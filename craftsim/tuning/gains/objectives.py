@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 Objective = Literal["time", "error", "margin", "energy", "force"]
 OBJECTIVES: Final[Mapping[Objective, str]] = {
     "time": "duration in s, geometric mean",
-    "error": "largest own error at the end as a share of its limit, mean",
-    "margin": "share of the limit that the worst trial took; what it left is the margin",
+    "error": "largest own error at the end, share of its limit, mean",
+    "margin": "share of a limit that the worst trial took",
     "energy": "work of the motors in J, geometric mean",
     "force": "peak force between two machines in N, geometric mean",
 }
-"""What each is, over all trials."""
+"""What each is, over all trials; what the worst trial left of the limit is the margin."""
 
 DEFAULT_WEIGHTS: Final[Mapping[Objective, float]] = {"time": 1.0, "error": 0.2, "margin": 0.2}
 FAILURE_COST: Final = 25.0

@@ -6,6 +6,7 @@ import math
 
 from markupsafe import Markup
 
+from craftsim.tuning.gains.objectives import OBJECTIVES
 from craftsim.tuning.gains.tune import Tuned
 from craftsim.tuning.gains.writing import convergence
 from craftsim.validation.html.svg import ACCENT, BAD, GOOD, MUTED, SOFT, canvas
@@ -29,6 +30,7 @@ def converging(tuned: Tuned) -> Markup:
         axes.axhline(1.0, color=SOFT, lw=0.8)
         axes.set_ylim(min(best) - 0.05, top + 0.02)
         axes.set_xlabel("candidates")
+        axes.set_ylabel("product, start = 1")
         axes.legend(loc="upper right")
     return drawing.svg
 
@@ -46,8 +48,8 @@ def front(tuned: Tuned) -> Markup:
         )
         axes.plot(*zip(*ordered, strict=True), "o-", color=ACCENT, ms=5, lw=1, label="front, fresh seeds")
         axes.plot(finals[0][first], finals[0][second], "D", color=GOOD, ms=8, label="chosen")
-        axes.set_xlabel(first)
-        axes.set_ylabel(second)
+        axes.set_xlabel(OBJECTIVES[first])
+        axes.set_ylabel(OBJECTIVES[second])
         axes.legend(loc="upper right")
     return drawing.svg
 

@@ -1,7 +1,10 @@
 """The search: by its generator alone, within bounds, to the best."""
 
 import numpy as np
+import pytest
 
+from craftsim.errors import InputError
+from craftsim.tuning.gains import search
 from craftsim.tuning.gains.search import Search, population
 
 BOUNDS = [(-1.0, 1.0), (-1.0, 0.0), (-1.0, 0.3)]
@@ -41,3 +44,9 @@ def test_equal_generators_give_equal_candidates_whatever_the_global_one_does():
 
 def test_a_generation_has_its_number_of_candidates():
     assert len(_search(0).ask()) == population(3)
+
+
+def test_without_its_library_the_message_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(search, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"tuning needs cma, not installed here; .*pip install '\.\[tune\]'"):
+        search.need_cma()

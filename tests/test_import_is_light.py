@@ -7,7 +7,7 @@ import pytest
 
 HEAVY = (
     *("mujoco", "cv2", "matplotlib", "numba", "av", "trimesh", "gymnasium", "pettingzoo", "rich", "tyro"),
-    *("numpy", "scipy", "statsmodels", "pandas", "jinja2", "pydantic", "torch", "ray"),
+    *("numpy", "scipy", "statsmodels", "pandas", "jinja2", "pydantic", "torch", "ray", "cma"),
 )
 
 

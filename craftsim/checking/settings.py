@@ -155,7 +155,8 @@ def setup_of(
         randomize: what is drawn, with limits that suit it: a preset's name, or a YAML file
             (:func:`craftsim.models.parameter_files.load_randomization`).
         rules: the rule set that predicts.
-        gains: of the skills, or a file of them; those of the file of the machines, if it has some, unless given.
+        gains: of the skills, a preset's name, or a file of them; those of the file of the machines, if it has some,
+            unless given.
         machines: their parameters, or a file of them; the nominal ones unless given.
         noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
         assume: what the cars take that noise to be before they find out: none, mild, strong, noise, or a file of it;
@@ -167,7 +168,7 @@ def setup_of(
     if gains is None and isinstance(machines, str | Path):
         gains = machines
     if not isinstance(gains, Gains):
-        gains = nominal_gains() if gains is None else load_gains(Path(gains))
+        gains = nominal_gains() if gains is None else load_gains(gains)
     if not isinstance(machines, Machines):
         machines = NOMINAL if machines is None else load_machines(Path(machines))
     if drive is not None:

@@ -38,8 +38,8 @@ class PhysicsOptions:
     ] = None
     """What the cars take that noise to be before they find out, whatever it is; with none they take each measured pose
     as it is. A figure that a file leaves out is that which they assume without this option."""
-    gains: File = None
-    """YAML file of gains of the skills; those that it leaves out are the nominal ones."""
+    gains: Annotated[str | None, tyro.conf.arg(metavar="{fast,robust}|FILE", help_behavior_hint="")] = None
+    """Gains of the skills: a preset, or a YAML file; those that it leaves out are the nominal ones."""
     parameters: File = None
     """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
     drive: Drive = "rollers"
@@ -54,6 +54,14 @@ class PhysicsOptions:
         return setup_of(
             *(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume, self.drive)
         )
+
+    def words(self) -> list[str]:
+        """Return the options that decide the physics, as they can be typed again."""
+        words = ["--rules", self.rules, "--randomize", self.randomize, "--seed", str(self.seed)]
+        words += ["--drive", self.drive] if self.drive != "rollers" else []
+        for name in ("noise", "assume", "gains", "parameters"):
+            words += [f"--{name}", str(value)] if (value := getattr(self, name)) else []
+        return words
 
 
 @dataclass(frozen=True)
@@ -73,8 +81,5 @@ class CampaignOptions(PhysicsOptions):
 
     def words(self) -> list[str]:
         """Return the options that decide the results, as they can be typed again."""
-        words = ["--rules", self.rules, "--randomize", self.randomize, "--trials", str(self.trials)]
-        words += ["--seed", str(self.seed), *(["--drive", self.drive] if self.drive != "rollers" else [])]
-        for name in ("noise", "assume", "gains", "parameters", "against"):
-            words += [f"--{name}", str(value)] if (value := getattr(self, name)) else []
-        return words
+        words = [*super().words(), "--trials", str(self.trials)]
+        return [*words, "--against", str(self.against)] if self.against else words

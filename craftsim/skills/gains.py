@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, fields
+import os
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
-from importlib.resources import files
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final
 
 import yaml
 
-from craftsim.errors import InputError
+from craftsim.errors import InputError, suggestion
 from craftsim.models.figures import check_reach, digest_of
 from craftsim.models.parameter_files import MACHINE_SECTIONS, numbers, read_keys
 
@@ -230,24 +231,40 @@ SECTIONS: Final[dict[str, type]] = {
 }
 
 
+PRESETS: Final = ("fast", "robust")
+"""Gains that ship with craftsim, by name: for a flat floor, which are the nominal ones, and for one that is not."""
+
+
 def load_gains(path: Path | str | None = None) -> Gains:
-    """Return the nominal gains, overridden by those of a YAML file if one is given.
+    """Return the nominal gains, overridden by those of a YAML file or a preset if one is given.
 
     The file holds the sections of :class:`Gains`, or holds them under a key ``gains`` beside the machines' figures
-    (:func:`craftsim.models.parameter_files.load_machines`).
+    (:func:`craftsim.models.parameter_files.load_machines`). A preset is a name: ``fast`` or ``robust``.
 
-    Raises InputError, naming the file and key, for what is not a known gain.
+    Raises InputError, naming the file and key, for what is not a known gain, and for an unknown preset.
 
     Example:
         >>> import craftsim
         >>> _ = (folder / "slow.yaml").write_text("drive: {max_speed: 0.4}")
         >>> craftsim.load_gains(folder / "slow.yaml").drive.max_speed
         0.4
+        >>> craftsim.load_gains("robust").source
+        'robust'
     """
     nominal = _nominal()
     if path is None:
         return Gains(**{name: kind(**nominal[name]) for name, kind in SECTIONS.items()})
+    if path == "fast":
+        return replace(load_gains(), source="fast")
+    if path == "robust":
+        with as_file(files("craftsim.data").joinpath("gains/robust.yaml")) as shipped:
+            return replace(load_gains(shipped), source="robust")
     path = Path(path)
+    if not path.suffix and not os.path.exists(path):
+        known = ", ".join(PRESETS)
+        raise InputError(
+            f"unknown gains '{path}'{suggestion(str(path), PRESETS)}; there are {known}, or give a YAML file"
+        )
     source, given = read_keys(path, [*SECTIONS, "gains", "source", *MACHINE_SECTIONS])
     sections = {name: node for name, node in given.items.items() if name in SECTIONS}
     if "gains" in given.items:

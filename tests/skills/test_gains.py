@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from craftsim.errors import InputError
-from craftsim.skills.gains import SECTIONS, load_gains
+from craftsim.skills.gains import PRESETS, SECTIONS, load_gains
 
 
 def _file(folder: Path, text: str) -> Path:
@@ -114,3 +114,24 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
     with pytest.raises(InputError, match="no such file") as caught:
         load_gains(path)
     assert str(path) in str(caught.value)
+
+
+def test_fast_is_what_is_shipped_and_robust_is_slower_where_it_matters():
+    fast, robust = load_gains("fast"), load_gains("robust")
+    assert fast == load_gains()
+    for name in ("max_slope_speed", "max_slope_acceleration", "load_factor", "max_acceleration", "rocking"):
+        assert getattr(robust.drive, name) < getattr(fast.drive, name), name
+    assert [load_gains(Path(name)).source for name in PRESETS] == list(PRESETS)
+
+
+def test_an_unknown_preset_is_refused_with_the_known_ones():
+    with pytest.raises(
+        InputError, match=r"unknown gains 'fsat'; did you mean 'fast'\?; there are fast, robust"
+    ):
+        load_gains("fsat")
+
+
+def test_a_file_without_a_suffix_is_a_file(tmp_path):
+    path = tmp_path / "mine"
+    path.write_text("board: {gain: 3}\n", encoding="utf-8")
+    assert load_gains(path).board.gain == 3

@@ -5,6 +5,7 @@ from craftsim.validation.campaign.finished import FinishedCampaign, read_finishe
 from craftsim.validation.campaign.header import Header
 from craftsim.validation.campaign.items import Answer, Done, Failure, Item, TrialRecord
 from craftsim.validation.campaign.records import Records, select
+from craftsim.validation.campaign.rounds import Rounds, open_rounds
 from craftsim.validation.campaign.schema import Form
 
 __all__ = [
@@ -17,8 +18,10 @@ __all__ = [
     "Header",
     "Item",
     "Records",
+    "Rounds",
     "TrialRecord",
     "do_all",
+    "open_rounds",
     "read_finished",
     "run_campaign",
     "run_here",

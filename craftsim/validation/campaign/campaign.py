@@ -72,9 +72,9 @@ def run_campaign(
     try:
         for record in store.kept():
             on_record(record)
-        with _interruptible(lambda: f"{store.n_kept} of {len(items)} trials are kept in {out}"):
+        with interruptible(lambda: f"{store.n_kept} of {len(items)} trials are kept in {out}"):
             for index, answer in _answers(store.missing(), work, workers, engine, timeout_s, batch):
-                _check_room(answer, out)
+                check_room(answer, out)
                 on_record(store.append(make_record(items[index], index, answer)))
         return store.finish()
     finally:
@@ -109,15 +109,16 @@ def do_all(
         KeyboardInterrupt: interrupted or terminated; the message says how to go on.
     """
     answers: dict[int, Answer] = {}
-    with _interruptible(lambda: f"while {doing}; all trials are kept in {out}"):
+    with interruptible(lambda: f"while {doing}; all trials are kept in {out}"):
         for number, answer in _answers(enumerate(items), work, workers, engine, timeout_s, 1):
-            _check_room(answer, out)
+            check_room(answer, out)
             answers[number] = answer
             on_answer(number, answer)
     return [answers[number] for number in range(len(items))]
 
 
-def _check_room(answer: Answer, out: Path) -> None:
+def check_room(answer: Answer, out: Path) -> None:
+    """Raise InputError where the disk was too full for an answer."""
     if isinstance(answer, Failure) and answer.stops:
         raise InputError(f"{answer.text}; what was finished is kept in {out}: make room, then --resume")
 
@@ -158,7 +159,7 @@ def _start(work: Work, n: int, engine: Engine) -> list[Worker]:
 
 
 @contextmanager
-def _interruptible(state: Callable[[], str]) -> Iterator[None]:
+def interruptible(state: Callable[[], str]) -> Iterator[None]:
     """Let the signal to terminate stop a campaign as an interrupt does, and say how things are and how to go on."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:

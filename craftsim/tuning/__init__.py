@@ -1,0 +1,1 @@
+"""Better figures for what there is: gains tuned against declared objectives."""

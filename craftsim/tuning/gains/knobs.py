@@ -1,0 +1,132 @@
+"""Which gains are tuned, within which bounds, and which are not, and why.
+
+A knob turns a gain on a logarithmic scale: 0 is the start, 1 the start times :attr:`Knob.span`, -1 divided by it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final, Literal
+
+from craftsim.models.figures import REACH
+from craftsim.skills.gains import SECTIONS, Gains, load_gains
+
+Subject = Literal["drive", "board", "hinge", "all"]
+SUBJECTS: Final[Mapping[Subject, tuple[str, ...]]] = {
+    "drive": ("drive",),
+    "board": ("board",),
+    "hinge": ("hinge",),
+    "all": ("drive", "board", "hinge"),
+}
+"""The sections of the gains that are tuned together, by subject."""
+
+_TOLERANCE: Final = "how exact an action must end: what is asked for, not how it is done"
+_CERTAINTY: Final = "how sure a car must be before it says that it has arrived"
+_REST: Final = "what counts as rest"
+_GIVING_UP: Final = "when a skill gives up: nothing is won by giving up later or earlier"
+_ASSUMED: Final = "what a car assumes of its odometry: a matter of identification"
+_PARKED: Final = "of parked cars, whose hold no objective measures"
+KEPT: Final[Mapping[str, str]] = {
+    "drive.position_tolerance": _TOLERANCE,
+    "drive.heading_tolerance": _TOLERANCE,
+    "drive.position_certainty": _CERTAINTY,
+    "drive.heading_certainty": _CERTAINTY,
+    "drive.settle_allowance": _GIVING_UP,
+    "drive.blocked_error": _GIVING_UP,
+    "drive.blocked_time": _GIVING_UP,
+    "drive.slip_ratio": _GIVING_UP,
+    "drive.slip_distance": _GIVING_UP,
+    "drive.speed_at_rest": _REST,
+    "drive.wheels_at_rest": _REST,
+    "drive.rest_periods": _REST,
+    "drive.brake_periods": _REST,
+    "board.reached": _TOLERANCE,
+    "board.still": _REST,
+    "board.allowance": _GIVING_UP,
+    "hinge.reached": _TOLERANCE,
+    "hinge.still": _REST,
+    "hinge.still_time": _REST,
+    "hinge.undocked": _GIVING_UP,
+    "hinge.allowance": _GIVING_UP,
+    **{f"stop.{f.name}": _REST if "rest" in f.name else _GIVING_UP for f in fields(SECTIONS["stop"])},
+    **{f"hold.{f.name}": _PARKED for f in fields(SECTIONS["hold"])},
+    **{f"localisation.{f.name}": _ASSUMED for f in fields(SECTIONS["localisation"])},
+    **{f"health.{f.name}": _GIVING_UP for f in fields(SECTIONS["health"])},
+}
+"""The gains that are never tuned, with the reason; all others are."""
+
+SPAN: Final = 8.0
+"""By what factor a gain is turned at most, up or down."""
+_SPANS: Final = {"drive.sideways_slip": 1.04, "drive.turn_slip": 1.04}
+"""Factors of ideal kinematics: rollers lose a few per cent."""
+_MOST: Final = {"drive.load_factor": 1.0, "drive.motor_share": 1.0}
+"""Fractions."""
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A gain that is tuned."""
+
+    section: str
+    field: str
+    start: float
+    span: float
+    least: float
+    """Smallest value that is tried."""
+    most: float
+
+    @property
+    def name(self) -> str:
+        """Such as ``drive.position_gain``."""
+        return f"{self.section}.{self.field}"
+
+    def of(self, gains: Gains) -> float:
+        """Return its gain among others."""
+        return float(getattr(getattr(gains, self.section), self.field))
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The positions at its smallest and its largest value."""
+        return self.position(self.least), self.position(self.most)
+
+    def position(self, value: float) -> float:
+        """Return the position that gives a value."""
+        return math.log(value / self.start) / math.log(self.span)
+
+    def value(self, position: float) -> float:
+        """Return the gain at a position, to the six digits that a file shows; beyond its bounds the nearest within."""
+        return float(f"{min(max(self.start * self.span**position, self.least), self.most):.6g}")
+
+
+def knobs_of(subject: Subject, start: Gains) -> tuple[Knob, ...]:
+    """Return the knobs of a subject, in the order of the gains, around a start."""
+    nominal = load_gains()
+    found = []
+    for section in SUBJECTS[subject]:
+        for f in fields(SECTIONS[section]):
+            if (name := f"{section}.{f.name}") in KEPT:
+                continue
+            value = float(getattr(getattr(start, section), f.name))
+            usual = float(getattr(getattr(nominal, section), f.name))
+            span = _SPANS.get(name, SPAN)
+            # What a file of gains may hold (craftsim.models.figures.check_reach).
+            least, most = max(value / span, usual / REACH), min(value * span, usual * REACH)
+            most = max(value, min(most, _MOST.get(name, math.inf)))
+            found.append(Knob(section, f.name, value, span, least, most))
+    return tuple(found)
+
+
+def turned(start: Gains, knobs: Sequence[Knob], values: Mapping[str, float], source: str = "tuned") -> Gains:
+    """Return gains with other values for some knobs, by name; the others are those of ``start``."""
+    sections: dict[str, Any] = {}
+    for section in dict.fromkeys(knob.section for knob in knobs):
+        own = {k.field: values[k.name] for k in knobs if k.section == section and k.name in values}
+        sections[section] = replace(getattr(start, section), **own)
+    return replace(start, **sections, source=source)
+
+
+def values_at(knobs: Sequence[Knob], positions: Iterable[float]) -> dict[str, float]:
+    """Return the gains at these positions, by name."""
+    return {knob.name: knob.value(float(at)) for knob, at in zip(knobs, positions, strict=True)}

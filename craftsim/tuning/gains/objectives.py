@@ -1,0 +1,124 @@
+"""What gains are judged by: objectives, their weighted product, and the choice on a front of several.
+
+All objectives are costs above 0, and ratios of them are what counts: their logarithms are added, each with its weight,
+so that no scale has to be chosen. An action that fails costs all of them: no speed pays for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Objective = Literal["time", "error", "margin", "energy", "force"]
+OBJECTIVES: Final[Mapping[Objective, str]] = {
+    "time": "duration in s, geometric mean",
+    "error": "largest own error at the end, share of its limit, mean",
+    "margin": "share of a limit that the worst trial took",
+    "energy": "work of the motors in J, geometric mean",
+    "force": "peak force between two machines in N, geometric mean",
+}
+"""What each is, over all trials; what the worst trial left of the limit is the margin."""
+
+DEFAULT_WEIGHTS: Final[Mapping[Objective, float]] = {"time": 1.0, "error": 0.2, "margin": 0.2}
+FAILURE_COST: Final = 25.0
+"""A share of failed actions costs all objectives its exponential: one in 100 a factor of 1.28."""
+LEAST_SHARE: Final = 0.05
+"""Of a limit: an error below it counts as this, for nothing is won by making it smaller."""
+_LEAST: Final = 1e-3
+"""Seconds, joules and newtons."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How gains did over some trials."""
+
+    trials: int
+    failed: int
+    values: Mapping[Objective, float]
+
+    @classmethod
+    def of(cls, trials: Iterable[Mapping[str, Any]]) -> Score:
+        """Return the score of trials, as records hold them."""
+        found = list(trials)
+        values: dict[Objective, float] = {
+            "time": _mean_ratio(trial["duration_s"] for trial in found),
+            "error": max(LEAST_SHARE, sum(trial["error_share"] for trial in found) / len(found)),
+            "margin": max(LEAST_SHARE, *(trial["used_share"] for trial in found)),
+            "energy": _mean_ratio(trial["energy_j"] for trial in found),
+            "force": _mean_ratio(trial["peak_force_n"] for trial in found),
+        }
+        return cls(len(found), sum(not trial["agrees"] for trial in found), values)
+
+    @property
+    def margin_left(self) -> float:
+        """Share of the limit that is left at the worst trial; negative beyond it."""
+        return 1 - self.values["margin"]
+
+    def log_costs(self, objectives: Sequence[Objective]) -> NDArray[np.float64]:
+        """Return the logarithms of the objectives, failures included, (n,)."""
+        logs = np.array([math.log(self.values[name]) for name in objectives])
+        return logs + FAILURE_COST * self.failed / self.trials
+
+    def log_cost(self, weights: Mapping[Objective, float]) -> float:
+        """Return the logarithm of the weighted product, the weights scaled to a sum of 1."""
+        total = sum(weights.values())
+        shares = np.array([weight / total for weight in weights.values()])
+        return float(shares @ self.log_costs(tuple(weights)))
+
+
+def _mean_ratio(values: Iterable[float]) -> float:
+    """Return the geometric mean."""
+    return math.exp(float(np.mean([math.log(max(value, _LEAST)) for value in values])))
+
+
+def undominated(costs: NDArray[np.float64]) -> list[int]:
+    """Return which rows of costs (n, k) no other row is as good as in all and better than in one, in their order."""
+    found = []
+    for row, own in enumerate(costs):
+        no_worse, better = (costs <= own).all(axis=1), (costs < own).any(axis=1)
+        twin = (costs[:row] == own).all(axis=1).any()
+        if not (no_worse & better).any() and not twin:
+            found.append(row)
+    return found
+
+
+def knee(costs: NDArray[np.float64]) -> int:
+    """Return the row of costs (n, k), logarithms, that is nearest to the best of each column, all scaled to a range
+    of 1: beyond it a little of one objective costs much of another."""
+    low, high = costs.min(axis=0), costs.max(axis=0)
+    scaled = (costs - low) / np.where(high > low, high - low, 1.0)
+    return int(np.argmin((scaled * scaled).sum(axis=1)))
+
+
+def spread(costs: NDArray[np.float64], count: int) -> list[int]:
+    """Return at most so many rows of costs (n, k) that lie far from each other: the best of each column, then always
+    the one that is furthest from those that were taken."""
+    low, high = costs.min(axis=0), costs.max(axis=0)
+    scaled = (costs - low) / np.where(high > low, high - low, 1.0)
+    taken = list(dict.fromkeys(costs.argmin(axis=0).tolist()))[:count]
+    while len(taken) < min(count, len(costs)):
+        away = np.linalg.norm(scaled[:, None] - scaled[taken], axis=2).min(axis=1)
+        away[taken] = -1.0
+        taken.append(int(away.argmax()))
+    return taken
+
+
+def weightings(objectives: Sequence[Objective]) -> list[dict[Objective, float]]:
+    """Return the weights by which a front of several objectives is searched, the most balanced first.
+
+    A lattice on the simplex (Das and Dennis, SIAM J. Optim. 8, 1998), its points moved a little inwards, so that no
+    objective is left out.
+    """
+    n = len(objectives)
+    steps = {2: 4, 3: 3}.get(n, 2)
+    lattice = [point for point in np.ndindex(*(steps + 1,) * n) if sum(point) == steps]
+    lattice.sort(key=lambda point: (max(point), point))
+    return [
+        {name: (part + 0.2) / (steps + 0.2 * n) for name, part in zip(objectives, point, strict=True)}
+        for point in lattice
+    ]

@@ -1,0 +1,65 @@
+"""Trials of a world without physics, for tests: an action takes longest with bad gains, and fails with wild ones."""
+
+from contextlib import contextmanager
+
+from craftsim.tuning.gains.trials import Job
+from craftsim.validation.campaign import Done
+from craftsim.validation.campaign.items import make_record
+
+BEST = {"board.gain": 40.0, "board.acceleration": 1.0}
+
+
+def trials_of(job: Job) -> list[dict]:
+    """Quickest where the gains are best; far from the limit where they are small."""
+    found = []
+    for block in job.blocks:
+        miss = sum((value / BEST[name] - 1) ** 2 for name, value in job.values)
+        size = sum(value / BEST[name] for name, value in job.values)
+        found.append(
+            {
+                "situation": "LIFT",
+                "block": block,
+                "agrees": size < 8,
+                "duration_s": (1 + miss) * (1 + 0.01 * block),
+                "error_share": 0.2,
+                "used_share": min(1.0, 0.1 * size),
+                "energy_j": size,
+                "peak_force_n": 100.0,
+            }
+        )
+    return found
+
+
+class AnalyticRounds:
+    """Rounds of a campaign that needs no workers; counts what was asked for."""
+
+    def __init__(self, items, on_record, lose, other):
+        self.items, self.on_record, self.lose, self.other = items, on_record, lose, other
+        self.jobs = {}
+
+    def do(self, jobs):
+        assert not set(jobs) & set(self.jobs), "done twice"
+        self.jobs |= jobs
+        records = []
+        for number, job in jobs.items():
+            trials = trials_of(job)
+            if self.lose(job):
+                trials = [{**trial, "agrees": False} for trial in trials]
+            done = Done(True, trials, extra={"gains": dict(job.values) | self.other})
+            records.append(make_record(self.items[number], number, done))
+            self.on_record(records[-1])
+        return records
+
+    def finish(self):
+        assert set(self.jobs) == set(range(len(self.items))), "not all was done"
+
+
+def opener(made, lose=lambda job: False, other=None):
+    """What stands for open_rounds; ``made`` gets the rounds, and ``other`` gains stand in their records."""
+
+    @contextmanager
+    def open_them(items, work, out, header, *, on_record, **_):
+        made.append(AnalyticRounds(items, on_record, lose, other or {}))
+        yield made[-1]
+
+    return open_them

@@ -1,0 +1,148 @@
+"""Tuning finds the best, never writes what is worse, and comes to the same end whoever does the work and when."""
+
+import json
+from contextlib import contextmanager
+
+import pytest
+import yaml
+from tuning.analytic import BEST, opener
+
+from craftsim.checking.settings import setup_of
+from craftsim.cli import main
+from craftsim.errors import InputError
+from craftsim.skills.gains import load_gains
+from craftsim.tuning.gains import phases
+from craftsim.tuning.gains import tune as module
+from craftsim.tuning.gains.goal import Goal
+from craftsim.tuning.gains.page import tune_page
+from craftsim.tuning.gains.phases import FINAL_BLOCKS, HELD_OUT_BLOCKS
+from craftsim.tuning.gains.writing import convergence, write_gains
+from craftsim.validation.html.writing import write_html
+
+
+@contextmanager
+def _quiet(total):
+    yield lambda record: None
+
+
+def _tune(monkeypatch, folder, goal=None, lose=lambda job: False, evaluations=120):
+    made = []
+    monkeypatch.setattr(module, "open_rounds", opener(made, lose))
+    return _run(folder, goal or Goal.of(["time"]), evaluations), made[0]
+
+
+def _run(folder, goal, evaluations=10):
+    setup = setup_of("mild", drive="reduced")
+    options = {"evaluations": evaluations, "trials": 2, "seed": 4, "progress": _quiet}
+    return module.tune("board", setup, folder, goal=goal, **options)
+
+
+def test_it_finds_the_best_gains(monkeypatch, tmp_path):
+    tuned, _ = _tune(monkeypatch, tmp_path)
+    assert tuned.verdict.improved
+    for knob in tuned.knobs:
+        assert knob.of(tuned.gains) == pytest.approx(BEST[knob.name], rel=0.05)
+    assert tuned.verdict.against_shipped.factor < 0.95
+    found = convergence(tuned)
+    assert found[0] == 1
+    assert found == sorted(found, reverse=True)
+
+
+def test_seeds_of_search_finals_and_verdict_are_apart(monkeypatch, tmp_path):
+    _, rounds = _tune(monkeypatch, tmp_path, evaluations=10)
+    blocks = {}
+    for number, job in rounds.jobs.items():
+        phase = "finalist" if rounds.items[number].key.startswith("finalist") else "search"
+        phase = "held out" if "held out" in rounds.items[number].key else phase
+        blocks.setdefault(phase, set()).update(job.blocks)
+    assert len(blocks["finalist"]) == FINAL_BLOCKS
+    assert len(blocks["held out"]) == HELD_OUT_BLOCKS
+    assert sum(map(len, blocks.values())) == len(set().union(*blocks.values()))
+
+
+def test_what_fails_on_seeds_held_out_is_never_written(monkeypatch, tmp_path):
+    start = load_gains()
+
+    def lose(job):
+        return min(job.blocks) >= 2 + FINAL_BLOCKS and dict(job.values)["board.gain"] != start.board.gain
+
+    tuned, _ = _tune(monkeypatch, tmp_path, lose=lose)
+    assert not tuned.verdict.improved
+    assert tuned.gains == start
+    path = write_gains(tmp_path, tuned, "craftsim tune board")
+    assert load_gains(path) == start
+    assert "Nothing better than the start was found" in path.read_text(encoding="utf-8")
+
+
+def test_a_front_has_no_finalist_that_another_dominates_and_is_chosen_from(monkeypatch, tmp_path):
+    chosen = {}
+    for choice in ("time", "margin", "knee"):
+        tuned, _ = _tune(monkeypatch, tmp_path, Goal.of((), ["time", "margin"], choice))
+        values = [(one.score.values["time"], one.score.values["margin"]) for one in tuned.finalists]
+        assert not [a for a in values for b in values if a != b and a[0] >= b[0] and a[1] >= b[1]]
+        chosen[choice] = values[0]
+        assert values[0] == (min(values) if choice == "time" else values[0])
+    assert chosen["time"][0] < chosen["knee"][0] < chosen["margin"][0]
+    assert chosen["time"][1] > chosen["knee"][1] > chosen["margin"][1]
+
+
+def test_the_file_says_where_it_comes_from_and_can_be_read_by_gains(monkeypatch, tmp_path):
+    tuned, _ = _tune(monkeypatch, tmp_path)
+    path = write_gains(tmp_path, tuned, "craftsim tune board\n--out 'x'")
+    text = path.read_text(encoding="utf-8")
+    assert load_gains(path) == tuned.gains
+    assert set(yaml.safe_load(text)) == {"drive", "board", "hinge", "stop", "hold", "localisation", "health"}
+    for part in ("seed 4", 'Command: "craftsim tune board\\n', "mujoco", "before and after", "Start:"):
+        assert part in text
+
+
+def test_the_page_holds_all_drawings_and_says_why_gains_are_kept(monkeypatch, tmp_path):
+    tuned, _ = _tune(monkeypatch, tmp_path, Goal.of((), ["time", "energy"]), evaluations=40)
+    text = write_html(tmp_path, tune_page(tuned, "craftsim tune board")).read_text(encoding="utf-8")
+    assert text.count("<svg role") == 3
+    assert "drive.position_tolerance" in text
+    assert "the front of time, energy" in text
+
+
+ARGUMENTS = ["tune", "board", "--evaluations", "6", "--trials", "1", "--seed", "3"]
+
+
+def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(tmp_path, monkeypatch):
+    for name, few in (("FINALISTS", 2), ("FINAL_BLOCKS", 1), ("HELD_OUT_BLOCKS", 2)):
+        monkeypatch.setattr(phases, name, few)
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    assert main([*ARGUMENTS, "--workers", "2", "--out", str(whole)]) in (0, 1)
+    cut.mkdir()
+    (cut / "campaign.json").write_bytes((whole / "campaign.json").read_bytes())
+    trials = (whole / "trials.jsonl").read_bytes()
+    lines = trials.splitlines(keepends=True)
+    # In another order, as two workers finish, and in the middle of a line, as a kill may leave it.
+    (cut / "trials.jsonl").write_bytes(b"".join((*lines[3::-1], *lines[4:14], lines[14][:99])))
+    assert main([*ARGUMENTS, "--resume", "--out", str(cut)]) in (0, 1)
+    for name in ("trials.jsonl", "gains.yaml", "report.html"):
+        assert (whole / name).read_bytes() == (cut / name).read_bytes(), name
+    reports = [json.loads((folder / "report.json").read_bytes()) for folder in (whole, cut)]
+    assert all(report.pop("wall") for report in reports)
+    assert reports[0] == reports[1]
+
+
+def test_evaluations_of_other_gains_are_not_taken_for_those_of_the_search(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(module, "open_rounds", opener(made, other={"board.gain": 3.0}))
+    with pytest.raises(InputError, match="tried other gains than it would now"):
+        _run(tmp_path, Goal.of())
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["drive", "--weights", "tme=1"], "unknown objective 'tme'; did you mean 'time'?"),
+        (["drive", "--objectives", "time"], "a front has at least two objectives"),
+        (["drive", "--gains", "fsat"], "unknown gains 'fsat'; did you mean 'fast'?"),
+        (["drive", "--evaluations", "0"], "--evaluations is 0; allowed: 1 to 1000000"),
+    ],
+)
+def test_wrong_options_end_with_status_2_before_anything_is_tried(tmp_path, capsys, words, message):
+    assert main(["tune", *words, "--out", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,67 @@
+"""Which gains are tuned, and how turning a knob changes one."""
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.rules import Rules
+from craftsim.skills.gains import SECTIONS, load_gains
+from craftsim.tuning.gains.knobs import KEPT, SUBJECTS, knobs_of, turned, values_at
+from craftsim.tuning.gains.situations import situations
+from craftsim.validation.contexts.survey import make_world
+
+GAINS = load_gains()
+
+
+def test_every_gain_is_tuned_or_says_why_it_is_not():
+    every = {f"{section}.{f.name}" for section, kind in SECTIONS.items() for f in fields(kind)}
+    assert {knob.name for knob in knobs_of("all", GAINS)} == every - set(KEPT)
+    assert set(KEPT) < every
+
+
+def test_tolerances_and_times_of_giving_up_are_never_tuned():
+    tuned = " ".join(knob.name for knob in knobs_of("all", GAINS))
+    words = ("tolerance", "certainty", "allowance", "blocked", "at_rest", "reached", "still", "tipped")
+    assert not [word for word in words if word in tuned]
+
+
+def test_zero_is_the_start_and_the_bounds_are_its_span():
+    for knob in knobs_of("all", GAINS):
+        low, high = knob.bounds
+        assert knob.value(0.0) == knob.start == knob.of(GAINS)
+        assert -1 - 1e-12 <= low < 0 <= high <= 1 + 1e-12
+        assert knob.value(-99) == pytest.approx(knob.least, rel=1e-5)
+        assert knob.value(99) == pytest.approx(knob.most, rel=1e-5)
+        assert knob.position(knob.value(low / 2)) == pytest.approx(low / 2, abs=1e-4)
+
+
+def test_fractions_stay_fractions():
+    knobs = {knob.name: knob for knob in knobs_of("drive", GAINS)}
+    assert knobs["drive.load_factor"].most == knobs["drive.motor_share"].most == 1
+
+
+def test_turning_all_knobs_to_their_ends_makes_gains_that_a_file_may_hold():
+    knobs = knobs_of("all", GAINS)
+    for end in (-1, 1):
+        gains = turned(GAINS, knobs, values_at(knobs, [end * math.inf] * len(knobs)))
+        assert gains != GAINS
+
+
+def test_what_is_not_of_the_subject_stays():
+    knobs = knobs_of("board", GAINS)
+    gains = turned(GAINS, knobs, {"board.gain": 3.0})
+    assert gains == replace(GAINS, board=replace(GAINS.board, gain=3.0))
+
+
+def test_every_situation_is_a_world_in_which_its_action_is_legal():
+    names = [context.id for context in situations("all")]
+    assert len(set(names)) == len(names)
+    for context in situations("all"):
+        grid = make_world(context, np.random.default_rng(1))
+        assert Rules("physical").legal(grid, 0, context.action(int(grid.cars[0, 3])))
+
+
+def test_every_tuned_section_has_situations_of_its_own():
+    assert sum(len(situations(section)) for section in SUBJECTS["all"]) == len(situations("all"))

@@ -67,11 +67,3 @@ class CampaignOptions(PhysicsOptions):
     """Folder of an earlier run under other settings, to compare trial by trial."""
     resume: bool = False
     """Go on with what an interrupted run has left in the output folder."""
-
-    def words(self) -> list[str]:
-        """Return the options that decide the results, as they can be typed again."""
-        words = ["--rules", self.rules, "--randomize", self.randomize, "--trials", str(self.trials)]
-        words += ["--seed", str(self.seed), *(["--drive", self.drive] if self.drive != "rollers" else [])]
-        for name in ("noise", "assume", "gains", "parameters", "against"):
-            words += [f"--{name}", str(value)] if (value := getattr(self, name)) else []
-        return words

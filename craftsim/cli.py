@@ -11,7 +11,7 @@ import functools
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any, Final, get_args, get_type_hints
 
 from craftsim.commands.text import complain, drop_output, reader_is_gone, show_what_can_be_shown
@@ -90,6 +90,18 @@ def _answer(words: list[str]) -> int:
     except KeyboardInterrupt as interrupt:
         complain(str(interrupt) or "interrupted")
         return 130
+    except ImportError as error:
+        # Of a Ctrl-C during its import an extension module such as MuJoCo's makes an error of its own.
+        if not any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
+            raise
+        complain("interrupted")
+        return 130
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 def _run(name: str, words: list[str]) -> int:

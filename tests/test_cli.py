@@ -105,6 +105,27 @@ def test_an_interrupt_exits_with_130(command):
     assert cli.main(["probe"]) == 130
 
 
+def test_an_interrupt_that_an_extension_module_hides_exits_with_130(command, capsys):
+    def probe() -> int:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as interrupt:
+            raise ImportError("initialization failed") from interrupt
+
+    command(probe)
+    assert cli.main(["probe"]) == 130
+    assert capsys.readouterr().err == "craftsim: interrupted\n"
+
+
+def test_what_cannot_be_imported_is_no_interrupt(command):
+    def probe() -> int:
+        raise ImportError("no such module")
+
+    command(probe)
+    with pytest.raises(ImportError, match="no such module"):
+        cli.main(["probe"])
+
+
 def test_a_bug_is_not_hidden(command):
     def probe() -> int:
         raise ZeroDivisionError

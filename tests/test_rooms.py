@@ -11,6 +11,7 @@ PACKAGE = Path(craftsim.__file__).parent
 
 ALLOWED = {
     "errors": set(),
+    "interrupts": set(),
     "storage": set(),
     "discrete": {"storage"},
     "mjcf": {"discrete.geometry", "models.parameters", "models.figures", "models.config"},
@@ -47,7 +48,7 @@ ALLOWED = {
     "cli": {"commands", "discrete", "storage"},
     "__main__": {"cli"},
 }
-"""What each room may import of ours, besides itself, the errors and the package's version; commands may import all."""
+"""What each room may import of ours, besides itself, errors, interrupts and the version; commands may import all."""
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}
 
@@ -80,7 +81,7 @@ def _violations(module: str, source: str) -> list[str]:
         if top != "craftsim" or not inside or room == "commands":
             continue
         target = ".".join(inside)
-        allowed = ALLOWED[room] | {room, "errors", "__version__"}
+        allowed = ALLOWED[room] | {room, "errors", "interrupts", "__version__"}
         if not any(target == entry or target.startswith(f"{entry}.") for entry in allowed):
             wrong.append(name)
     return wrong

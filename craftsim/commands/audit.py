@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 
+from craftsim.commands.again import command_again
 from craftsim.commands.options import CampaignOptions, Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
@@ -49,6 +49,7 @@ def audit(
         shrink: find the smallest world in which the first failure of each kind still happens.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
+    given = locals().copy()
     from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.films import record_failures, rendering_works
     from craftsim.commands.notes_text import print_notes
@@ -92,10 +93,7 @@ def audit(
     )
     if filming or record:
         record_failures(console, out, result.records, campaign.workers, filming)
-    switches = [f"--{name}" for name, on in (("video", video), ("record", record), ("shrink", shrink)) if on]
-    page = write_html(
-        out, audit_page(result, shlex.join(_words(actions, contexts, only, quick, campaign, switches)))
-    )
+    page = write_html(out, audit_page(result, command_again(audit, given)))
     print_results(console, result.results)
     print_smallest(console, out, result.smallest)
     print_notes(capped_steps(result.records), retried(result.records))
@@ -117,19 +115,3 @@ def _chosen(plan: list[Row], contexts: str, only: str) -> list[Row]:
             f"no row matches '{contexts}' with these actions; a row's name is such as '{plan[0].name}'"
         )
     return wanted
-
-
-def _words(
-    actions: tuple[Verb, ...],
-    contexts: str,
-    only: str,
-    quick: bool,
-    campaign: CampaignOptions,
-    switches: list[str],
-) -> list[str]:
-    words = ["craftsim", "audit", *campaign.words()]
-    words += ["--actions", *actions] if actions else []
-    words += ["--contexts", contexts] if contexts != "*" else []
-    words += ["--only", only] if only != "all" else []
-    words += ["--quick"] if quick else []
-    return words + switches

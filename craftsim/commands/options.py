@@ -55,14 +55,6 @@ class PhysicsOptions:
             *(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume, self.drive)
         )
 
-    def words(self) -> list[str]:
-        """Return the options that decide the physics, as they can be typed again."""
-        words = ["--rules", self.rules, "--randomize", self.randomize, "--seed", str(self.seed)]
-        words += ["--drive", self.drive] if self.drive != "rollers" else []
-        for name in ("noise", "assume", "gains", "parameters"):
-            words += [f"--{name}", str(value)] if (value := getattr(self, name)) else []
-        return words
-
 
 @dataclass(frozen=True)
 class CampaignOptions(PhysicsOptions):
@@ -78,8 +70,3 @@ class CampaignOptions(PhysicsOptions):
     """Folder of an earlier run under other settings, to compare trial by trial."""
     resume: bool = False
     """Go on with what an interrupted run has left in the output folder."""
-
-    def words(self) -> list[str]:
-        """Return the options that decide the results, as they can be typed again."""
-        words = [*super().words(), "--trials", str(self.trials)]
-        return [*words, "--against", str(self.against)] if self.against else words

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import tyro
 
+from craftsim.commands.again import command_again
 from craftsim.commands.options import Dir, PhysicsOptions
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
@@ -50,6 +50,7 @@ def tune(
         resume: go on with what an interrupted run has left in the output folder.
         out: folder for gains.yaml, report.html, report.json and trials.jsonl.
     """
+    given = locals().copy()
     from craftsim.commands.progress import counting
     from craftsim.commands.tune_text import gains_table, verdict_table
     from craftsim.report import output_directory, write_report
@@ -78,10 +79,7 @@ def tune(
         workers=workers,
         resume=resume,
     )
-    words = ["craftsim", "tune", subject, *physics.words()]
-    words += ["--weights", *weights] if weights else []
-    words += ["--objectives", *objectives, "--choose", choose] if objectives else []
-    command = shlex.join([*words, "--evaluations", str(evaluations), "--trials", str(trials)])
+    command = command_again(tune, given)
     write_report(
         out,
         figures(tuned),

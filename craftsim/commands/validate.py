@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import shlex
 import sys
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import tyro
 
+from craftsim.commands.again import command_again
 from craftsim.commands.options import CampaignOptions, Dir, File
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
@@ -62,6 +62,7 @@ def validate(
         out: folder for report.html, report.json, trials.jsonl, durations.csv, the bundles of the disagreements, and
             of random play the worlds and plans.
     """
+    given = locals().copy()
     from craftsim.commands.films import film_runs, record_failures, rendering_works
     from craftsim.commands.notes_text import print_notes
     from craftsim.commands.progress import counting
@@ -113,19 +114,7 @@ def validate(
         record_failures(console, out, result.records, campaign.workers, filming)
     if filming and video == "all":
         film_runs(console, out, campaign.workers)
-    words = ["craftsim", "validate", *worlds, "--order", order, *campaign.words()]
-    for name, value in (
-        ("plan", plan),
-        ("actions", actions),
-        ("cars", cars),
-        ("blocks", blocks),
-        ("max-steps", max_steps),
-    ):
-        words += [f"--{name}", str(value)] if value is not None else []
-    words += ["--policy", *policy] if policy else []
-    words += ["--video", video] if video != "failures" else []
-    words += [*(["--record"] if record else []), *(["--shrink"] if shrink else [])]
-    page = write_html(out, validate_page(result, shlex.join(words)))
+    page = write_html(out, validate_page(result, command_again(validate, given)))
     console.print(runs_table(result.records))
     if result.coverage is not None:
         console.print(coverage_table(result.coverage))

@@ -16,11 +16,11 @@ from gymnasium.vector.utils import CloudpickleWrapper
 
 from craftsim.envs.world_requests import Answer, Make, Request, perform
 from craftsim.errors import CraftsimError
+from craftsim.interrupts import kept_from_children
 
 
 def _serve(requests: Connection, answers: Connection, make: Make, worlds: Sequence[int]) -> None:
     """Perform what is asked for, in a process, until the one that asks has gone or says that it is enough."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started this process decides when it ends
     asked: SimpleQueue[Mapping[int, Request] | None] = SimpleQueue()
 
     def listen() -> None:
@@ -107,7 +107,8 @@ class _Worker:
         self.answers, there_answers = context.Pipe(duplex=False)
         arguments = (there_requests, there_answers, make, self.worlds)
         self.process = context.Process(target=_serve, args=arguments, daemon=True, name="craftsim-worlds")
-        self.process.start()
+        with kept_from_children():
+            self.process.start()
         # With this end closed here, the death of the process is the end of the file.
         there_requests.close()
         there_answers.close()

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import replace
+from multiprocessing.synchronize import Event
 from types import TracebackType
-from typing import Final, Self, TypeVar
+from typing import Any, Final, Self, TypeVar
 
+from craftsim.interrupts import finishing_first, kept_from_children
 from craftsim.rendering.frames import Frames, Look
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.rendering.video import Frame
@@ -24,8 +25,12 @@ _BATCH: Final = 8
 _AHEAD: Final = 2
 """Batches that each process may be ahead: frames wait in memory until the film has come to them."""
 
+_SPAWN: Final = multiprocessing.get_context("spawn")
+
 _frames: Frames | None = None
 """Of a worker process."""
+_over: Event | None = None
+"""Of a worker process: set when nobody waits for its frames any more."""
 
 
 def render_frames(trajectory: Trajectory, look: Look, workers: int = 1) -> Iterator[Frame]:
@@ -43,7 +48,7 @@ def spread(function: Callable[[Job], None], jobs: Sequence[Job], workers: int = 
     if workers == 1 or len(jobs) < 2:
         yield from map(function, jobs)
         return
-    pool = _pool(min(workers, len(jobs)), _alone, _threads(workers))
+    pool = Shielded(min(workers, len(jobs)), _SPAWN, _share, (_threads(workers),))
     try:
         for done in as_completed([pool.submit(function, job) for job in jobs]):
             yield done.result()
@@ -58,7 +63,8 @@ class FrameProcesses:
         """Start the processes; each rasterizes in so many threads, its share of the processors unless given."""
         self._workers = workers
         # A copy has no compiled model, which would be sent along.
-        self._pool = _pool(workers, _begin, threads or _threads(workers), replace(trajectory), look)
+        copy, self._over = replace(trajectory), _SPAWN.Event()
+        self._pool = Shielded(workers, _SPAWN, _begin, (threads or _threads(workers), copy, look, self._over))
 
     def wait(self) -> None:
         """Wait until all have begun."""
@@ -80,11 +86,18 @@ class FrameProcesses:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._over.set()
         self._pool.shutdown(cancel_futures=True)
 
 
-def _pool(workers: int, begin: Callable[..., None], *arguments: object) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), begin, arguments)
+class Shielded(ProcessPoolExecutor):
+    """Processes that start as jobs come in; a Ctrl-C is for the process that asked, which ends its workers."""
+
+    def submit(self, *arguments: Any, **named: Any) -> Future[Any]:
+        """Have a function called, as with any executor."""
+        # In the midst of it, a Ctrl-C would leave a process behind of which nobody knows.
+        with finishing_first(), kept_from_children():
+            return super().submit(*arguments, **named)
 
 
 def _threads(workers: int) -> int:
@@ -92,18 +105,25 @@ def _threads(workers: int) -> int:
     return max(1, (os.cpu_count() or 1) // workers)
 
 
-def _alone(threads: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that asked ends its workers
+def _share(threads: int) -> None:
     # Mesa's software renderer takes all processors otherwise, and the processes would be in each other's way.
     os.environ.setdefault("LP_NUM_THREADS", str(threads))
 
 
-def _begin(threads: int, trajectory: Trajectory, look: Look) -> None:
-    global _frames
-    _alone(threads)
-    _frames = Frames(trajectory, look)
+def _begin(threads: int, trajectory: Trajectory, look: Look, over: Event) -> None:
+    global _frames, _over
+    _share(threads)
+    _over = over
+    if not over.is_set():
+        _frames = Frames(trajectory, look)
 
 
 def _render(numbers: list[int]) -> list[Frame]:
-    assert _frames is not None, "a worker begins with its frames"
-    return [_frames[number] for number in numbers]
+    assert _over is not None, "a worker begins first"
+    frames: list[Frame] = []
+    for number in numbers:
+        if _over.is_set():
+            break
+        assert _frames is not None, "a worker begins with its frames"
+        frames.append(_frames[number])
+    return frames

@@ -17,6 +17,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
+from craftsim.interrupts import finishing_first
 from craftsim.report import versions
 from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import RUN_FILE, RunHead, open_run, save_policy, save_run
@@ -26,7 +27,6 @@ from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.extra import PACKAGES
 from craftsim.training.grid_env import GridEnv
 from craftsim.training.identity import TaskIdentity, starts_digest
-from craftsim.training.interrupts import finishing_first
 from craftsim.training.novelty import Novelty
 from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.policy import POLICY_FILE

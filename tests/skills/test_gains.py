@@ -119,7 +119,13 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
 def test_fast_is_what_is_shipped_and_robust_is_slower_where_it_matters():
     fast, robust = load_gains("fast"), load_gains("robust")
     assert fast == load_gains()
-    for name in ("max_slope_speed", "max_slope_acceleration", "load_factor", "max_acceleration", "rocking"):
+    for name in (
+        "max_slope_speed",
+        "max_slope_acceleration",
+        "max_tight_speed",
+        "max_acceleration",
+        "max_turn_speed",
+    ):
         assert getattr(robust.drive, name) < getattr(fast.drive, name), name
     assert [load_gains(Path(name)).source for name in PRESETS] == list(PRESETS)
 

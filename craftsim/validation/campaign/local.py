@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-import signal
 import threading
 from collections.abc import Sequence
 from concurrent.futures import CancelledError
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context, parent_process, resource_tracker
+from multiprocessing import get_context, parent_process
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
+from craftsim.interrupts import kept_from_children
 from craftsim.validation.campaign.distribute import WorkerDiedError
 from craftsim.validation.campaign.items import Answer, Item, Work, perform
 
@@ -50,10 +50,10 @@ class LocalWorker:
             if self._closed:
                 raise WorkerDiedError
             if self._pool is None:
-                _shield_from_interrupts()
                 # A pool of one: in a larger one all wait for the locks of one that is killed.
                 self._pool = ProcessPool(1, initializer=_end_with_parent, context=get_context("spawn"))
-            self._running = self._pool.schedule(perform, (self._work, jobs), timeout=timeout_s)
+            with kept_from_children():
+                self._running = self._pool.schedule(perform, (self._work, jobs), timeout=timeout_s)
             return self._running
 
     def _stop(self) -> None:
@@ -61,13 +61,6 @@ class LocalWorker:
             self._pool.stop()
             self._pool.join()
             self._pool = None
-
-
-def _shield_from_interrupts() -> None:
-    """Let processes that this thread starts never see an interrupt from the keyboard: who started them decides."""
-    # Its first start would undo the block.
-    resource_tracker.ensure_running()
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 def _end_with_parent() -> None:

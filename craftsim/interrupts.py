@@ -1,4 +1,4 @@
-"""Ctrl-C between two pieces of work instead of in the midst of one."""
+"""Ctrl-C: heard between two pieces of work instead of in the midst of one, and by no process that one starts."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 
 
 @contextmanager
@@ -29,3 +30,18 @@ def finishing_first() -> Iterator[None]:
         signal.signal(signal.SIGINT, usual)
     if heard:
         raise KeyboardInterrupt
+
+
+@contextmanager
+def kept_from_children() -> Iterator[None]:
+    """Let processes that this thread starts inside never see a Ctrl-C, not even while they import.
+
+    The one that started them decides when they end.
+    """
+    # Its first start would undo the block.
+    resource_tracker.ensure_running()
+    usual = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, usual)

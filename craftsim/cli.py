@@ -26,6 +26,8 @@ COMMANDS: Final[dict[str, str]] = {
     "validate": "Run plans, actions or policies in physics, and judge each action.",
     "audit": "Try in physics what the rules allow, and what they forbid.",
     "tune": "Tune the gains of skills by objectives, judged on seeds held out.",
+    "margins": "Search by how much each imperfection may grow until an action fails.",
+    "compare": "Compare a simulation with reality, or any two runs of the same plans.",
     "clearance": "Compare what each action sweeps with what the rules forbid.",
     "replay": "Re-run a recorded failure bit for bit, and compare the two.",
     "render": "Make films and pictures of what happened in physics.",

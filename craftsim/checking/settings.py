@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Final, Literal, cast
@@ -138,6 +138,14 @@ def widened(limits: Thresholds, randomization: DomainRandomization) -> Threshold
         placed_m=limits.placed_m + sensors.position_bias_m,
         height_m=limits.height_m + relief_m,
     )
+
+
+def imperfect(setup: Setup, randomization: DomainRandomization) -> Setup:
+    """Return the same in a world that is imperfect otherwise: with limits widened for that, as much as they were."""
+    nothing = Thresholds(0.0, 0.0, 0.0, 0.0, 0.0)
+    before, after = (asdict(widened(nothing, drawn)) for drawn in (setup.randomization, randomization))
+    limits = {name: limit - before[name] + after[name] for name, limit in asdict(setup.thresholds).items()}
+    return replace(setup, thresholds=Thresholds(**limits), randomization=randomization)
 
 
 def setup_of(

@@ -254,9 +254,9 @@ def load_gains(path: Path | str | None = None) -> Gains:
     nominal = _nominal()
     if path is None:
         return Gains(**{name: kind(**nominal[name]) for name, kind in SECTIONS.items()})
-    if path == "fast":
+    if str(path) == "fast":
         return replace(load_gains(), source="fast")
-    if path == "robust":
+    if str(path) == "robust":
         with as_file(files("craftsim.data").joinpath("gains/robust.yaml")) as shipped:
             return replace(load_gains(shipped), source="robust")
     path = Path(path)

@@ -11,6 +11,7 @@ from craftsim.checking.attempt import Attempt, Result
 from craftsim.discrete.verdict import Finding
 from craftsim.validation.campaign import Form
 from craftsim.validation.campaign.schema import STRICT
+from craftsim.validation.margins.limit import Limit, RowFound
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 
@@ -55,3 +56,5 @@ RUNS: Final = Form(_Judged, _RunExtra)
 """Of a validation."""
 TRIALS: Final = Form(_Judged, _TrialExtra)
 """Of an audit."""
+MARGINS: Final = Form(_Judged, Limit | RowFound)
+"""Of a search for margins."""

@@ -127,7 +127,7 @@ def test_fast_is_what_is_shipped_and_robust_is_slower_where_it_matters():
         "max_turn_speed",
     ):
         assert getattr(robust.drive, name) < getattr(fast.drive, name), name
-    assert [load_gains(Path(name)).source for name in PRESETS] == list(PRESETS)
+    assert [load_gains(name).source for name in PRESETS] == list(PRESETS)
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones():

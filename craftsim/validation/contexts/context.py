@@ -9,6 +9,7 @@ from typing import Final
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import KINDS_WITH_YAW, Kind
 from craftsim.discrete.rules.table import ACTIONS, VERBS, Variation
+from craftsim.errors import InputError
 
 FORWARD, LEFT, BACK, RIGHT = range(4)
 """Directions and yaws relative to the car's heading."""
@@ -61,8 +62,15 @@ class Thing:
         )
         return f"above-{name}" if self.below else name
 
+    @classmethod
+    def of(cls, name: str) -> Thing:
+        """Return the thing of such a name."""
+        kind, _, way = name.removeprefix("above-").partition("-")
+        return cls(Kind[kind.upper()], DIRECTION_NAMES.index(way) if way else 0, name.startswith("above-"))
+
 
 NOTHING: Final = Thing()
+_NAME: Final = "MOVE-forward/level=1/ground=flat/own=block/load=none/next=air/room=free"
 
 
 @dataclass(frozen=True)
@@ -90,7 +98,8 @@ class Context:
 
     @property
     def id(self) -> str:
-        """Stable name, such as ``MOVE-forward/level=1/ground=flat/own=block/load=none/next=air/room=free``."""
+        """Stable name, such as ``MOVE-forward/level=1/ground=flat/own=block/load=none/next=air/room=free``; :meth:`of`
+        reads it."""
         verb = self.verb if self.direction is None else f"{self.verb}-{DIRECTION_NAMES[self.direction]}"
         load = "none" if self.load == Kind.AIR else self.load.name.lower()
         parts = [
@@ -105,8 +114,42 @@ class Context:
         parts += ["beyond=taken"] if self.beyond_taken else []
         return "/".join([*parts, f"room={'tight' if self.tight else 'free'}"])
 
+    @classmethod
+    def of(cls, name: str) -> Context:
+        """Return the context of an :attr:`id`; raise InputError for a name that is none."""
+        try:
+            act, *parts = name.split("/")
+            said = dict(part.split("=") for part in parts)
+            found = cls(
+                *verb_of(act),
+                int(said["level"]),
+                next(ground for ground in Ground if ground.label == said["ground"]),
+                Thing.of(said["own"]),
+                Kind.AIR if said["load"] == "none" else Kind[said["load"].upper()],
+                Thing.of(said["next"]) if "next" in said else None,
+                Thing.of(said.get("over", "air")),
+                "beyond" in said,
+                said["room"] == "tight",
+            )
+        except (KeyError, ValueError, StopIteration):
+            found = None
+        if found is None or found.id != name:
+            raise InputError(f"there is no context '{name}'; the name of one is such as '{_NAME}'")
+        return found
+
     def action(self, heading: int) -> Action:
         """Return the primitive action for a car of this grid yaw."""
-        way = None if self.direction is None else (heading + self.direction) % 4
-        key = (self.verb.value, way)
-        return _ACTION_OF[key if key in _ACTION_OF else (self.verb.value, None)]
+        return action_of(self.verb, self.direction, heading)
+
+
+def verb_of(act: str) -> tuple[Verb, int | None]:
+    """Return the verb and the direction of an act such as ``MOVE-forward``; raise ValueError for one that is none."""
+    verb, _, way = act.partition("-")
+    return Verb(verb), DIRECTION_NAMES.index(way) if way else None
+
+
+def action_of(verb: Verb, direction: int | None, heading: int) -> Action:
+    """Return the primitive action for a car of a grid yaw; the direction is relative to it."""
+    way = None if direction is None else (heading + direction) % 4
+    key = (verb.value, way)
+    return _ACTION_OF[key if key in _ACTION_OF else (verb.value, None)]

@@ -68,14 +68,19 @@ class Alike:
         return "\n".join([*lines, *([f"  {left} of other kinds"] if left else [])])
 
 
-def alike(first: Iterable[Record], second: Iterable[Record]) -> Alike:
-    """Return how alike the actions of two runs of the same trials are."""
-    earlier = {record["key"]: [*map(_Action.of, record["attempts"])] for record in carried_out(first)}
-    pairs = [
+def paired_actions(first: Iterable[Record], second: Iterable[Record]) -> list[tuple[str, Tried, Tried]]:
+    """Return the actions of each trial, by its key, that both runs tried, for as long as both try the same."""
+    earlier = {record["key"]: [*map(Tried.of, record["attempts"])] for record in carried_out(first)}
+    return [
         (record["key"], a, b)
         for record in carried_out(second)
-        for a, b in _paired(earlier.get(record["key"], []), map(_Action.of, record["attempts"]))
+        for a, b in _paired(earlier.get(record["key"], []), map(Tried.of, record["attempts"]))
     ]
+
+
+def alike(first: Iterable[Record], second: Iterable[Record]) -> Alike:
+    """Return how alike the actions of two runs of the same trials are."""
+    pairs = paired_actions(first, second)
     legal = [(a, b) for _, a, b in pairs if a.legal and b.legal]
     both = [(a, b) for _, a, b in pairs if a.good and b.good]
     kinds = grouped([(a.kind(b), key) for key, a, b in pairs if a.good != b.good], key=lambda one: one[0])
@@ -92,10 +97,11 @@ def alike(first: Iterable[Record], second: Iterable[Record]) -> Alike:
 
 
 @dataclass(frozen=True, slots=True)
-class _Action:
+class Tried:
     """What is kept of an attempt; there are many."""
 
     what: tuple[int, int, str]
+    verb: str
     name: str
     legal: bool
     result: str
@@ -105,11 +111,13 @@ class _Action:
     force_n: float
 
     @classmethod
-    def of(cls, attempt: AttemptRecord) -> _Action:
+    def of(cls, attempt: AttemptRecord) -> Tried:
+        """Return it of an attempt."""
         load = "" if attempt["load"] == "none" else f" with a {attempt['load']}"
         slope = " on a slope" if attempt["slope"] else ""
         return cls(
             (attempt["tick"], attempt["car"], attempt["action"]),
+            attempt["verb"],
             f"{attempt['verb']}{load}{slope}{'' if attempt['legal'] else ', forbidden'}",
             attempt["legal"],
             attempt["result"],
@@ -119,11 +127,12 @@ class _Action:
             attempt["peak_force_n"],
         )
 
-    def kind(self, other: _Action) -> str:
+    def kind(self, other: Tried) -> str:
+        """Return what differs from the same action in the other run."""
         return f"{self.name}: {self.result} there, {other.result} here"
 
 
-def _paired(first: Iterable[_Action], second: Iterable[_Action]) -> Iterator[tuple[_Action, _Action]]:
+def _paired(first: Iterable[Tried], second: Iterable[Tried]) -> Iterator[tuple[Tried, Tried]]:
     for a, b in zip(first, second, strict=False):
         if a.what != b.what:
             return

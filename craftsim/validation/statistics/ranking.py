@@ -71,14 +71,19 @@ def policy_scores(records: Iterable[Record]) -> list[PolicyScore]:
 
 def rank_agreement(scores: Sequence[PolicyScore], seed: int) -> RankAgreement | None:
     """Return how two worlds agree on some policies, None for fewer than three; ``seed`` is the bootstrap's."""
-    if len(scores) < MIN_POLICIES:
+    return agreement_of([score.grid for score in scores], [score.physics for score in scores], seed)
+
+
+def agreement_of(predicted: Sequence[float], actual: Sequence[float], seed: int) -> RankAgreement | None:
+    """Return the same of success rates by policy, in a world that stands for another one and in that one."""
+    if len(predicted) < MIN_POLICIES:
         return None
-    grid, physics = np.array([(score.grid, score.physics) for score in scores]).T
+    x, y = np.array(predicted, float), np.array(actual, float)
     return RankAgreement(
-        policies=len(scores),
-        pearson=_estimate(_pearson, grid, physics, seed),
-        spearman=_estimate(_spearman, grid, physics, seed),
-        mmrv=mean_maximum_rank_violation(grid, physics),
+        policies=len(predicted),
+        pearson=_estimate(_pearson, x, y, seed),
+        spearman=_estimate(_spearman, x, y, seed),
+        mmrv=mean_maximum_rank_violation(x, y),
     )
 
 

@@ -1,0 +1,164 @@
+"""The imperfections that can grow: every figure of a DomainRandomization and of its parts, found by itself.
+
+What stands in :data:`_SAID` has a name, a largest value or companions of its own; any other figure, one that is added
+later included, takes them from its own name and unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache, reduce
+from typing import Any, Final
+
+from craftsim.errors import InputError, suggestion
+from craftsim.models.randomization import NONE, DomainRandomization
+
+PREFERRED: Final = (
+    *(1.0, 1.12, 1.25, 1.4, 1.6, 1.8, 2.0, 2.24, 2.5, 2.8),
+    *(3.15, 3.55, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1, 8.0, 9.0),
+)
+"""The preferred numbers of ISO 3's series R20, which grow by 12 %: levels are these, times a power of ten."""
+DECADES: Final = 2
+"""From the smallest level to the largest."""
+_UNITS: Final = {
+    "_m": ("mm", 1e3, 0.02),
+    "_rad": ("mrad", 1e3, 0.1),
+    "_s": ("ms", 1e3, 0.25),
+    "_n": ("N", 1.0, 0.8),
+}
+"""By how a figure's name ends: the unit for people, how many of them make one of the figure, the largest value."""
+_SHARE: Final = ("%", 1e2, 0.8)
+_SHAPES: Final = ("floor.tile_m", "floor.wavelength_m", "sensors.min_delay_s")
+"""Figures that say how another imperfection looks, and are none by themselves."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One imperfection that grows, with all else as in a base; hashable."""
+
+    name: str
+    """For people and for options, such as ``position-bias``."""
+    figure: str
+    """Of a DomainRandomization, with a dot where it is in a part, such as ``sensors.position_bias_m``."""
+    unit: str
+    scale: float
+    """How many of the unit make one of the figure."""
+    largest: float
+    """The largest value that is tried, in the figure's own unit."""
+    also: tuple[tuple[str, float | None], ...] = ()
+    """Figures that go with it: at a value of their own, or None for the same."""
+
+    @property
+    def words(self) -> str:
+        """The name as people write it."""
+        return self.name.replace("-", " ")
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The values that are tried, from the smallest to the largest."""
+        exponents = range(-12, 12)
+        every = [number * 10.0**power for power in exponents for number in PREFERRED]
+        low = self.largest / 10.0**DECADES
+        return tuple(float(f"{v:.3g}") for v in every if low * (1 - 1e-9) <= v <= self.largest * (1 + 1e-9))
+
+    def value(self, base: DomainRandomization) -> float:
+        """Return the value that a base has."""
+        return float(_get(base, self.figure))
+
+    def on(self, base: DomainRandomization, value: float) -> DomainRandomization:
+        """Return the base with this figure at a value. Raises InputError for a value that the figure cannot have."""
+        for figure, own in ((self.figure, value), *self.also):
+            base = _with(base, figure, value if own is None else own)
+        return base
+
+    def text(self, value: float) -> str:
+        """Return a value with its unit."""
+        return f"{self.scale * value:.3g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class _Said:
+    name: str = ""
+    largest: float | None = None
+    also: Mapping[str, float | None] = field(default_factory=dict)
+
+
+_SAID: Final = {
+    "motor": _Said("motor-strength"),
+    "tilt_rad": _Said("floor-tilt"),
+    "floor.lippage_m": _Said(largest=0.005),
+    "floor.unevenness_m": _Said(largest=0.01),
+    "floor.joint_m": _Said("joint-width", also={"floor.joint_depth_m": 0.001}),
+    "floor.joint_depth_m": _Said("joint-depth", 0.005, {"floor.joint_m": 0.005}),
+    "making.wheel_radius_m": _Said(largest=0.001),
+    "making.wheel_place_m": _Said(largest=0.002),
+    "making.board_m": _Said("board-height", 0.002),
+    "making.board_place_m": _Said("board-place", 0.005),
+    "making.foot_m": _Said("leg-length", 0.002),
+    "making.underside_m": _Said("underside-height", 0.002),
+    "making.pocket_m": _Said("pocket-place", 0.005),
+    "sensors.position_m": _Said("position-noise"),
+    "sensors.heading_rad": _Said("heading-noise"),
+    "sensors.position_drift_m": _Said(largest=0.01),
+    "sensors.heading_drift_rad": _Said(largest=0.02),
+    "sensors.max_delay_s": _Said("delay", also={"sensors.min_delay_s": None}),
+    "sensors.localisation_period_s": _Said(largest=0.5),
+    "sensors.lost_share": _Said("lost-localisations"),
+    "sensors.outlier_share": _Said("outliers", 0.2, {"sensors.outlier_m": 0.05}),
+    "sensors.outlier_m": _Said("outlier-size", 0.2, {"sensors.outlier_share": 0.02}),
+    "sensors.encoder_step_rad": _Said(largest=0.2),
+    "sensors.tilt_rad": _Said("tilt-noise"),
+    "sensors.board_m": _Said("board-height-noise", 0.001),
+    "sensors.board_bias_m": _Said("board-height-bias", 0.002),
+    "sensors.board_force_n": _Said("board-force-noise"),
+    "sensors.hinge_rad": _Said("hinge-noise"),
+    "sensors.undocked_share": _Said("lost-plug-contact"),
+}
+
+
+@cache
+def axes() -> dict[str, Axis]:
+    """Return all axes by name, in the order of the figures."""
+    found = [_axis(figure) for figure in _figures(NONE) if figure not in _SHAPES]
+    return {axis.name: axis for axis in found}
+
+
+def axes_of(names: Sequence[str]) -> tuple[Axis, ...]:
+    """Return the axes of these names, or all; raise InputError for one that there is not."""
+    known = axes()
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"no imperfection '{name}'{suggestion(name, known)}; there are {', '.join(known)}"
+            )
+    return tuple(known[name] for name in dict.fromkeys(names)) if names else tuple(known.values())
+
+
+def _axis(figure: str) -> Axis:
+    said = _SAID.get(figure, _Said())
+    unit, scale, largest = next((u for end, u in _UNITS.items() if figure.endswith(end)), _SHARE)
+    ending = next(
+        (end for end in _UNITS if figure.endswith(end)), "_share" if figure.endswith("_share") else ""
+    )
+    name = said.name or figure.rpartition(".")[2].removesuffix(ending).replace("_", "-")
+    return Axis(name, figure, unit, scale, said.largest or largest, tuple(said.also.items()))
+
+
+def _figures(part: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the names of the numbers in nested dataclasses."""
+    for one in fields(part):
+        value = getattr(part, one.name)
+        if is_dataclass(value):
+            yield from _figures(value, f"{prefix}{one.name}.")
+        else:
+            yield prefix + one.name
+
+
+def _get(base: Any, figure: str) -> Any:
+    return reduce(getattr, figure.split("."), base)
+
+
+def _with(base: Any, figure: str, value: float) -> Any:
+    name, _, rest = figure.partition(".")
+    return replace(base, **{name: _with(getattr(base, name), rest, value) if rest else value})

@@ -1,0 +1,88 @@
+"""Two imperfections that grow together: how many trials stand each pair of levels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Final
+
+from craftsim.validation.campaign import Done, Item, TrialRecord
+from craftsim.validation.margins.axes import Axis
+from craftsim.validation.margins.limit import RowFound
+from craftsim.validation.margins.trial import Place
+
+TRIALS: Final = 20
+"""Of each pair of levels, at most."""
+STRIDE: Final = 4
+"""Every fourth level of an axis is on a map: those of the preferred numbers R5, which grow by 60 %."""
+
+Pair = tuple[Axis, Axis]
+"""The axes of a map: to the right, and up."""
+
+
+@dataclass(frozen=True)
+class Map:
+    """How many trials of a situation stand each pair of levels."""
+
+    situation: str
+    pair: Pair
+    stood: tuple[tuple[int, ...], ...]
+    """By the level up, then by the level to the right."""
+    of: int
+    """Trials of each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of a map, as it goes to a worker."""
+
+    place: Place
+    pair: Pair
+    up: int
+    """Number of its level."""
+    trials: int
+
+    @property
+    def item(self) -> Item:
+        """It, as a campaign's item."""
+        right, up = self.pair
+        situation = self.place.situation
+        key = f"{situation.name}/{right.name} x {up.name}/{self.up}"
+        return Item(key, situation.action, self.place.seed, self, context=situation.name)
+
+
+def values_of(axis: Axis) -> tuple[float, ...]:
+    """Return the values of an axis that are on a map; 0 stands for the base's."""
+    return (0.0, *axis.levels[::-1][::STRIDE][::-1])
+
+
+def rows_of(place: Place, pair: Pair, trials: int) -> Iterator[Row]:
+    """Yield the rows of a map."""
+    return (Row(place, pair, up, min(trials, TRIALS)) for up in range(len(values_of(pair[1]))))
+
+
+def find_row(row: Row) -> Done:
+    """Try all pairs of levels of one row."""
+    right, up = row.pair
+    value = values_of(up)[row.up]
+    stood = []
+    for other in values_of(right):
+        levels = [
+            (axis, v)
+            for axis, v in ((right, other), (up, value))
+            if v > axis.value(row.place.setup.randomization)
+        ]
+        stood.append(sum(not row.place.attempt(n, levels).reason for n in range(row.trials)))
+    return Done(agrees=True, extra=asdict(RowFound(tuple(stood), row.trials)))
+
+
+def maps_of(rows: Iterable[tuple[Row, TrialRecord]]) -> tuple[Map, ...]:
+    """Return the maps that rows with their records make; one with an error in a row is left out."""
+    found: dict[tuple[str, Pair], list[TrialRecord]] = {}
+    for row, record in rows:
+        found.setdefault((row.place.situation.name, row.pair), []).append(record)
+    return tuple(
+        Map(name, pair, tuple(tuple(r["extra"]["stood"]) for r in records), records[0]["extra"]["of"])
+        for (name, pair), records in found.items()
+        if all(record["error"] is None for record in records)
+    )

@@ -1,0 +1,269 @@
+"""A whole search for margins: its campaign, what each action stands, and replay bundles of what fails first."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.settings import Setup
+from craftsim.errors import InputError
+from craftsim.report import output_directory, write_report
+from craftsim.validation.campaign import (
+    Done,
+    Engine,
+    Failure,
+    Header,
+    TrialRecord,
+    do_all,
+    read_finished,
+    run_campaign,
+)
+from craftsim.validation.forms import MARGINS
+from craftsim.validation.margins.axes import Axis
+from craftsim.validation.margins.finding import Search, find
+from craftsim.validation.margins.limit import End, Limit, limit_of
+from craftsim.validation.margins.maps import Map, Pair, Row, find_row, maps_of, rows_of, values_of
+from craftsim.validation.margins.search import SHARE, confidence
+from craftsim.validation.margins.situations import Situation
+from craftsim.validation.margins.trial import Place
+from craftsim.validation.replays.bundle import TEXT, write_bundle
+from craftsim.validation.validation import Progress
+
+COMMAND: Final = "margins"
+TIMEOUT_S: Final = 600.0
+"""For a search, which takes seconds; or for a bundle."""
+
+
+@dataclass(frozen=True)
+class Margin:
+    """The margin of a situation along an axis."""
+
+    action: str
+    situation: str
+    axis: Axis
+    limit: Limit
+    before: Limit | None = None
+    """That of an earlier campaign, where there is one to compare with."""
+    bundle: str = ""
+    """Folder of the replay bundle of the trial that fails next to it, relative to the campaign's; empty without one."""
+
+    @property
+    def key(self) -> str:
+        """Of its record."""
+        return f"{self.situation}/{self.axis.name}"
+
+    @property
+    def number(self) -> str:
+        """The margin as a table has it, in the axis' unit."""
+        if self.limit.end in (End.BASE, End.NO_EFFECT):
+            return {End.BASE: "base", End.NO_EFFECT: "-"}[self.limit.end]
+        assert self.limit.margin is not None
+        return f"{'>= ' * (self.limit.end is End.LARGEST)}{self.axis.scale * self.limit.margin:.3g}"
+
+    @property
+    def text(self) -> str:
+        """The margin as a data sheet says it, such as ``1.6 mm``."""
+        if self.limit.end in (End.BASE, End.NO_EFFECT):
+            return {End.BASE: "not even the base", End.NO_EFFECT: "no effect"}[self.limit.end]
+        return f"{self.number} {self.axis.unit}"
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """By which the weakest situation of an action comes first."""
+        order = (End.BASE, End.EDGE, End.LARGEST, End.NO_EFFECT)
+        return order.index(self.limit.end), self.limit.margin or 0.0
+
+
+@dataclass(frozen=True)
+class Margins:
+    """The result of a search."""
+
+    records: Sequence[TrialRecord]
+    margins: tuple[Margin, ...]
+    """Of each situation along each axis that came to an end."""
+    maps: tuple[Map, ...]
+    """Of each situation over the pair of axes that was asked for."""
+    config: dict[str, Any]
+    seed: int
+
+    @property
+    def weakest(self) -> dict[str, dict[str, Margin]]:
+        """For each action and each axis by name the situation that stands least."""
+        found: dict[str, dict[str, Margin]] = {}
+        for one in sorted(self.margins, key=lambda one: one.rank):
+            found.setdefault(one.action, {}).setdefault(one.axis.name, one)
+        order = dict.fromkeys(one.action for one in self.margins)
+        return {action: found[action] for action in order}
+
+    @property
+    def telling(self) -> list[Axis]:
+        """The axes that have an effect on any action."""
+        every = {
+            one.axis: one.limit.end is not End.NO_EFFECT
+            for one in sorted(self.margins, key=lambda m: -m.rank[0])
+        }
+        return [axis for axis, tells in every.items() if tells]
+
+    @property
+    def stands(self) -> bool:
+        """Whether every search came to an end, and every situation stands the base."""
+        ended = all(record["error"] is None for record in self.records)
+        return ended and all(one.limit.end is not End.BASE for one in self.margins)
+
+
+def run_margins(
+    situations: Sequence[Situation],
+    axes: Sequence[Axis],
+    setup: Setup,
+    trials: int,
+    seed: int,
+    out: Path,
+    *,
+    asked: Mapping[str, Any],
+    progress: Progress,
+    pair: Pair | None = None,
+    workers: int = 1,
+    engine: Engine = "local",
+    resume: bool = False,
+    against: Path | None = None,
+) -> Margins:
+    """Search the margin of each situation along each axis, and write report.json and replay bundles into a folder.
+
+    Args:
+        situations: what is done where.
+        axes: the imperfections that grow, one at a time.
+        setup: of the base.
+        trials: of each situation, all of which must stand a margin.
+        seed: decides the places and all that is drawn.
+        out: the folder.
+        asked: the options that chose all this, for the report.
+        progress: shows what is done.
+        pair: two axes of which a map is drawn for each situation, too.
+        workers: processes to share the work.
+        engine: processes of this machine, or an existing Ray cluster.
+        resume: go on with what an interrupted search has left in the folder.
+        against: folder of an earlier search to compare with.
+    """
+    started = time.perf_counter()
+    output_directory(out)
+    earlier = {} if against is None else _earlier(against, out)
+    config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
+    places = [Place(situation, setup, seed) for situation in situations]
+    searches = [Search(place, axis, trials) for place in places for axis in axes]
+    rows = [row for place in places for row in rows_of(place, pair, trials)] if pair else []
+    jobs: list[Search | Row] = [*searches, *rows]
+    items = [job.item for job in jobs]
+    with progress(len(items)) as on_record:
+        records = run_campaign(
+            items,
+            work,
+            out,
+            Header(COMMAND, seed, config),
+            workers=workers,
+            engine=engine,
+            timeout_s=TIMEOUT_S,
+            resume=resume,
+            on_record=on_record,
+            form=MARGINS,
+        )
+    ended = [
+        (search, record) for search, record in zip(searches, records, strict=False) if record["error"] is None
+    ]
+    margins = [_margin(search, record, earlier.get(record["key"])) for search, record in ended]
+    maps = maps_of((row, records[len(searches) + number]) for number, row in enumerate(rows))
+    result = Margins(records, tuple(margins), maps, config, seed)
+    folders = _bundles(result, ended, out, workers, engine)
+    bundled = tuple(replace(one, bundle=folders.get(one.key, "")) for one in margins)
+    result = replace(result, margins=bundled)
+    wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
+    figures = {"margins": _figures(result, trials)}
+    write_report(out, figures, command=COMMAND, seed=seed, config=config | {"against": against}, wall=wall)
+    return result
+
+
+def work(job: Search | Row) -> Done:
+    """Do one item of the campaign."""
+    return find(job) if isinstance(job, Search) else find_row(job)
+
+
+def _margin(search: Search, record: TrialRecord, before: Limit | None) -> Margin:
+    situation = search.place.situation
+    return Margin(situation.action, situation.name, search.axis, limit_of(record), before)
+
+
+def _earlier(folder: Path, out: Path) -> dict[str, Limit]:
+    """Return the margins that an earlier search found, by the keys of their records."""
+    if folder.resolve() == out.resolve():
+        raise InputError(f"--against {folder} is the folder of this run; choose another --out")
+    records = read_finished(folder, COMMAND, MARGINS).records
+    return {r["key"]: limit_of(r) for r in records if r["error"] is None and "margin" in r["extra"]}
+
+
+def _bundles(
+    result: Margins, ended: Sequence[tuple[Search, TrialRecord]], out: Path, workers: int, engine: Engine
+) -> dict[str, str]:
+    """Write the replay bundle of what fails first of each action along each axis, unless it is there.
+
+    Returns the folders of the bundles, relative to ``out``, by the keys of their margins.
+    """
+    shown = {one.key for by_axis in result.weakest.values() for one in by_axis.values() if one.limit.reason}
+    first = [(search, record) for search, record in ended if record["key"] in shown and record["attempts"]]
+    folders = {record["key"]: f"bundles/{record['index']:05d}" for _, record in first}
+    missing = [
+        replace(search.item, job=(out.resolve() / folders[record["key"]], search, record))
+        for search, record in first
+        if not (out / folders[record["key"]] / TEXT).exists()
+    ]
+    doing = "writing replay bundles"
+    answers = do_all(missing, _bundle, out, doing, workers=workers, engine=engine, timeout_s=TIMEOUT_S)
+    for item, answer in zip(missing, answers, strict=True):
+        if isinstance(answer, Failure):
+            raise InputError(f"no replay bundle of '{item.key}': {answer.text}; --resume tries it again")
+    return folders
+
+
+def _bundle(job: tuple[Path, Search, TrialRecord]) -> Done:
+    """Write one bundle; it must come out as its record has it."""
+    folder, search, record = job
+    limit = limit_of(record)
+    levels = () if limit.fails_at is None else ((search.axis, limit.fails_at),)
+    assert limit.trial is not None
+    recipe = search.place.recipe(limit.trial, levels)
+    write_bundle(folder, record["key"], recipe, tuple(map(Attempt.of, record["attempts"])))
+    return Done(agrees=True)
+
+
+def _figures(result: Margins, trials: int) -> dict[str, Any]:
+    """Return what ``report.json`` holds."""
+    return {
+        "share": SHARE,
+        "confidence": confidence(trials),
+        "situations": [
+            {
+                "action": one.action,
+                "situation": one.situation,
+                "axis": one.axis.name,
+                "figure": one.axis.figure,
+            }
+            | {"bundle": one.bundle, "before": one.before, **asdict(one.limit)}
+            for one in result.margins
+        ],
+        "weakest": {
+            action: {name: {"situation": one.situation, "text": one.text} for name, one in by_axis.items()}
+            for action, by_axis in result.weakest.items()
+        },
+        "maps": [
+            {
+                "situation": one.situation,
+                "axes": [axis.name for axis in one.pair],
+                "values": [values_of(axis) for axis in one.pair],
+                "stood": one.stood,
+                "of": one.of,
+            }
+            for one in result.maps
+        ],
+    }

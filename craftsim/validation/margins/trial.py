@@ -1,0 +1,81 @@
+"""One trial of a situation, at given levels of imperfections."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.checking.settings import Setup, imperfect
+from craftsim.checking.world import Seed, compile_world
+from craftsim.discrete.rules import RuleSet
+from craftsim.errors import StartError
+from craftsim.models.imperfection import Floor, Making
+from craftsim.models.randomization import RandomizedSite
+from craftsim.validation.margins.axes import Axis
+from craftsim.validation.margins.situations import Situation
+
+Level = tuple[Axis, float]
+"""An imperfection and its value."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a trial."""
+
+    attempts: tuple[Attempt, ...]
+    """At the last step; none in a world that cannot be."""
+    reason: str
+    """Why it failed; empty where all went as predicted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A situation under a base's setup, where levels are tried; hashable."""
+
+    situation: Situation
+    setup: Setup
+    """Of the base."""
+    seed: int
+
+    def recipe(self, number: int, levels: Iterable[Level] = ()) -> Recipe:
+        """Return what a trial does; those of one number draw the same at all levels."""
+        drawn = self.setup.randomization
+        for axis, value in levels:
+            drawn = axis.on(drawn, value)
+        world, steps = _begin(self.situation, self.seed, self.setup.rules)
+        seed = Seed((self.seed, _digest(self.situation), number))
+        return Recipe(world, steps, imperfect(self.setup, drawn), seed)
+
+    def attempt(self, number: int, levels: Iterable[Level] = ()) -> Result:
+        """Perform a trial; what counts is the last step, whatever came of the ones that lead to it."""
+        recipe = self.recipe(number, levels)
+        drawn = recipe.setup.randomization
+        try:
+            checked = start(recipe, _site(self, drawn.floor, drawn.making))
+        except StartError as error:
+            return Result((), str(error))
+        for step in recipe.steps:
+            attempts = do(checked, step)
+        failed = next((attempt for attempt in attempts if not attempt.agrees), None)
+        return Result(attempts, "" if failed is None else f"{failed.result}: {failed.reason}")
+
+
+@lru_cache(maxsize=2)
+def _site(place: Place, floor: Floor, making: Making) -> RandomizedSite:
+    """Return the compiled world of a place, which all trials on the same kind of floor use again."""
+    recipe = place.recipe(0)
+    drawn = replace(recipe.setup.randomization, floor=floor, making=making)
+    return compile_world(recipe.grid, imperfect(recipe.setup, drawn))
+
+
+@lru_cache(maxsize=2)
+def _begin(situation: Situation, seed: int, rules: RuleSet) -> tuple[str, tuple[Step, ...]]:
+    return situation.begin(seed, rules)
+
+
+def _digest(situation: Situation) -> int:
+    return int.from_bytes(hashlib.sha256(situation.id.encode()).digest()[:8])

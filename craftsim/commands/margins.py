@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated, Final
 
 import tyro
 
+from craftsim.commands.again import command_again
 from craftsim.commands.options import CampaignOptions, Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
@@ -38,6 +38,7 @@ def margins(
         quick: six imperfections in the first situation of each action, with 20 trials: two minutes on two cores.
         out: folder for report.html, report.json, trials.jsonl and the bundles of what fails first.
     """
+    given = locals().copy()
     from craftsim.commands.margins_text import print_margins
     from craftsim.commands.progress import counting
     from craftsim.validation.html.margins import margins_page
@@ -70,10 +71,7 @@ def margins(
         resume=campaign.resume,
         against=campaign.against,
     )
-    words = ["craftsim", "margins", *campaign.words(), *(["--axes", *axes] if axes else [])]
-    words += ["--situations", situations] if situations != "*" else []
-    words += [*(["--pair", *pair] if pair else []), *(["--quick"] if quick else [])]
-    page = write_html(out, margins_page(result, shlex.join(words)))
+    page = write_html(out, margins_page(result, command_again(margins, given)))
     print_margins(console, out, result)
     say(f"Report: {out / 'report.json'}\nPage:   {page}")
     return 0 if result.stands else 1

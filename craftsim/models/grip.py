@@ -21,11 +21,11 @@ from craftsim.discrete.compiled import compiled
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.parts import WHEELS, Car
 
-TREAD_S: Final = 0.05
-"""Time constant of the wheels' contacts on an uneven floor, or under unequal wheels. Assumed: each gives way by 0.17 mm
-under a quarter of the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand on two or
+TREAD_S: Final = 0.03
+"""Time constant of the wheels' contacts on an uneven floor, or under unequal wheels. Assumed: each gives way by 0.08 mm
+under a quarter of the car, 300 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand on two or
 three wheels and drift sideways by ten times what it does on rollers, which rattle (docs/imperfections.md)."""
-SUNK_M: Final = 0.00017
+SUNK_M: Final = 0.00008
 """By so much the wheels then stand lower in the car, which keeps its height."""
 
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.models.floor import lay, tiles_body
-from craftsim.models.grip import soften
 from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
 from craftsim.models.making import make
 from craftsim.models.noise import EXACT, SensorNoise
@@ -199,8 +198,6 @@ class RandomizedSite:
         if not randomization.making.exact:
             make(self.site, randomization.making, workshop)
         self.site.uneven = tiles is not None or randomization.making.wheel_radius_m > 0
-        if self.site.uneven and self.site.machines.drive == "reduced":
-            soften(model, self.site.cars)
         self._follow()
         self.site.reset()
 

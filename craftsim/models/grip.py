@@ -23,10 +23,15 @@ from craftsim.models.parts import WHEELS, Car
 
 TREAD_S: Final = 0.05
 """Time constant of the wheels' contacts with an uneven floor, or of unequal wheels with any. Assumed: each gives way by
-0.17 mm under a quarter of the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand on
-two or three wheels and drift sideways by ten times what it does on rollers, which rattle (docs/imperfections.md)."""
+0.17 mm under a quarter of the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand
+on two or three wheels and drift sideways by ten times what it does on rollers (docs/imperfections.md)."""
 SUNK_M: Final = 0.00017
 """By so much the wheels then stand lower in the car, which keeps its height."""
+
+
+def sink(model: mujoco.MjModel, cars: Sequence[Car]) -> None:
+    """Put the wheels of all cars so much lower as their tread gives way."""
+    model.geom_pos[_wheels(model, cars), 2] -= SUNK_M
 
 
 def _wheels(model: mujoco.MjModel, cars: Sequence[Car]) -> NDArray[np.int32]:
@@ -62,8 +67,7 @@ class Grip:
         motors = np.array([motor for car in cars for motor in car.wheel_actuators], np.intp)
         self._tread = None
         if ground is not None:
-            height, stiffness = model.geom_pos[geoms, 2].copy(), model.geom_solref[geoms, 0].copy()
-            self._tread = (wheel, geoms, ground, height, stiffness, model.geom_pos, model.geom_solref)
+            self._tread = (wheel, geoms, ground, model.geom_solref[geoms, 0].copy(), model.geom_solref)
         radii = np.repeat([car.parameters.wheel_radius_m for car in cars], len(WHEELS))
         spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in cars], len(WHEELS))
         self._arrays = (
@@ -102,19 +106,17 @@ def _tread(
     wheel_of: NDArray[np.int32],
     wheels: NDArray[np.int32],
     ground: NDArray[np.bool_],
-    height: NDArray[np.float64],
     stiffness: NDArray[np.float64],
-    pos: NDArray[np.float64],
     solref: NDArray[np.float64],
 ) -> None:
     """Let wheels have their tread but where they touch something else: into what is light they would sink."""
     for wheel in range(len(wheels)):
-        pos[wheels[wheel], 2], solref[wheels[wheel], 0] = height[wheel] - SUNK_M, TREAD_S
+        solref[wheels[wheel], 0] = TREAD_S
     for contact in range(len(geoms)):
         for side in range(2):
             wheel = wheel_of[geoms[contact, side]]
             if wheel >= 0 and not ground[geoms[contact, 1 - side]]:
-                pos[wheels[wheel], 2], solref[wheels[wheel], 0] = height[wheel], stiffness[wheel]
+                solref[wheels[wheel], 0] = stiffness[wheel]
 
 
 @compiled

@@ -147,6 +147,7 @@ def add_tiles(spec: mujoco.MjSpec, tiles: Tiles) -> None:
             name=f"tile{number}",
             type=mujoco.mjtGeom.mjGEOM_HFIELD,
             hfieldname=field.name,
+            mass=0,
             pos=[x, y, -span / 2],
             rgba=[0.80, 0.81, 0.80, 1.0],
             contype=ground.contype,

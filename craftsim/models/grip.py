@@ -22,18 +22,16 @@ from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.parts import WHEELS, Car
 
 TREAD_S: Final = 0.05
-"""Time constant of the wheels' contacts on an uneven floor, or under unequal wheels. Assumed: each gives way by 0.17 mm
-under a quarter of the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand on two or
-three wheels and drift sideways by ten times what it does on rollers, which rattle (docs/imperfections.md)."""
+"""Time constant of the wheels' contacts with an uneven floor, or of unequal wheels with any. Assumed: each gives way by
+0.17 mm under a quarter of the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand
+on two or three wheels and drift sideways by ten times what it does on rollers (docs/imperfections.md)."""
 SUNK_M: Final = 0.00017
 """By so much the wheels then stand lower in the car, which keeps its height."""
 
 
-def soften(model: mujoco.MjModel, cars: Sequence[Car]) -> None:
-    """Give the wheels of all cars a tread."""
-    wheels = _wheels(model, cars)
-    model.geom_solref[wheels, 0] = TREAD_S
-    model.geom_pos[wheels, 2] -= SUNK_M
+def sink(model: mujoco.MjModel, cars: Sequence[Car]) -> None:
+    """Put the wheels of all cars so much lower as their tread gives way."""
+    model.geom_pos[_wheels(model, cars), 2] -= SUNK_M
 
 
 def _wheels(model: mujoco.MjModel, cars: Sequence[Car]) -> NDArray[np.int32]:
@@ -49,8 +47,17 @@ def _prefixes(model: mujoco.MjModel, cars: Sequence[Car]) -> list[str]:
 class Grip:
     """The limits of the wheel motors of all cars of a compiled model with the reduced drive."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, cars: Sequence[Car]) -> None:
-        """Take the motors' own limits as they are in the model now."""
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        cars: Sequence[Car],
+        ground: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Take the motors' own limits as they are in the model now.
+
+        With ``ground``, which says of each geom whether it is of an uneven floor, wheels have a tread there.
+        """
         self._model, self._data = model, data
         self.limits = model.actuator_forcerange.copy()
         """(nu, 2): the motors' own."""
@@ -59,6 +66,9 @@ class Grip:
         wheel[geoms] = np.arange(len(geoms))
         gears = [model.actuator(p + w.replace("wheel", "gear")).id for p in prefixes for w in WHEELS]
         motors = np.array([motor for car in cars for motor in car.wheel_actuators], np.intp)
+        self._tread = None
+        if ground is not None:
+            self._tread = (wheel, geoms, ground, model.geom_solref[geoms, 0].copy(), model.geom_solref)
         radii = np.repeat([car.parameters.wheel_radius_m for car in cars], len(WHEELS))
         spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in cars], len(WHEELS))
         self._arrays = (
@@ -77,14 +87,37 @@ class Grip:
         )
 
     def begin(self) -> None:
-        """Give the motors their own limits."""
+        """Give the motors their own limits, and the wheels their tread."""
         self._model.actuator_forcerange[:] = self.limits
+        if self._tread is not None:
+            _tread(np.empty((0, 2), np.int32), *self._tread)
 
     def limit(self) -> None:
         """Limit all motors for what their wheels carry now; of cars that sleep, the loads of which MuJoCo leaves out,
         not at all, so that limits depend on the state alone."""
         contact = self._data.contact
+        if self._tread is not None:
+            _tread(contact.geom, *self._tread)
         _limit(contact.geom, contact.efc_address, self._data.efc_force, *self._arrays)
+
+
+@compiled
+def _tread(
+    geoms: NDArray[np.int32],
+    wheel_of: NDArray[np.int32],
+    wheels: NDArray[np.int32],
+    ground: NDArray[np.bool_],
+    stiffness: NDArray[np.float64],
+    solref: NDArray[np.float64],
+) -> None:
+    """Let wheels have their tread but where they touch something else: into what is light they would sink."""
+    for wheel in range(len(wheels)):
+        solref[wheels[wheel], 0] = TREAD_S
+    for contact in range(len(geoms)):
+        for side in range(2):
+            wheel = wheel_of[geoms[contact, side]]
+            if wheel >= 0 and not ground[geoms[contact, 1 - side]]:
+                solref[wheels[wheel], 0] = stiffness[wheel]
 
 
 @compiled

@@ -33,7 +33,6 @@ def make(site: Site, making: Making, rng: np.random.Generator) -> None:
         model.geom_pos[pocket] += _off(making, rng)
     for slope in site.slopes:
         model.geom_pos[_geoms(model, _prefix(model, slope.base.body), _PADS)] += _off(making, rng)
-    _widen_bounds(model, making)
 
 
 def _make_car(model: mujoco.MjModel, car: Car, making: Making, rng: np.random.Generator) -> None:
@@ -72,17 +71,6 @@ def _wheel_bodies(model: mujoco.MjModel, car: Car) -> Iterator[int]:
 def _off(making: Making, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return (3,) metres: by how much a pocket or pads are off, forward, sideways and up."""
     return np.array([making.pocket_m, making.pocket_m, making.underside_m]) * rng.uniform(-1, 1, 3)
-
-
-def _widen_bounds(model: mujoco.MjModel, making: Making) -> None:
-    """Widen all bounds by which MuJoCo decides what may touch: a geom that has moved must lie within them."""
-    most = 2 * max(
-        making.wheel_radius_m + making.wheel_place_m, making.foot_m, making.underside_m, making.pocket_m
-    )
-    bounded = model.geom_rbound > 0  # a plane has none
-    model.geom_rbound[bounded] += most
-    model.geom_aabb[bounded, 3:] += most
-    model.bvh_aabb[:, 3:] += most
 
 
 def _prefix(model: mujoco.MjModel, body: int) -> str:

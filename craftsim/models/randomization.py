@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.models.floor import lay, tiles_body
-from craftsim.models.grip import soften
+from craftsim.models.grip import sink
 from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
 from craftsim.models.making import make
 from craftsim.models.noise import EXACT, SensorNoise
@@ -83,9 +83,6 @@ class Nominal:
     geom_pos: NDArray[np.float64]
     geom_size: NDArray[np.float64]
     geom_solref: NDArray[np.float64]
-    geom_rbound: NDArray[np.float64]
-    geom_aabb: NDArray[np.float64]
-    bvh_aabb: NDArray[np.float64]
     hfield_data: NDArray[np.float32]
     gravity: NDArray[np.float64]
 
@@ -204,7 +201,7 @@ class RandomizedSite:
             make(self.site, randomization.making, workshop)
         self.site.uneven = tiles is not None or randomization.making.wheel_radius_m > 0
         if self.site.uneven and self.site.machines.drive == "reduced":
-            soften(model, self.site.cars)
+            sink(model, self.site.cars)
         self._follow()
         self.site.reset()
 

@@ -1,0 +1,193 @@
+"""A floor that is not flat: as uneven as declared, drawn in place, and what stands on it stands still."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.errors import InputError
+from craftsim.models.imperfection import FLAT, Floor
+from craftsim.models.parameters import NOMINAL, Drive
+from craftsim.models.randomization import NONE, DomainRandomization, RandomizedSite
+from craftsim.models.site import Site
+
+LIPPAGE = Floor(lippage_m=0.001)
+SMOOTH = Floor(unevenness_m=0.002)
+TILED = Floor(lippage_m=0.0008, joint_m=0.003, joint_depth_m=0.001, unevenness_m=0.001)
+CLOSE_M = 3e-5
+"""What touches is no further from the floor, and no deeper in it."""
+
+
+def _grid() -> Grid:
+    grid = Grid.empty((5, 4, 2), 1)
+    grid.cars[0, :3] = 0, 1, 1
+    grid.kind[3, 3, 1] = grid.kind[0, 3, 1] = Kind.BLOCK
+    grid.kind[3, 1, 1], grid.kind[4, 1, 1] = Kind.FSLOPE, Kind.GEAR
+    grid.derive_marks()
+    return grid
+
+
+def _world(floor: Floor, drive: Drive = "reduced") -> RandomizedSite:
+    return RandomizedSite(
+        Site(_grid(), machines=replace(NOMINAL, drive=drive), floor=floor, reset=False), floor
+    )
+
+
+def _drawn(floor: Floor, seed: int = 0, drive: Drive = "reduced") -> Site:
+    world = _world(floor, drive)
+    world.draw(replace(NONE, floor=floor), np.random.default_rng(seed))
+    return world.site
+
+
+def _height(site: Site, x: float, y: float) -> tuple[float, int]:
+    """Return the height of the floor at a place, as a ray sees it, and the geom that it meets."""
+    groups = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+    geom = np.zeros(1, np.int32)
+    above = np.array([x, y, 0.05])
+    way = mujoco.mj_ray(site.model, site.data, above, np.array([0.0, 0.0, -1.0]), groups, 1, -1, geom)
+    return 0.05 - way, int(geom[0])
+
+
+def _sampled(site: Site, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights and geoms at random places of the area."""
+    places = np.random.default_rng(1).uniform(0, [5 * 0.3225, 4 * 0.3225], (count, 2))
+    heights, geoms = zip(*(_height(site, x, y) for x, y in places), strict=True)
+    return np.array(heights), np.array(geoms)
+
+
+def test_a_flat_floor_is_the_plane():
+    model = Site(_grid(), reset=False).model
+    assert (model.nhfield, model.geom("ground").type) == (0, mujoco.mjtGeom.mjGEOM_PLANE)
+    assert model.geom("ground").pos[2] == 0
+
+
+def test_tiles_are_level_until_they_are_drawn_and_differ_by_the_lippage_at_most():
+    world = _world(LIPPAGE)
+    world.restore()
+    assert abs(_sampled(world.site, 300)[0]).max() < 1e-9
+    levels = []
+    for seed in range(4):
+        world.draw(replace(NONE, floor=LIPPAGE), np.random.default_rng(seed))
+        heights, tiles = _sampled(world.site)
+        for tile in set(tiles.tolist()):
+            assert np.ptp(heights[tiles == tile]) < 1e-9, "a tile is flat"
+        assert len(set(tiles.tolist())) > 20
+        assert 0.0005 < np.ptp(heights) <= 0.001
+        assert abs(heights).max() <= 0.0005
+        assert world.site.lift_m >= heights.max() - 1e-9
+        levels.append(heights[:5])
+    assert len(np.unique(np.round(levels, 9))) > 10, "each seed has its own"
+
+
+def test_a_smooth_floor_is_as_uneven_as_declared_and_has_no_steps():
+    for seed in range(3):
+        site = _drawn(SMOOTH, seed)
+        heights, _ = _sampled(site)
+        assert 0.0012 < np.ptp(heights) <= 0.002
+        x = np.linspace(0, 1.6, 2000)
+        along = np.array([_height(site, value, 0.6)[0] for value in x])
+        # Six waves of equal size in line are steeper than any that are drawn.
+        assert abs(np.diff(along)).max() < 0.002 * np.pi / SMOOTH.wavelength_m * (x[1] - x[0]) * 1.5
+
+
+def test_joints_run_between_tiles_and_have_a_bottom():
+    heights, geoms = _sampled(_drawn(TILED), 6000)
+    joint = geoms == 0
+    assert joint.mean() == pytest.approx(2 * TILED.joint_m / TILED.tile_m, rel=0.4)
+    assert heights[joint] == pytest.approx(-TILED.relief_m / 2 - TILED.joint_depth_m)
+    assert heights[~joint].min() > -TILED.relief_m / 2 - 1e-9
+
+
+@pytest.mark.parametrize("floor", [LIPPAGE, SMOOTH, TILED])
+@pytest.mark.parametrize("drive", ["rollers", "reduced"])
+def test_everything_stands_still_after_a_reset(floor, drive):
+    for seed in range(2):
+        site = _drawn(floor, seed, drive)
+        assert site.overlaps == ()
+        assert site.data.warning.number.sum() == 0
+        for body in (*site.blocks, *(slope.base for slope in site.slopes), site.cars[0].base):
+            assert abs(site.data.qvel[body.dof : body.dof + 3]).max() < 0.002
+        for number, _ in enumerate(site.blocks):
+            feet = [site.data.geom(f"block{number}/foot_{corner}") for corner in ("fl", "fr", "rl", "rr")]
+            gaps = [foot.xpos[2] - 0.005 - _height(site, *foot.xpos[:2])[0] for foot in feet]
+            touching = [gap < CLOSE_M for gap in gaps]
+            # Its centre of mass lies over the diagonals: on two feet it is in balance until something touches it.
+            assert sum(touching) >= 3 or touching in ([True, False, False, True], [False, True, True, False])
+            assert min(gaps) > -CLOSE_M or floor.joint_m
+
+
+def test_the_tiles_are_the_ground_and_of_one_material():
+    world = _world(TILED)
+    world.draw(DomainRandomization(floor=TILED), np.random.default_rng(0))
+    site = world.site
+    tiles = [i for i in range(site.model.ngeom) if site.model.geom(i).name.startswith("tile")]
+    assert {site.machine_names.names[site.machine_names.of_geom[i]] for i in tiles} == {"ground"}
+    ground = site.model.geom("ground").id
+    for name in ("geom_friction", "geom_solref", "geom_solimp", "geom_contype", "geom_conaffinity"):
+        figures = getattr(site.model, name)
+        assert (figures[tiles] == figures[ground]).all(), name
+    assert site.model.geom_friction[ground, 0] != NOMINAL.contact.ground_friction
+
+
+def test_what_is_drawn_of_the_floor_and_of_the_rest_do_not_depend_on_each_other():
+    masses, floors = [], []
+    for floor, mass in (
+        (FLAT, 0.2),
+        (LIPPAGE, 0.2),
+        (LIPPAGE, 0.0),
+        (replace(LIPPAGE, lippage_m=0.002), 0.0),
+    ):
+        world = _world(floor)
+        world.draw(replace(NONE, floor=floor, mass=mass), np.random.default_rng(5))
+        masses.append(world.site.model.body_mass[:7].copy())
+        floors.append(world.site.model.hfield_data.copy())
+    np.testing.assert_array_equal(masses[0], masses[1])
+    for other in floors[2:]:
+        np.testing.assert_allclose(floors[1], other, atol=1e-6, err_msg="a share of the lippage")
+
+
+def test_equal_seeds_are_equal_bit_for_bit_and_a_floor_is_drawn_in_place():
+    ends = []
+    for _ in range(2):
+        world = _world(TILED)
+        model = world.site.model
+        for seed in (3, 4, 3):
+            world.draw(replace(NONE, floor=TILED), np.random.default_rng(seed))
+        assert world.site.model is model
+        world.site.drive(0, [6.0] * 4)
+        for _ in range(20):
+            world.site.advance()
+        ends.append(world.site.data.qpos.copy())
+    np.testing.assert_array_equal(*ends)
+
+
+@pytest.mark.parametrize("drive", ["rollers", "reduced"])
+def test_a_car_drives_on_level_tiles_as_on_the_plane_and_keeps_its_line_on_a_smooth_floor(drive):
+    """Level tiles: within 1 % of the way. On 1 mm: sideways by less than 15 mm in 0.9 m without any control."""
+    ends = []
+    for floor in (FLAT, Floor(lippage_m=1e-7), Floor(unevenness_m=0.001)):
+        grid = Grid.empty((5, 3, 1), 1)
+        grid.cars[0, :3] = 0, 1, 1
+        world = RandomizedSite(Site(grid, machines=replace(NOMINAL, drive=drive), floor=floor, reset=False))
+        world.draw(replace(NONE, floor=floor), np.random.default_rng(0))
+        for period in range(60):
+            world.site.drive(0, [min(15.0, 1.0 * period)] * 4)
+            world.site.advance()
+        ends.append(world.site.free_body_state(world.site.cars[0].base)[0])
+    way = ends[0][0]
+    assert way > 0.5
+    assert ends[1] == pytest.approx(ends[0], abs=0.01 * way)
+    assert abs(ends[2][1] - ends[0][1]) < 0.015
+    assert ends[2][0] == pytest.approx(way, rel=0.03)
+
+
+def test_a_floor_that_cannot_be_is_refused():
+    with pytest.raises(InputError, match="joint_m must be below"):
+        Floor(tile_m=0.1, joint_m=0.1)
+    for floor in (Floor(lippage_m=0.001, tile_m=0.01), Floor(unevenness_m=0.001, wavelength_m=0.001)):
+        with pytest.raises(InputError, match="too fine"):
+            Site(_grid(), floor=floor)
+    with pytest.raises(InputError, match="floor"):
+        _world(FLAT).draw(replace(NONE, floor=LIPPAGE), np.random.default_rng(0))

@@ -33,7 +33,7 @@ TURN = np.array([0.0, 0.0, 1.0]), Profile.within(math.pi / 2, 5.0, 22.0)
 
 
 def _localiser(noise: SensorNoise) -> Localiser:
-    return Localiser(noise, PERIOD_S, [KINEMATICS], load_gains().localisation)
+    return Localiser(noise, PERIOD_S, NOMINAL.cars, load_gains().localisation)
 
 
 def _update(localiser: Localiser, now: CarMeasurement) -> CarMeasurement:
@@ -185,17 +185,16 @@ def _parameters(executor: Executor) -> list:
     """Return all that the estimates of an executor know before they have measured anything, to the last bit."""
     if executor._localiser is None:
         return []
-    estimates, past = executor._localiser._estimates, executor._localiser._past
-    variances = [estimates[c][v] for c in ("x", "y", "heading") for v in ("noise_variance", "drift_variance")]
-    return [a.tobytes() for a in (*variances, *(estimates[name] for name in ("late", "age_std", "slip")))] + [
-        past.shape
-    ]
+    estimates, ages = executor._localiser._estimates, executor._localiser._ages
+    names = ("noise", "drifts", "age", "age_std", "jitter", "slip", "line_m")
+    return [a.tobytes() for a in (ages, *(estimates[name] for name in names))]
 
 
 @pytest.mark.parametrize("world", [EXACT, SensorNoise(0.005, 0.02, 0.06, 0.08, 0.05, 0.05)])
 def test_the_estimate_is_made_from_what_cars_assume_and_not_from_the_noise_of_the_world(world):
-    told = _parameters(set_up(_yard(), setup_of("strong")).executor)
+    told = _parameters(set_up(_yard(), setup_of("none")).executor)
     assert told
+    assert _parameters(set_up(_yard(), setup_of("strong")).executor) == told
     assert _parameters(set_up(_yard(), setup_of("strong", noise=world)).executor) == told
     assert _parameters(set_up(_yard(), setup_of("strong", assume="mild")).executor) != told
     assert not _parameters(set_up(_yard(), setup_of("strong", noise=world, assume="none")).executor)

@@ -14,7 +14,6 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.measuring import READING
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
 from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.models.randomization import NONE
 from craftsim.models.sensing import CarMeasurement, Sensors, measure, measurement_of, write_reading
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
@@ -257,10 +256,13 @@ BIASED = SensorNoise(position_bias_m=0.005, heading_bias_rad=0.01)
 def test_below_a_block_a_car_learns_the_bias_of_its_localisation_and_keeps_it(seed):
     checked = set_up(_yard(), setup_of("none", noise=BIASED), Seed((seed,)))
     first, second = (checked.perform(0, action) for action in (Action.MOVE_RIGHT, Action.MOVE_RIGHT))
-    assert first.agrees and second.agrees
+    assert first.agrees
+    assert second.agrees
     # Below the block, and then beside it, where nothing is seen.
-    assert first.car_error_m < 0.0005 and first.heading_error_rad < 0.002
-    assert second.car_error_m < 0.001 and second.heading_error_rad < 0.003
+    assert first.car_error_m < 0.0005
+    assert first.heading_error_rad < 0.002
+    assert second.car_error_m < 0.001
+    assert second.heading_error_rad < 0.003
 
 
 def test_without_line_sensors_a_car_keeps_the_bias_of_its_localisation():

@@ -262,7 +262,7 @@ def with_parameters(parameters) -> Machines:
     return machines
 
 
-READ_BY_SENSORS = {"docking_range_m"}
+READ_BY_SENSORS = {"docking_range_m", "line_reach_m"}
 KINDS = (SmartcarParameters, BlockParameters, SlopeParameters, ContactParameters)
 
 

@@ -1,0 +1,52 @@
+"""Cars find out how much their motors lag, and lead by as much."""
+
+import math
+
+import numpy as np
+import pytest
+
+from craftsim.checking.settings import setup_of
+from craftsim.checking.world import set_up
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Grid
+from craftsim.models.noise import SensorNoise
+from craftsim.skills.ages import likeliest_age
+from craftsim.skills.leading import find_lag, lead_wheels, leads
+
+PERIOD_S = 0.02
+
+
+def _turn(lag_s, n=60):
+    """Let ideal motors of a lag follow a ramp; return the found lag and how far the wheels are behind at its end."""
+    lead, speeds = leads(1, PERIOD_S)[0], np.zeros(4)
+    share = 1 - math.exp(-PERIOD_S / lag_s) if lag_s else 1.0
+    for k in range(n):
+        find_lag(lead, speeds)
+        wanted = np.full(4, 0.2 * (k + 1))
+        told = wanted.copy()
+        lead_wheels(lead, told, 20.0, PERIOD_S)
+        speeds += share * (told - speeds)
+    return 0.01 * likeliest_age(lead["mismatches"])[0], float(wanted[0] - speeds[0])
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.015, 0.05, 0.08])
+def test_wheels_keep_up_with_what_is_wanted_however_much_motors_lag(lag_s):
+    found_s, behind = _turn(lag_s)
+    assert found_s == pytest.approx(lag_s, abs=0.006)
+    # Without a lead a ramp of 10 rad/s^2 would be behind by the lag.
+    assert abs(behind) < 0.03
+
+
+def test_four_zeros_stop_at_once():
+    lead = leads(1, PERIOD_S)[0]
+    for told in (np.full(4, 3.0), np.zeros(4)):
+        lead_wheels(lead, told, 20.0, PERIOD_S)
+    assert not told.any()
+    assert not lead["servos"].any()
+
+
+@pytest.mark.parametrize("action", [Action.MOVE_RIGHT, Action.ROTATE_LEFT])
+def test_a_car_whose_motors_lag_by_50_ms_does_as_predicted(action):
+    grid = Grid.empty((3, 1, 1), 1)
+    attempt = set_up(grid, setup_of("none", noise=SensorNoise(motor_lag_s=0.05))).perform(0, action)
+    assert attempt.agrees, attempt

@@ -27,8 +27,10 @@ _CERTAINTY: Final = "how sure a car must be before it says that it has arrived"
 _REST: Final = "what counts as rest"
 _GIVING_UP: Final = "when a skill gives up: nothing is won by giving up later or earlier"
 _ASSUMED: Final = "what a car assumes of its odometry: a matter of identification"
+_STACKS: Final = "what a stack bears under a car: it shows on stacks that are taller than those tried here"
 _PARKED: Final = "of parked cars, whose hold no objective measures"
 KEPT: Final[Mapping[str, str]] = {
+    "drive.rocking": _STACKS,
     "drive.position_tolerance": _TOLERANCE,
     "drive.heading_tolerance": _TOLERANCE,
     "drive.position_certainty": _CERTAINTY,

@@ -178,7 +178,7 @@ class Log:
         Commands are held; what was measured is interpolated, and nan in gaps of more than three rows.
         """
         n = int(self.duration_s / period_s + 1e-6) + 1
-        time = self.time_s[0] + period_s * np.arange(n)
+        time = np.minimum(self.time_s[0] + period_s * np.arange(n), self.time_s[-1])
         latest = np.searchsorted(self.time_s, time + 1e-9, side="right") - 1
         groups = {"commands": self.commands[latest]}
         for group in GROUPS:

@@ -31,7 +31,11 @@ def free_area(area: Area, loaded: bool = False) -> Grid:
 
 
 def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> Log:
-    """Return the log of the first car of a world that is driven by commands, (n, 6) as of a log."""
+    """Return the log of the first car of a world that is driven by commands, (n, 6) as of a log.
+
+    Nothing sleeps in it: a car that MuJoCo has to wake takes a moment that no real one takes.
+    """
+    setup = replace(setup, simulation=replace(setup.simulation, sleep=False))
     executor = set_up(grid, setup, seed, watch_contacts=False).executor
     site, sensors, motors = executor.site, executor.sensors, executor.motors
     readings, told = np.zeros(len(commands), READING), np.zeros(len(commands), COMMAND)

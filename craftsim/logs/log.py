@@ -105,7 +105,9 @@ class Log:
         known = ~np.isnan(values)
         if name == "commands" and not known.all():
             row, column = np.argwhere(~known)[0]
-            raise InputError(f"{GROUPS[name][column]} has no value in row {row + 1}; a command is always known")
+            raise InputError(
+                f"{GROUPS[name][column]} has no value in row {row + 1}; a command is always known"
+            )
         wrong = known & ~((values >= allowed.low) & (values <= allowed.high))
         if wrong.any():
             row, column = np.argwhere(wrong)[0]

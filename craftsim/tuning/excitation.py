@@ -2,7 +2,7 @@
 
 Each manoeuvre goes out and comes back by the same commands with the sign turned, so that the car needs no feedback to
 stay in its area. They go through directions, speeds and accelerations in turn: forward, sideways, on the spot, askew,
-along curves; slow and fast; along ramps and in steps, which saturate the motors. Between them the car stands still.
+along curves; slow and fast; along ramps, and on the spot in steps, which saturate the motors. Between them the car stands still.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ _DIRECTIONS: Final[tuple[Triple, ...]] = (
 """Of twists; the turning speed at the lever by which wheels turn the car."""
 _SPEEDS: Final = (0.08, 0.7, 0.2, 0.45, 0.12, 0.3)
 """Shares of the top speed."""
-_ACCELERATIONS: Final = (1.5, math.inf, 0.5, 3.0)
-"""In m/s^2; infinite for a step."""
+_ACCELERATIONS: Final = (1.5, 0.5, 2.2, 1.0)
+"""In m/s^2, with no wheel at its grip: what a car does there depends on the least things."""
+_TURNING: Final = (math.inf, 1.5, math.inf, 3.0)
+"""The same on the spot, at the lever; infinite for a step, which shows the torque limit: there grip is ample."""
 _CRUISE_S: Final = 1.2
 _REST_S: Final = 0.4
 _STILL_S: Final = 1.0
@@ -43,6 +45,7 @@ _BOARD_S: Final = 1.1
 _LOADED_SHARE: Final = 0.25
 """Of the time, where there is a load."""
 _LOADED_SPEEDS: Final = (0.2, 0.4)
+_LOADED_ACCELERATIONS: Final = (0.5,)
 _HALF_BLOCK_M: Final = CELL_PITCH_M / 2
 
 
@@ -127,16 +130,16 @@ class _Drive:
         self._add(self._straight((1.0, 0.0, 0.0), 0.3, 0.5, self.area.cells_behind * CELL_PITCH_M))
         self.rest(_REST_S)
 
-    def manoeuvres(
-        self, until: int, directions: tuple[Triple, ...], speeds: tuple[float, ...]
-    ) -> None:
+    def manoeuvres(self, until: int, directions: tuple[Triple, ...], speeds: tuple[float, ...]) -> None:
         """Add manoeuvres as long as they fit in so many rows with rest at the end."""
         still = round(_STILL_S / self.period_s)
         gentle = speeds is _LOADED_SPEEDS
         for number in range(until):
             round_number, which = divmod(number, len(directions))
             speed = speeds[(which + round_number) % len(speeds)] * self._top_m_s
-            acceleration = 0.5 if gentle else _ACCELERATIONS[(which + 3 * round_number) % len(_ACCELERATIONS)]
+            spot = directions[which][:2] == (0.0, 0.0)
+            accelerations = _LOADED_ACCELERATIONS if gentle else _TURNING if spot else _ACCELERATIONS
+            acceleration = accelerations[(which + 3 * round_number) % len(accelerations)]
             sign = 1.0 if gentle or number % 2 == 0 else -1.0
             ramp_s = abs(speed) / acceleration
             reach = min(self.area.reach_m(directions[which]), abs(speed) * (ramp_s + _CRUISE_S))

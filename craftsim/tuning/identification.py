@@ -25,12 +25,24 @@ from craftsim.tuning.identifiability import Untold, untold_directions
 from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor
 from craftsim.tuning.unknowns import OF_LOAD, UNKNOWNS, Search, Unknown
 
-_ROUNDS: Final = 3
-"""Fits, each with the noise that the one before has left."""
-_EVALUATIONS: Final = 12
+_ROUNDS: Final = (1e-2, 1e-3, 1e-5)
+"""Fits, each with the noise that the one before has left: the share of its cost by which a last step lowers it."""
+_EVALUATIONS: Final = 10
 """Of the residuals in a fit, at most."""
-_FIRST_NOISE: Final = {"position": 0.003, "heading": 0.006, "wheel speeds": 0.2, "board": 2e-4, "board force": 0.5}
-_LEAST_NOISE: Final = {"position": 1e-4, "heading": 1e-4, "wheel speeds": 0.02, "board": 2e-6, "board force": 0.02}
+_FIRST_NOISE: Final = {
+    "position": 0.003,
+    "heading": 0.006,
+    "wheel speeds": 0.2,
+    "board": 2e-4,
+    "board force": 0.5,
+}
+_LEAST_NOISE: Final = {
+    "position": 1e-4,
+    "heading": 1e-4,
+    "wheel speeds": 0.05,
+    "board": 2e-6,
+    "board force": 0.02,
+}
 """No model is better than this."""
 _OUTLIER: Final = 6.0
 CONFIDENCE: Final = 0.95
@@ -100,7 +112,9 @@ def identify(
     if not predictor.segments:
         raise InputError("the car leans all the time; identification needs a level floor")
     if not (log.commands[:, :4] != 0).any():
-        raise InputError("no wheel is ever commanded in this log; 'craftsim excite' makes a drive that tells much")
+        raise InputError(
+            "no wheel is ever commanded in this log; 'craftsim excite' makes a drive that tells much"
+        )
     unknowns = [one for one in UNKNOWNS if loaded or one.key not in OF_LOAD]
     return _Fit(predictor, Search(machines, unknowns), tell).run()
 
@@ -121,8 +135,8 @@ class _Fit:
         from scipy.optimize import least_squares
 
         outliers = 0
-        for number in range(_ROUNDS):
-            self.tell("fits", number, _ROUNDS)
+        for number, tolerance in enumerate(_ROUNDS):
+            self.tell("fits", number, len(_ROUNDS))
             self.untold = untold_directions(self._jacobian(self.vector, range(self.n)), self.search.unknowns)
             held = {one.held for one in self.untold}
             free = [k for k, one in enumerate(self.search.unknowns) if one.key not in held]
@@ -142,8 +156,8 @@ class _Fit:
                 f_scale=3.0,
                 x_scale="jac",
                 max_nfev=_EVALUATIONS,
-                xtol=1e-5,
-                ftol=1e-6,
+                xtol=1e-6,
+                ftol=tolerance,
             )
             self.vector = put(found.x)
             outliers += self._weigh()

@@ -52,8 +52,7 @@ UNKNOWNS: Final = (
     Unknown("smartcar", "wheel_torque_nm", "torque limit of the wheel motors", 0.3, 0, True),
     Unknown("smartcar", "gear_friction_nm", "dry friction of the gears", 0.3, 0, True),
     Unknown("smartcar", "wheel_armature_kgm2", "inertia of the wheel motors", 0.3, 1, True),
-    Unknown("smartcar", "wheel_mass_kg", "mass of the wheels", 0.2, 3, True),
-    Unknown("smartcar", "chassis_mass_kg", "mass of the chassis", 0.2, 2, True),
+    Unknown("smartcar", "wheel_mass_kg", "mass of the car, most of it in its wheels", 0.2, 2, True),
     Unknown("smartcar", "roller_friction", "friction between wheels and floor", 0.3, 1),
     Unknown("smartcar", "board_mass_kg", "mass of the board", 0.2),
     Unknown("smartcar", "screw_friction_n", "dry friction of the board's screw", 0.3),
@@ -108,7 +107,7 @@ class Search:
     def step(self, number: int, vector: Floats) -> float:
         """Return by how much to change a number of a vector for a difference quotient: inwards, where at its bound."""
         one = self.unknowns[number]
-        step = 0.003 / one.usual if one.of_machine else 0.05
+        step = 0.01 / one.usual if one.of_machine else 0.05
         return -step if vector[number] + step > self.bounds[1][number] else step
 
     def made(self, values: Values) -> Machines:

@@ -2,7 +2,8 @@
 
 Each manoeuvre goes out and comes back by the same commands with the sign turned, so that the car needs no feedback to
 stay in its area. They go through directions, speeds and accelerations in turn: forward, sideways, on the spot, askew,
-along curves; slow and fast; along ramps, and on the spot in steps, which saturate the motors. Between them the car stands still.
+along curves; slow and fast; along ramps, and on the spot in steps, which saturate the motors. Between them the car
+stands still.
 """
 
 from __future__ import annotations
@@ -60,13 +61,19 @@ class Area:
     def __post_init__(self) -> None:
         if min(self.length_m, self.width_m) <= 2 * _CLEAR_M:
             raise InputError(
-                f"an area of {self.length_m:g} m by {self.width_m:g} m is too small; each side must be above {2 * _CLEAR_M:g} m"
+                f"an area of {self.length_m:g} m by {self.width_m:g} m is too small; each side must be above "
+                f"{2 * _CLEAR_M:g} m"
             )
 
     @property
     def cells_behind(self) -> int:
         """How many cells behind the centre a load stands, out of the area."""
         return math.ceil((self.length_m / 2 + _HALF_BLOCK_M) / CELL_PITCH_M)
+
+    @property
+    def from_load_m(self) -> float:
+        """From under a load to the centre."""
+        return self.cells_behind * CELL_PITCH_M
 
     def reach_m(self, direction: Triple) -> float:
         """Return how far a car may go from the centre in a direction of its own frame."""
@@ -127,7 +134,7 @@ class _Drive:
 
     def out(self) -> None:
         """Drive straight from under the load."""
-        self._add(self._straight((1.0, 0.0, 0.0), 0.3, 0.5, self.area.cells_behind * CELL_PITCH_M))
+        self._add(self._straight((1.0, 0.0, 0.0), 0.3, 0.5, self.area.from_load_m))
         self.rest(_REST_S)
 
     def manoeuvres(self, until: int, directions: tuple[Triple, ...], speeds: tuple[float, ...]) -> None:

@@ -24,9 +24,9 @@ def excite(
 ) -> int:
     """Drive a car through an identification drive by wheel commands alone, and log what it is told and measures.
 
-    Out and back in all directions, at several speeds and accelerations, with rests; the board goes up and down once. The
-    commands can be replayed on a robot, and 'craftsim identify' takes its log. Exit status 0, 1 when the car left its
-    area, 2 for wrong input.
+    Out and back in all directions, at several speeds and accelerations, with rests; the board goes up and down once.
+    The commands can be replayed on a robot, and 'craftsim identify' takes its log. Exit status 0, 1 when the car left
+    its area, 2 for wrong input.
 
     Args:
         time: seconds.

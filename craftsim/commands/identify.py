@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -14,7 +14,7 @@ from craftsim.models.parameters import Drive
 from craftsim.storage.limits import LOGGED_CARS
 
 if TYPE_CHECKING:
-    from craftsim.tuning.identification import Estimate, Identification
+    from craftsim.tuning.identification import Identified, Identification
 
 
 def identify(
@@ -60,14 +60,19 @@ def identify(
     other = None if held_out is None else Predictor(read_log(held_out, car, topics), machines, load)
     output_directory(out)
     console = Terminal()
-    found = fit(given, machines, load)
+    with console.status("fitting") as status:
+        found = fit(given, machines, load, lambda number, total: status.update(f"fit {number} of {total}"))
     predictor = Predictor(given, machines, load)
     figures = findings.figures_of(found, predictor, other)
     left_out = findings.write_parameters(out / "parameters.yaml", found, machines, log.name)
     findings.write_noise(out / "noise.yaml", found, given, log.name)
     figures["left_out"] = left_out
     drawn = draw_prediction(out, found, other or predictor)
-    config = {"log": log.name, "held_out": None if held_out is None else held_out.name, "car": car}
+    config: dict[str, Any] = {
+        "log": log.name,
+        "held_out": None if held_out is None else held_out.name,
+        "car": car,
+    }
     config |= {"load": load, "machines": machines, "digests": {"machines": machines.digest}}
     wall = {"total_s": time.perf_counter() - started}
     report = write_report(out, figures, command="identify", config=config, wall=wall)
@@ -93,7 +98,7 @@ def _table(found: Identification) -> object:
     return table
 
 
-def _said(one: Estimate) -> tuple[str, str]:
+def _said(one: Identified) -> tuple[str, str]:
     if one.half_width is None:
         return "held", ""
     return f"{one.value:.4g}", "at the border of the search" if one.at_bound else f"+- {one.half_width:.2g}"

@@ -43,6 +43,8 @@ _LIKELY: Final[dict[str, tuple[Range, str]]] = {
 _MOST_TURN_RAD_S: Final = 50.0
 _MOST_SPEED_M_S: Final = 20.0
 """Faster than any such car: then a column has another unit."""
+LONGEST_GAP: Final = 3.5
+"""Over which a signal is interpolated, in rows."""
 PERIODS_S: Final = Range(0.0005, 0.2)
 """Between two rows, as a median: 5 Hz to 2 kHz."""
 
@@ -196,13 +198,17 @@ class Log:
 
     def _interpolated(self, values: Floats, time: Floats) -> Floats:
         known = np.isfinite(values)
-        if known.sum() < 2:
-            return np.full(len(time), np.nan)
-        at = self.time_s[known]
-        found: Floats = np.interp(time, at, values[known], left=np.nan, right=np.nan)
-        after = np.clip(np.searchsorted(at, time), 1, len(at) - 1)
-        found[at[after] - at[after - 1] > 3.5 * self.period_s] = np.nan
-        return found
+        return interpolated(time, self.time_s[known], values[known], LONGEST_GAP * self.period_s)
+
+
+def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float) -> Floats:
+    """Return a signal that is known at some times at others; nan outside of these and within longer gaps."""
+    if len(at) < 2:
+        return np.full(len(time), np.nan)
+    found: Floats = np.interp(time, at, values, left=np.nan, right=np.nan)
+    after = np.clip(np.searchsorted(at, time - 1e-9), 1, len(at) - 1)
+    found[(at[after] - at[after - 1] > longest_gap_s) & (time < at[after] - 1e-9)] = np.nan
+    return found
 
 
 def _unwrapped(angles: Floats) -> Floats:

@@ -16,6 +16,8 @@ from craftsim.storage.limits import LOG, LOGGED_CARS
 from craftsim.storage.reading import read_lines
 from craftsim.storage.writing import write_whole
 
+LOG_SUFFIX: Final = ".log.csv"
+"""Of the log that a run writes beside its trajectory."""
 CAR: Final = "car"
 COLUMNS: Final = (TIME, CAR, *(name for names in GROUPS.values() for name in names))
 COMMANDS: Final = (TIME, CAR, *GROUPS["commands"])
@@ -75,7 +77,7 @@ def write_commands(path: str | Path, logs: Mapping[int, Log]) -> Path:
 
 def _text(names: tuple[str, ...], logs: Mapping[int, Log]) -> str:
     """Return a table of nine digits: nanometres and nanoseconds of an hour are below them."""
-    parts = []
+    parts = [np.empty((0, len(names)))]
     for car, log in logs.items():
         columns = log.columns | {CAR: np.full(len(log), car)}
         parts.append(np.column_stack([columns[name] for name in names]))

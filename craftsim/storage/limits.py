@@ -49,6 +49,7 @@ RUN: Final = Limits("run file", 4096 * MIB, 4096 * MIB, members=1024)
 REPORT: Final = _plain("report.json", 64 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
 LOG: Final = _plain("log", 256 * MIB, line_bytes=4 * KIB)
+BAG: Final = Limits("ROS 2 bag", 256 * MIB, 1024 * MIB)
 
 JSON_VALUES: Final = 200_000
 """Values in a JSON document that is read whole, about: commas are counted."""
@@ -114,6 +115,7 @@ ALL: Final = (
     REPORT,
     TABLE,
     LOG,
+    BAG,
 )
 
 
@@ -181,8 +183,10 @@ EXCITE_S: Final = Range(10, 3600)
 """Length of an identification drive."""
 EXCITE_M: Final = Range(0.6, 20)
 """Length and width of its area."""
-LOG_MINUTES: Final = 30
-"""Of a log that parameters are identified from."""
+IDENTIFIED_S: Final = 1800.0
+"""Of a log that figures are identified from."""
+BAG_MESSAGES: Final = 2_000_000
+"""Of the topics that are read."""
 
 
 def size_text(n_bytes: int) -> str:

@@ -2,7 +2,7 @@
 
 Each manoeuvre goes out and comes back by the same commands with the sign turned, so that the car needs no feedback to
 stay in its area. They go through directions, speeds and accelerations in turn: forward, sideways, on the spot, askew,
-along curves; slow and fast; along ramps, and on the spot in steps, which saturate the motors. Between them the car
+along curves; slow and fast; along ramps, and on the spot in steps. Between them the car
 stands still.
 """
 
@@ -33,8 +33,10 @@ _SPEEDS: Final = (0.08, 0.7, 0.2, 0.45, 0.12, 0.3)
 """Shares of the top speed."""
 _ACCELERATIONS: Final = (1.5, 0.5, 2.2, 1.0)
 """In m/s^2, with no wheel at its grip: what a car does there depends on the least things."""
-_TURNING: Final = (math.inf, 1.5, math.inf, 3.0)
-"""The same on the spot, at the lever; infinite for a step, which shows the torque limit: there grip is ample."""
+_TURNING: Final = (3.0, 1.5, 0.5, 2.2)
+"""The same on the spot, at the lever."""
+_STEP_M_S: Final = 0.13
+"""Of what is slower on the spot, commands go up and down in steps."""
 _CRUISE_S: Final = 1.2
 _REST_S: Final = 0.4
 _STILL_S: Final = 1.0
@@ -147,6 +149,8 @@ class _Drive:
             spot = directions[which][:2] == (0.0, 0.0)
             accelerations = _LOADED_ACCELERATIONS if gentle else _TURNING if spot else _ACCELERATIONS
             acceleration = accelerations[(which + 3 * round_number) % len(accelerations)]
+            if spot and speed < _STEP_M_S:
+                acceleration = math.inf
             sign = 1.0 if gentle or number % 2 == 0 else -1.0
             ramp_s = abs(speed) / acceleration
             reach = min(self.area.reach_m(directions[which]), abs(speed) * (ramp_s + _CRUISE_S))

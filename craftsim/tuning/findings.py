@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,8 +14,9 @@ from craftsim.logs.log import Floats, Log
 from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import Machines
 from craftsim.storage.writing import write_whole
-from craftsim.tuning.identification import Estimate, Identification
+from craftsim.tuning.identification import Identified, Identification
 from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor
+from craftsim.tuning.unknowns import machines_of
 
 _LEAD: Final = 0.25
 """Share of a segment that a prediction is fitted to; what follows is predicted."""
@@ -68,17 +69,10 @@ def figures_of(found: Identification, predictor: Predictor, held_out: Predictor 
     for name, log in (("fitted_log", predictor), ("held_out_log", held_out)):
         if log is not None:
             figures[name] = {
-                "as_assumed": prediction_errors(log, predictor_machines(found, start), start),
+                "as_assumed": prediction_errors(log, machines_of(found.machines, start), start),
                 "as_identified": prediction_errors(log, found.machines, found.values),
             }
     return figures
-
-
-def predictor_machines(found: Identification, values: Mapping[str, float]) -> Machines:
-    """Return the identified machines with other values in place."""
-    from craftsim.tuning.unknowns import machines_of
-
-    return machines_of(found.machines, values)
 
 
 def write_parameters(path: Path, found: Identification, assumed: Machines, source: str) -> list[str]:
@@ -87,7 +81,9 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
     Returns what was left out because the machines would not fit together with it, with the reason.
     """
     told = {
-        section: {one.unknown.name: one for one in found.estimates if one.told and one.unknown.section == section}
+        section: {
+            one.unknown.name: one for one in found.estimates if one.told and one.unknown.section == section
+        }
         for section in ("smartcar", "block")
     }
     left_out = _drop_misfits(told, assumed)
@@ -99,7 +95,9 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
         for field in fields(record):
             value = getattr(record, field.name)
             if (one := told[section].get(field.name)) is not None:
-                rows.append(f"  {field.name}: {one.value:.6g}  # +- {one.half_width:.2g}, assumed {one.start:.6g}")
+                rows.append(
+                    f"  {field.name}: {one.value:.6g}  # +- {one.half_width:.2g}, assumed {one.start:.6g}"
+                )
             elif value != field.default:
                 rows.append(f"  {field.name}: {value:.9g}")
         lines += [f"{section}:", *rows] if rows else []
@@ -107,14 +105,12 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
     return left_out
 
 
-def _drop_misfits(told: dict[str, dict[str, Estimate]], assumed: Machines) -> list[str]:
+def _drop_misfits(told: dict[str, dict[str, Identified]], assumed: Machines) -> list[str]:
     """Remove from what was told what makes no car that fits together, and return why."""
-    from dataclasses import replace
-
     left_out = []
     for name in list(told["smartcar"]):
         try:
-            kept = {key: one.value for key, one in told["smartcar"].items() if key == name}
+            kept: dict[str, Any] = {key: one.value for key, one in told["smartcar"].items() if key == name}
             replace(assumed, cars=(replace(assumed.car(0), **kept),))
         except InputError as error:
             left_out.append(f"{name}: {told['smartcar'].pop(name).value:.6g}; {error}".replace("\n", " "))
@@ -124,7 +120,7 @@ def _drop_misfits(told: dict[str, dict[str, Estimate]], assumed: Machines) -> li
 def write_noise(path: Path, found: Identification, log: Log, source: str) -> SensorNoise:
     """Write a file for ``--noise``: delay and lags where the log tells them, and what noise is left; return it."""
     told = {one.unknown.name: one.value for one in found.estimates if one.told}
-    figures = {name: told[name] for name in ("encoder_lag_s", "motor_lag_s") if name in told}
+    figures: dict[str, float] = {n: told[n] for n in ("encoder_lag_s", "motor_lag_s") if n in told}
     if "delay_s" in told:
         figures |= {"min_delay_s": told["delay_s"], "max_delay_s": told["delay_s"]}
     if np.isfinite(log.pose).any():

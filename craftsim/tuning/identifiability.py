@@ -1,9 +1,9 @@
 """Which unknowns a log tells, and which it cannot: by the singular values of the residuals' Jacobian.
 
-With every unknown in terms of how far it commonly is from what is assumed, a direction of the unknowns with the singular
-value s is told to 1 / s of that. Where this is not well below 1 the log says little about the direction beyond what was
-known before. The unknown in it that is easiest to measure otherwise is then held at its start, and the rest is looked at
-again.
+With every unknown in terms of how far it commonly is from what is assumed, a direction of the unknowns with the
+singular value s is told to 1 / s of that. Where this is not well below 1 the log says little about the direction beyond
+what was known before. The unknown in it that is easiest to measure otherwise is then held at its start, and the rest is
+looked at again.
 
 One direction is known beforehand: motion tells forces by the masses that they move and nothing else. A simulated log
 would tell a little of it, since contacts and the bristles of simulated dry friction have a stiffness of their own; no

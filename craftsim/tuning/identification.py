@@ -1,7 +1,7 @@
 """Identifying a car's figures from a log: weighted nonlinear least squares over segments of it.
 
-Residuals are what :mod:`craftsim.tuning.prediction` leaves, each in terms of the noise of its channel, which is taken from
-the residuals themselves and worked out anew after each fit; values beyond six times that are left out as outliers.
+Residuals are what :mod:`craftsim.tuning.prediction` leaves, each in terms of the noise of its channel, which is taken
+from the residuals themselves and worked out anew after each fit; values beyond six times that are left out as outliers.
 Intervals are those of the linearized problem, with the segments as independent samples (Liang and Zeger's sandwich
 estimate), so that a model that misses something slow is not surer than it should be; never narrower than those of
 independent residuals.
@@ -49,7 +49,7 @@ CONFIDENCE: Final = 0.95
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Identified:
     """What a log says of one unknown."""
 
     unknown: Unknown
@@ -70,7 +70,7 @@ class Estimate:
 class Identification:
     """What a log says of a car."""
 
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[Identified, ...]
     untold: tuple[Untold, ...]
     noise: dict[str, float]
     """Standard deviation of what is left, by channel."""
@@ -86,25 +86,24 @@ class Identification:
         """Of all unknowns, by key."""
         return {one.unknown.key: one.value for one in self.estimates}
 
-    def __getitem__(self, key: str) -> Estimate:
+    def __getitem__(self, key: str) -> Identified:
         """Return the estimate of a key."""
         return next(one for one in self.estimates if one.unknown.key == key)
 
 
-Tell = Callable[[str, int, int], None]
-"""Called with what is done, how much of it, and of how much."""
+Tell = Callable[[int, int], None]
 
 
 def identify(
-    log: Log, machines: Machines, loaded: bool = False, tell: Tell = lambda what, done, total: None
+    log: Log, machines: Machines, loaded: bool = False, tell: Tell = lambda number, total: None
 ) -> Identification:
     """Identify one car from its log.
 
     Args:
         log: of one car.
-        machines: what is assumed: the start of the search, and what is held; its drive decides how the car is simulated.
+        machines: what is assumed: the start of the search, and what is held; its drive is that of the simulation.
         loaded: a block stood over the car at the start, and was lifted.
-        tell: is told how far it is.
+        tell: is called as each fit begins, with its number and how many there are.
 
     Raises InputError for a log that says nothing of a car.
     """
@@ -136,9 +135,11 @@ class _Fit:
 
         outliers = 0
         for number, tolerance in enumerate(_ROUNDS):
-            self.tell("fits", number, len(_ROUNDS))
+            self.tell(number + 1, len(_ROUNDS))
             self.untold = untold_directions(self._jacobian(self.vector, range(self.n)), self.search.unknowns)
             held = {one.held for one in self.untold}
+            # What is held is held where it is assumed to be, wherever an earlier fit has taken it.
+            self.vector[[k for k, one in enumerate(self.search.unknowns) if one.key in held]] = 0.0
             free = [k for k, one in enumerate(self.search.unknowns) if one.key not in held]
             low, high = (bound[free] for bound in self.search.bounds)
 
@@ -215,7 +216,7 @@ class _Fit:
             if k in wide:
                 half = float(wide[k] * one.usual * (values[one.key] if one.of_machine else 1.0))
             edge = k in wide and not low[k] + 1e-3 < self.vector[k] < high[k] - 1e-3
-            estimates.append(Estimate(one, starts[one.key], values[one.key], half, edge))
+            estimates.append(Identified(one, starts[one.key], values[one.key], half, edge))
         noise = {name: float(self.noise[columns][0]) for name, (_, columns) in CHANNELS.items()}
         machines = self.search.made(values)
         return Identification(

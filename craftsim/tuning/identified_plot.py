@@ -41,7 +41,9 @@ def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -
         axes = figure.subplots(len(shown), 2, sharex=True, squeeze=False)
         for (name, column, unit, factor), (value, rest) in zip(shown, axes, strict=True):
             value.plot(time, measured[:, column], linewidth=1.2, color="0.65", label="measured")
-            value.plot(time, measured[:, column] - left[:, column], linewidth=0.6, color="black", label="predicted")
+            value.plot(
+                time, measured[:, column] - left[:, column], linewidth=0.6, color="black", label="predicted"
+            )
             value.set_ylabel(name)
             rest.plot(time, factor * left[:, column], linewidth=0.5, color="black")
             rest.set_ylabel(unit)

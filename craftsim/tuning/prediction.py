@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
@@ -20,6 +21,7 @@ from craftsim.models.motors import Motors
 from craftsim.models.parameters import Machines
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
+from craftsim.storage.limits import IDENTIFIED_S
 from craftsim.tuning.driving_log import free_area
 from craftsim.tuning.excitation import Area
 from craftsim.tuning.unknowns import Values
@@ -58,6 +60,10 @@ class Predictor:
 
         Raises InputError for a log without poses and wheel speeds.
         """
+        if log.duration_s > IDENTIFIED_S:
+            raise InputError(
+                f"the log is {log.duration_s:.0f} s long; allowed: {IDENTIFIED_S:g}; give a part of it"
+            )
         self.period_s = max(_LONGEST_STEP_S, log.period_s)
         self.log = log.resampled(self.period_s)
         if not (np.isfinite(self.log.pose).any() or np.isfinite(self.log.wheel_speeds).any()):
@@ -155,7 +161,7 @@ def _aligned(measured: Floats, model: Floats, bias: float, until: int) -> Floats
     ``bias`` is by how much measured headings are larger than true ones, which does not turn the way.
     """
     error = np.full(measured.shape, np.nan)
-    known = np.isfinite(measured).all(axis=1)
+    known: NDArray[np.bool_] = np.isfinite(measured).all(axis=1)
     fitted = known.copy()
     fitted[until:] = False
     if fitted.sum() < 2:

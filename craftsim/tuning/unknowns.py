@@ -25,8 +25,8 @@ class Unknown:
     name: str
     words: str
     usual: float
-    """How far it is commonly from what is assumed, one standard deviation: as a share of a machine's figure, else in its
-    own unit. It scales the search, and a log tells what it narrows to well below that."""
+    """How far it is commonly from what is assumed, one standard deviation: as a share of a machine's figure, else in
+    its own unit. It scales the search, and a log tells what it narrows to well below that."""
     weighed: int = 0
     """Of several that cannot be told apart, the one with the most is held: it is the easiest to measure otherwise."""
 

@@ -14,7 +14,7 @@ from craftsim.models.parameters import Drive
 from craftsim.storage.limits import LOGGED_CARS
 
 if TYPE_CHECKING:
-    from craftsim.tuning.identification import Identified, Identification
+    from craftsim.tuning.identification import Identification, Identified
 
 
 def identify(

@@ -66,9 +66,9 @@ def read_topics(path: Path) -> Topics:
 
 def _name(source: Source, section: Mapping, key: str) -> str:
     node = section.items[key]
-    if isinstance(node, Scalar) and node.text:
-        return node.text
-    source.fail(section.key_lines[key], f"'{key}' must be a name, not {describe(node)}")
+    if not isinstance(node, Scalar) or not node.text:
+        source.fail(section.key_lines[key], f"'{key}' must be a name, not {describe(node)}")
+    return node.text
 
 
 def read_bag(path: Path, topics: Path | None = None) -> Log:

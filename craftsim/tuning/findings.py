@@ -14,7 +14,7 @@ from craftsim.logs.log import Floats, Log
 from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import Machines
 from craftsim.storage.writing import write_whole
-from craftsim.tuning.identification import Identified, Identification
+from craftsim.tuning.identification import Identification, Identified
 from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor
 from craftsim.tuning.unknowns import machines_of
 

@@ -23,7 +23,7 @@ from craftsim.logs.log import Floats, Log
 from craftsim.models.parameters import Machines
 from craftsim.tuning.identifiability import Untold, untold_directions
 from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor
-from craftsim.tuning.unknowns import OF_LOAD, UNKNOWNS, Search, Unknown
+from craftsim.tuning.unknowns import Search, Unknown, unknowns_of
 
 _ROUNDS: Final = (1e-2, 1e-3, 1e-5)
 """Fits, each with the noise that the one before has left: the share of its cost by which a last step lowers it."""
@@ -114,8 +114,7 @@ def identify(
         raise InputError(
             "no wheel is ever commanded in this log; 'craftsim excite' makes a drive that tells much"
         )
-    unknowns = [one for one in UNKNOWNS if loaded or one.key not in OF_LOAD]
-    return _Fit(predictor, Search(machines, unknowns), tell).run()
+    return _Fit(predictor, Search(machines, unknowns_of(machines, loaded)), tell).run()
 
 
 class _Fit:

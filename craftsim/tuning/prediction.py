@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
@@ -161,7 +160,7 @@ def _aligned(measured: Floats, model: Floats, bias: float, until: int) -> Floats
     ``bias`` is by how much measured headings are larger than true ones, which does not turn the way.
     """
     error = np.full(measured.shape, np.nan)
-    known: NDArray[np.bool_] = np.isfinite(measured).all(axis=1)
+    known = np.asarray(np.isfinite(measured).all(axis=1))
     fitted = known.copy()
     fitted[until:] = False
     if fitted.sum() < 2:

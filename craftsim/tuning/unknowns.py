@@ -65,8 +65,9 @@ UNKNOWNS: Final = (
     Unknown("mounting", "marker_x_m", "marker ahead of the wheels' centre", 0.005),
     Unknown("mounting", "marker_y_m", "marker left of the wheels' centre", 0.005),
 )
-OF_LOAD: Final = ("block.deck_mass_kg",)
-"""Only where a block was lifted."""
+_OF_LOAD: Final = ("block.deck_mass_kg",)
+_OF_ROLLERS: Final = ("smartcar.roller_friction",)
+"""Wheels of the reduced drive do not slip by themselves: it can follow a log of slipping wheels with a wrong figure."""
 
 _LIMITS: Final[dict[str, tuple[float, float]]] = {
     "delay_s": (0.0, 0.4),
@@ -80,6 +81,13 @@ _FACTOR: Final = 3.0
 """A figure of a machine is sought within this factor of its start."""
 _START: Final[dict[str, float]] = {"delay_s": 0.02, "motor_lag_s": 0.005, "encoder_lag_s": 0.005}
 """Not at their limits, where a search is one-sided."""
+
+
+def unknowns_of(machines: Machines, loaded: bool) -> list[Unknown]:
+    """Return what a log may tell of such machines; ``loaded``: a block was lifted."""
+    left_out = (() if loaded else _OF_LOAD) + (() if machines.drive == "rollers" else _OF_ROLLERS)
+    return [one for one in UNKNOWNS if one.key not in left_out]
+
 
 Values = Mapping[str, float]
 """By key."""

@@ -21,7 +21,7 @@ import numpy as np
 from craftsim.logs.log import Floats
 from craftsim.tuning.unknowns import Unknown
 
-TOLD: Final = 0.2
+TOLD: Final = 0.1
 """A direction counts as told where it is known to this share of its common error, or better."""
 _MEMBER: Final = 0.2
 """Share of a direction's largest part that another part must have to be named with it."""

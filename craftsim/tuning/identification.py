@@ -4,7 +4,7 @@ Residuals are what :mod:`craftsim.tuning.prediction` leaves, each in terms of th
 from the residuals themselves and worked out anew after each fit; values beyond six times that are left out as outliers.
 Intervals are those of the linearized problem, with the segments as independent samples (Liang and Zeger's sandwich
 estimate), so that a model that misses something slow is not surer than it should be; never narrower than those of
-independent residuals.
+independent residuals, where the search has ended or with forces as assumed.
 
 MuJoCo's own ``mujoco.sysid`` is not used: it compares one rollout with the whole of a recording, from a state that is
 given, needs five more packages, and its intervals are of independent residuals.
@@ -135,7 +135,8 @@ class _Fit:
         outliers = 0
         for number, tolerance in enumerate(_ROUNDS):
             self.tell(number + 1, len(_ROUNDS))
-            self.untold = untold_directions(self._jacobian(self.vector, range(self.n)), self.search.unknowns)
+            looked_at = self._jacobian(self._with_assumed_forces(), range(self.n))
+            self.untold = untold_directions(looked_at, self.search.unknowns)
             held = {one.held for one in self.untold}
             # What is held is held where it is assumed to be, wherever an earlier fit has taken it.
             self.vector[[k for k, one in enumerate(self.search.unknowns) if one.key in held]] = 0.0
@@ -162,6 +163,15 @@ class _Fit:
             self.vector = put(found.x)
             outliers += self._weigh()
         return self._result(free, outliers)
+
+    def _with_assumed_forces(self) -> Floats:
+        """Return where to look at what is told: forces as assumed, all else as found.
+
+        Where a search has gone astray, to servos so stiff that they ring, everything seems to be told.
+        """
+        vector = self.vector.copy()
+        vector[[one.scales for one in self.search.unknowns]] = 0.0
+        return vector
 
     def _errors(self, vector: Floats) -> Floats:
         values = self.search.values(vector)
@@ -205,7 +215,9 @@ class _Fit:
         np.add.at(pulls, segment, jacobian * left[:, None])
         n_segments = len(np.unique(segment))
         sandwich = inverse @ (pulls.T @ pulls) @ inverse * n_segments / max(1, n_segments - 1)
-        spread = np.sqrt(np.maximum(np.diag(independent), np.diag(sandwich)))
+        elsewhere = self._jacobian(self._with_assumed_forces(), free)
+        known = np.linalg.inv(elsewhere.T @ elsewhere)
+        spread = np.sqrt(np.max([np.diag(independent), np.diag(sandwich), np.diag(known)], axis=0))
         wide = dict(zip(free, spread * t.ppf(0.5 + CONFIDENCE / 2, max(1, n_segments - 1)), strict=True))
         values, starts = self.search.values(self.vector), self.search.values(np.zeros(self.n))
         low, high = self.search.bounds

@@ -48,11 +48,11 @@ class Unknown:
 UNKNOWNS: Final = (
     Unknown("smartcar", "wheel_radius_m", "radius of the wheels", 0.02),
     Unknown("smartcar", "wheel_y_m", "half the track", 0.05),
-    Unknown("smartcar", "wheel_gain_nms_rad", "gain of the wheel motors", 0.3, 0, True),
+    Unknown("smartcar", "wheel_gain_nms_rad", "gain of the wheel motors", 0.3, 2, True),
     Unknown("smartcar", "wheel_torque_nm", "torque limit of the wheel motors", 0.3, 0, True),
     Unknown("smartcar", "gear_friction_nm", "dry friction of the gears", 0.3, 0, True),
     Unknown("smartcar", "wheel_armature_kgm2", "inertia of the wheel motors", 0.3, 1, True),
-    Unknown("smartcar", "wheel_mass_kg", "mass of the car, most of it in its wheels", 0.2, 2, True),
+    Unknown("smartcar", "wheel_mass_kg", "mass of the car, most of it in its wheels", 0.2, 3, True),
     Unknown("smartcar", "roller_friction", "friction between wheels and floor", 0.3, 1),
     Unknown("smartcar", "board_mass_kg", "mass of the board", 0.2),
     Unknown("smartcar", "screw_friction_n", "dry friction of the board's screw", 0.3),

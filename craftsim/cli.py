@@ -33,6 +33,8 @@ COMMANDS: Final[dict[str, str]] = {
     "render": "Make films and pictures of what happened in physics.",
     "plot": "Draw paths, errors, torques and forces of recorded runs.",
     "view": "Watch a recorded run or a running one in the browser.",
+    "excite": "Drive a car so that its log tells much about it.",
+    "identify": "Fit a car's figures, delays and biases to its log.",
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",
     "bench": "Measure how fast rules, environments and workers are.",

@@ -44,13 +44,14 @@ def demo(
         plan: plan file of your own, one 'tick car ACTION' a line.
         goal: goal file of your own; a blueprint of your own needs none.
         video: make a film of each task; without a rendering backend the demo goes on without.
-        out: folder for report.json, the films, and the trajectories that they show.
+        out: folder for report.json, the films, the trajectories that they show, and the cars' logs.
     """
     from craftsim.checking.episode import Watch
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
     from craftsim.commands.notes_text import print_notes
     from craftsim.commands.progress import counting
+    from craftsim.logs.tables import LOG_SUFFIX, write_table
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.report import output_directory, write_report
@@ -72,11 +73,12 @@ def demo(
             one = building.run(setup, physics.seed, order, Watch(on_attempts=partial(_tell_each, tell)))
         assert one.trajectory is not None
         one.trajectory.write(out / f"{one.name}{SUFFIX}")
+        write_table(out / f"{one.name}{LOG_SUFFIX}", one.logs)
         if filming:
             path = out / f"{one.name}.mp4"
             render(one.trajectory, path, progress=lambda total: counting(console, "frames", total, bool))
             films.append(str(path))
-        done.append(replace(one, trajectory=None))
+        done.append(replace(one, trajectory=None, logs={}))
     config: dict[str, Any] = {"setup": setup, "order": order, "rules": physics.rules}
     config |= {"randomize": physics.randomize, "digests": setup.digests}
     if task == "all":

@@ -57,7 +57,7 @@ def validate(
         max_steps: length of an episode in random worlds, less two ticks.
         timeout: seconds after which a run counts as hanging.
         video: films of the failures, or besides of every run from its start to its end.
-        record: write the trajectory of every run, for 'craftsim render', 'plot' and 'view'.
+        record: write the trajectory of every run, for 'craftsim render', 'plot' and 'view', and its cars' log.
         shrink: find the smallest world in which the first failure of each kind still happens.
         out: folder for report.html, report.json, trials.jsonl, durations.csv, the bundles of the disagreements, and
             of random play the worlds and plans.

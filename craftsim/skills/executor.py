@@ -119,6 +119,11 @@ class Executor:
         """Return what the cars believe to measure, shape (n,) of READING; the array is used again by the next ones."""
         return self.sensors.read() if self._localiser is None else self._localiser.readings
 
+    @property
+    def commands(self) -> Records:
+        """What the cars were told last, shape (n,) of COMMAND; the array is used again by the next ones."""
+        return self._commands
+
     def paths(self) -> NDArray[np.float64]:
         """Return where on its path each car should be now, (n, 3): x and y in metres, and heading in radians; nan
         for those not driving."""
@@ -185,6 +190,7 @@ class Executor:
         self._skills.clear()
         self._tries.clear()
         for car in stopped:
+            self._commands[car] = np.zeros((), COMMAND)
             self.motors.drive(car, (0.0, 0.0, 0.0, 0.0))
             self.site.move_board(car, 0.0)
             if self._docked[car] >= 0:

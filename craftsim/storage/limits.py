@@ -48,6 +48,8 @@ POLICY: Final = _plain("policy file", 128 * MIB)
 RUN: Final = Limits("run file", 4096 * MIB, 4096 * MIB, members=1024)
 REPORT: Final = _plain("report.json", 64 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
+LOG: Final = _plain("log", 256 * MIB, line_bytes=4 * KIB)
+BAG: Final = Limits("ROS 2 bag", 256 * MIB, 1024 * MIB)
 
 JSON_VALUES: Final = 200_000
 """Values in a JSON document that is read whole, about: commas are counted."""
@@ -112,6 +114,8 @@ ALL: Final = (
     RUN,
     REPORT,
     TABLE,
+    LOG,
+    BAG,
 )
 
 
@@ -172,6 +176,17 @@ MOMENT_S: Final = Range(0, 1_000_000)
 FRAME_PIXELS: Final = 4096 * 2304
 IMAGE_PIXELS: Final = 2048 * 2048
 """Of an image for learning."""
+
+LOGGED_CARS: Final = Range(0, 255)
+"""Numbers of cars in a log."""
+EXCITE_S: Final = Range(10, 3600)
+"""Length of an identification drive."""
+EXCITE_M: Final = Range(0.6, 20)
+"""Length and width of its area."""
+IDENTIFIED_S: Final = 1800.0
+"""Of a log that figures are identified from."""
+BAG_MESSAGES: Final = 2_000_000
+"""Of the topics that are read."""
 
 
 def size_text(n_bytes: int) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from craftsim.discrete.files.plan import Plan, read_plan, shipped_plan
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.discrete.tasks.measures import Finished
 from craftsim.errors import InputError
+from craftsim.logs.log import Log
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.validation.runs.run import Run, Terms, record_episode
 from craftsim.validation.runs.steps import PlanOrder, steps_of
@@ -22,12 +24,14 @@ from craftsim.validation.runs.steps import PlanOrder, steps_of
 
 @dataclass(frozen=True)
 class Building:
-    """A task with its plan, and the episode in which it was carried out, if it was, with what moved in it."""
+    """A task with its plan, and the episode in which it was carried out, if it was, with what was recorded of it."""
 
     task: Task
     plan: Plan
     episode: Episode | None = None
     trajectory: Trajectory | None = None
+    logs: Mapping[int, Log] = field(default_factory=dict)
+    """Of each car, by its number."""
 
     @property
     def name(self) -> str:
@@ -69,8 +73,8 @@ class Building:
             watch: who looks on.
         """
         run = Run(self.name, self.task, steps_of(self.plan.ticks, order), "", 0, Terms(seed, setup))
-        episode, trajectory = record_episode(run, watch)
-        return replace(self, episode=episode, trajectory=trajectory)
+        done = record_episode(run, watch)
+        return replace(self, episode=done.episode, trajectory=done.trajectory, logs=done.logs)
 
     @property
     def figures(self) -> dict[str, Any]:

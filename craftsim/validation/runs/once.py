@@ -33,5 +33,4 @@ def record_once(
     else:
         pilot = policy_pilot(policy or PLANNER, subjects, order, setup.rules)
     (item,) = items_of(subjects, [pilot], 1, Terms(seed, setup))
-    _, trajectory = record_episode(item.job)
-    return trajectory
+    return record_episode(item.job).trajectory

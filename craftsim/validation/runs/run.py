@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +25,9 @@ from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.errors import StartError
+from craftsim.logs.log import Log
+from craftsim.logs.recorder import LogRecorder
+from craftsim.logs.tables import LOG_SUFFIX, write_table
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.skills.executor import Observer
@@ -52,7 +55,7 @@ class Terms:
     observers: tuple[Observer, ...] = ()
     """Called with each run's Site after every control period."""
     record: bool = False
-    """Whether to write a trajectory of each run."""
+    """Whether to write a trajectory and the logs of each run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +116,8 @@ def do_run(run: Run) -> Done:
     drawn = _Drawn.of(run)
     try:
         if run.terms.record:
-            episode, trajectory = _record(run, drawn, UNWATCHED)
-            _save_trajectory(run, trajectory)
+            _save_recording(run, recording := _record(run, drawn, UNWATCHED))
+            episode = recording.episode
         else:
             episode = _run(run, drawn, UNWATCHED)
     except StartError as error:
@@ -143,20 +146,32 @@ def do_run(run: Run) -> Done:
     )
 
 
-def record_episode(run: Run, watch: Watch = UNWATCHED) -> tuple[Episode, Trajectory]:
-    """Run in physics, and by the rules alone, and return the episode with what moved in it."""
+@dataclass(frozen=True)
+class Recording:
+    """An episode, what moved in it, and what its cars were told and measured."""
+
+    episode: Episode
+    trajectory: Trajectory
+    logs: Mapping[int, Log]
+    """By car."""
+
+
+def record_episode(run: Run, watch: Watch = UNWATCHED) -> Recording:
+    """Run in physics, and by the rules alone, and return the episode with what was recorded of it."""
     return _record(run, _Drawn.of(run), watch)
 
 
-def _record(run: Run, drawn: _Drawn, watch: Watch) -> tuple[Episode, Trajectory]:
-    recorder = Recorder()
+def _record(run: Run, drawn: _Drawn, watch: Watch) -> Recording:
+    recorder, logs = Recorder(), list[LogRecorder]()
 
     def begin(checked: CheckedSite) -> None:
         recorder.begin(checked)
+        logs.append(LogRecorder(checked.executor))
         watch.begin(checked)
 
     episode = _run(run, drawn, replace(watch, begin=begin))
-    return episode, recorder.trajectory(run.key, episode.recipe, episode.attempts, drawn.task.design)
+    trajectory = recorder.trajectory(run.key, episode.recipe, episode.attempts, drawn.task.design)
+    return Recording(episode, trajectory, logs[-1].logs())
 
 
 def _run(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
@@ -243,11 +258,12 @@ def _bundle(run: Run, episode: Episode) -> str | None:
     return folder
 
 
-def _save_trajectory(run: Run, trajectory: Trajectory) -> None:
+def _save_recording(run: Run, recording: Recording) -> None:
     assert run.terms.out is not None, "a campaign that records has a folder"
     folder = run.terms.out / TRAJECTORIES
     folder.mkdir(exist_ok=True)
-    trajectory.write(folder / f"{run.file_name}{SUFFIX}")
+    recording.trajectory.write(folder / f"{run.file_name}{SUFFIX}")
+    write_table(folder / f"{run.file_name}{LOG_SUFFIX}", recording.logs)
 
 
 def _save_world(run: Run, grid: Grid, played: Play) -> None:

@@ -1,0 +1,219 @@
+"""A log: what one car was told and what it measured, row by row, as a robot itself could record it.
+
+Row k holds what was measured when the command of that row was given, which then held until row k + 1. Poses are those
+that the localisation had reported by then, noisy and late. What was not measured is nan. docs/logs.md has the columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.errors import InputError
+from craftsim.models.parts import WHEELS
+from craftsim.storage.limits import Range
+
+Floats = NDArray[np.float64]
+
+GROUPS: Final[dict[str, tuple[str, ...]]] = {
+    "commands": (*(f"cmd_{wheel}_rad_s" for wheel in WHEELS), "cmd_board_m_s", "cmd_hinge_rad_s"),
+    "pose": ("x_m", "y_m", "heading_rad"),
+    "tilt": ("pitch_rad", "roll_rad"),
+    "wheel_speeds": tuple(f"{wheel}_rad_s" for wheel in WHEELS),
+    "board": ("board_m", "board_force_n"),
+    "docked": ("slope", "hinge_rad"),
+}
+"""Names of a log's columns besides the time, by field of :class:`Log`."""
+TIME: Final = "time_s"
+NEEDED: Final = (TIME, *GROUPS["commands"][:4])
+"""Columns without which a table is no log; others may be missing."""
+
+_LIKELY: Final[dict[str, tuple[Range, str]]] = {
+    "commands": (Range(-1e3, 1e3), "wheels and hinges in rad/s, boards in m/s"),
+    "pose": (Range(-1e4, 1e4), "metres and radians"),
+    "tilt": (Range(-1.6, 1.6), "radians"),
+    "wheel_speeds": (Range(-1e3, 1e3), "rad/s"),
+    "board": (Range(-1e4, 1e4), "metres and newtons"),
+    "docked": (Range(-1e4, 1e4), "the slope's number and radians"),
+}
+"""What the numbers of a car can be, and their units."""
+_MOST_TURN_RAD_S: Final = 50.0
+_MOST_SPEED_M_S: Final = 20.0
+"""Faster than any such car: then a column has another unit."""
+LONGEST_GAP: Final = 3.5
+"""Over which a signal is interpolated, in rows."""
+PERIODS_S: Final = Range(0.0005, 0.2)
+"""Between two rows, as a median: 5 Hz to 2 kHz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """What one car was told and measured. Raises InputError for what no car can have logged.
+
+    Example:
+        >>> import numpy as np
+        >>> rows = {name: np.zeros((3, len(columns))) for name, columns in GROUPS.items()}
+        >>> log = Log(np.array([0.0, 0.02, 0.04]), **rows)
+        >>> len(log), log.period_s
+        (3, 0.02)
+    """
+
+    time_s: Floats
+    """(n,) seconds, increasing."""
+    commands: Floats
+    """(n, 6) rad/s of the four wheels in the order of WHEELS, m/s of the board (up positive), rad/s of the hinge of the
+    slope that the car is docked to (folding positive); each held until the next row."""
+    pose: Floats
+    """(n, 3) as localised: x and y in metres, and heading in radians."""
+    tilt: Floats
+    """(n, 2) pitch (nose up positive) and roll (left side up positive), in radians."""
+    wheel_speeds: Floats
+    """(n, 4) rad/s, in the order of WHEELS."""
+    board: Floats
+    """(n, 2) height above its lower stop in metres, and force of its motor in newtons, up positive."""
+    docked: Floats
+    """(n, 2) the slope whose plug the car is docked to, and its hinge's angle in radians; nan without one."""
+
+    def __post_init__(self) -> None:
+        n = len(self.time_s)
+        if n < 2:
+            raise InputError(f"a log of {n} rows; allowed: two or more")
+        steps = np.diff(self.time_s)
+        if not np.isfinite(self.time_s).all() or not (steps > 0).all():
+            row = int(np.argmin(np.where(np.isfinite(steps), steps, -1.0))) + 1
+            raise InputError(
+                f"{TIME} must increase from row to row; row {row + 1} has {self.time_s[row]:g} "
+                f"after {self.time_s[row - 1]:g}"
+            )
+        if not PERIODS_S.low <= self.period_s <= PERIODS_S.high:
+            raise InputError(
+                f"{TIME} rises by {self.period_s:g} a row; allowed: {PERIODS_S} s. Is it in seconds?"
+            )
+        for name, columns in GROUPS.items():
+            values = getattr(self, name)
+            if values.shape != (n, len(columns)):
+                raise InputError(
+                    f"{name} has shape {values.shape}; allowed: ({n}, {len(columns)}), a column for each "
+                    f"of {', '.join(columns)}"
+                )
+            self._check_values(name, values)
+        self._check_speeds()
+
+    def _check_values(self, name: str, values: Floats) -> None:
+        allowed, units = _LIKELY[name]
+        known = ~np.isnan(values)
+        if name == "commands" and not known.all():
+            row, column = np.argwhere(~known)[0]
+            raise InputError(
+                f"{GROUPS[name][column]} has no value in row {row + 1}; a command is always known"
+            )
+        wrong = known & ~((values >= allowed.low) & (values <= allowed.high))
+        if wrong.any():
+            row, column = np.argwhere(wrong)[0]
+            raise InputError(
+                f"{GROUPS[name][column]} is {values[row, column]:g} in row {row + 1}; allowed: {allowed}. "
+                f"Units are {units}"
+            )
+
+    def _check_speeds(self) -> None:
+        """Raise InputError where the pose moves as in other units than metres and radians."""
+        seen = np.isfinite(self.pose).all(axis=1)
+        if seen.sum() < 2:
+            return
+        time, pose = self.time_s[seen], self.pose[seen]
+        taken = np.diff(time)
+        way = np.median(np.hypot(*np.diff(pose[:, :2], axis=0).T) / taken)
+        turn = np.median(np.abs(np.diff(np.unwrap(pose[:, 2]))) / taken)
+        if way > _MOST_SPEED_M_S or np.abs(pose[:, 2]).max() > 1e3 or turn > _MOST_TURN_RAD_S:
+            raise InputError(
+                f"the pose moves with {way:.3g} m/s and turns with {turn:.3g} rad/s in the middle; are x and y in "
+                "metres, and the heading in radians?"
+            )
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def period_s(self) -> float:
+        """Median time between two rows."""
+        return round(float(np.median(np.diff(self.time_s))), 9)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first row to the last."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @classmethod
+    def of_columns(cls, columns: dict[str, Floats]) -> Self:
+        """Return the log of some columns by their names; those that are missing were not measured.
+
+        A command to board or hinge that is missing is 0. Raises InputError where one of NEEDED is missing.
+        """
+        if missing := [name for name in NEEDED if name not in columns]:
+            raise InputError(f"no column {', '.join(missing)}; a log needs {', '.join(NEEDED)}")
+        n = len(columns[TIME])
+        groups = {
+            group: np.column_stack(
+                [columns.get(name, np.full(n, 0.0 if group == "commands" else np.nan)) for name in names]
+            )
+            for group, names in GROUPS.items()
+        }
+        return cls(columns[TIME], **groups)
+
+    @property
+    def columns(self) -> dict[str, Floats]:
+        """All columns by their names."""
+        found = {TIME: self.time_s}
+        for group, names in GROUPS.items():
+            found |= dict(zip(names, getattr(self, group).T, strict=True))
+        return found
+
+    def between(self, start_s: float, end_s: float) -> Self:
+        """Return the rows from one time on and before another. Raises InputError where less than two are left."""
+        kept = (self.time_s >= start_s) & (self.time_s < end_s)
+        return replace(self, **{field.name: getattr(self, field.name)[kept] for field in fields(self)})
+
+    def resampled(self, period_s: float) -> Self:
+        """Return the log with a row each so many seconds.
+
+        Commands are held; what was measured is interpolated, and nan in gaps of more than three rows.
+        """
+        n = int(self.duration_s / period_s + 1e-6) + 1
+        time = np.minimum(self.time_s[0] + period_s * np.arange(n), self.time_s[-1])
+        latest = np.searchsorted(self.time_s, time + 1e-9, side="right") - 1
+        groups = {"commands": self.commands[latest]}
+        for group in GROUPS:
+            if group == "docked":
+                groups[group] = self.docked[latest]
+            elif group != "commands":
+                values = getattr(self, group).copy()
+                if group == "pose":
+                    values[:, 2] = _unwrapped(values[:, 2])
+                columns = [self._interpolated(values[:, k], time) for k in range(values.shape[1])]
+                groups[group] = np.column_stack(columns)
+        return type(self)(time, **groups)
+
+    def _interpolated(self, values: Floats, time: Floats) -> Floats:
+        known = np.isfinite(values)
+        return interpolated(time, self.time_s[known], values[known], LONGEST_GAP * self.period_s)
+
+
+def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float) -> Floats:
+    """Return a signal that is known at some times at others; nan outside of these and within longer gaps."""
+    if len(at) < 2:
+        return np.full(len(time), np.nan)
+    found: Floats = np.interp(time, at, values, left=np.nan, right=np.nan)
+    after = np.clip(np.searchsorted(at, time - 1e-9), 1, len(at) - 1)
+    found[(at[after] - at[after - 1] > longest_gap_s) & (time < at[after] - 1e-9)] = np.nan
+    return found
+
+
+def _unwrapped(angles: Floats) -> Floats:
+    """Return angles without jumps by whole turns; what is nan stays so."""
+    known = np.isfinite(angles)
+    found = angles.copy()
+    found[known] = np.unwrap(angles[known])
+    return found

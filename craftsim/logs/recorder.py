@@ -1,0 +1,60 @@
+"""Recording what cars are told and measure while they run."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from craftsim.logs.log import Log
+from craftsim.models.measuring import READING
+from craftsim.models.site import Site
+from craftsim.skills.executor import Executor
+from craftsim.skills.state import COMMAND
+
+MOST_ROWS: Final = 180_000
+"""An hour at the usual control period; what comes later is left out."""
+
+
+class LogRecorder:
+    """Takes what all cars measure and are told in every control period, and makes logs of it."""
+
+    def __init__(self, executor: Executor) -> None:
+        """Record the cars of an executor from now on."""
+        self._executor = executor
+        self._readings = [executor.sensors.read().tobytes()]
+        self._commands: list[bytes] = []
+        self._time = [executor.site.time_s]
+        executor.observers.append(self._look)
+
+    def _look(self, site: Site) -> None:
+        # A simulation that breaks down starts its time over: what it does then is no part of the run.
+        if not self._time[-1] < site.time_s or len(self._time) == MOST_ROWS:
+            return
+        self._commands.append(self._executor.commands.tobytes())
+        self._readings.append(self._executor.sensors.read().tobytes())
+        self._time.append(site.time_s)
+
+    def logs(self) -> dict[int, Log]:
+        """Return the log of each car; none where fewer than two control periods have passed."""
+        n = len(self._commands)
+        if n < 2:
+            return {}
+        read = np.frombuffer(b"".join(self._readings[:n]), READING).reshape(n, -1)
+        told = np.frombuffer(b"".join(self._commands), COMMAND).reshape(n, -1)
+        time = np.array(self._time[:n])
+        return {car: log_of(time, read[:, car], told[:, car]) for car in range(read.shape[1])}
+
+
+def log_of(time_s: np.ndarray, readings: np.ndarray, commands: np.ndarray) -> Log:
+    """Return the log of one car: times, records of READING and of COMMAND, each (n,)."""
+    docked = readings["slope"] >= 0
+    return Log(
+        time_s,
+        np.column_stack([commands["wheels"], commands["board"], commands["hinge"]]),
+        np.column_stack([readings[name] for name in ("x", "y", "heading")]),
+        np.column_stack([readings["pitch"], readings["roll"]]),
+        readings["wheel_speeds"].copy(),
+        np.column_stack([readings["board_m"], readings["board_force_n"]]),
+        np.where(docked[:, None], np.column_stack([readings["slope"], readings["hinge_rad"]]), np.nan),
+    )

@@ -1,0 +1,235 @@
+"""Identifying a car's figures from a log: weighted nonlinear least squares over segments of it.
+
+Residuals are what :mod:`craftsim.tuning.prediction` leaves, each in terms of the noise of its channel, which is taken
+from the residuals themselves and worked out anew after each fit; values beyond six times that are left out as outliers.
+Intervals are those of the linearized problem, with the segments as independent samples (Liang and Zeger's sandwich
+estimate), so that a model that misses something slow is not surer than it should be; never narrower than those of
+independent residuals, where the search has ended or with forces as assumed.
+
+MuJoCo's own ``mujoco.sysid`` is not used: it compares one rollout with the whole of a recording, from a state that is
+given, needs five more packages, and its intervals are of independent residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from craftsim.errors import InputError
+from craftsim.logs.log import Floats, Log
+from craftsim.models.parameters import Machines
+from craftsim.tuning.identifiability import Untold, untold_directions
+from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor
+from craftsim.tuning.unknowns import Search, Unknown, unknowns_of
+
+_ROUNDS: Final = (1e-2, 1e-3, 1e-5)
+"""Fits, each with the noise that the one before has left: the share of its cost by which a last step lowers it."""
+_EVALUATIONS: Final = 10
+"""Of the residuals in a fit, at most."""
+_FIRST_NOISE: Final = {
+    "position": 0.003,
+    "heading": 0.006,
+    "wheel speeds": 0.2,
+    "board": 2e-4,
+    "board force": 0.5,
+}
+_LEAST_NOISE: Final = {
+    "position": 1e-4,
+    "heading": 1e-4,
+    "wheel speeds": 0.05,
+    "board": 2e-6,
+    "board force": 0.02,
+}
+"""No model is better than this."""
+_OUTLIER: Final = 6.0
+CONFIDENCE: Final = 0.95
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What a log says of one unknown."""
+
+    unknown: Unknown
+    start: float
+    value: float
+    half_width: float | None
+    """Of its interval of 95 %; None where it is held at its start."""
+    at_bound: bool = False
+    """Whether the search ended at the border of what fits together."""
+
+    @property
+    def told(self) -> bool:
+        """Whether the log tells it."""
+        return self.half_width is not None and not self.at_bound
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a log says of a car."""
+
+    estimates: tuple[Identified, ...]
+    untold: tuple[Untold, ...]
+    noise: dict[str, float]
+    """Standard deviation of what is left, by channel."""
+    outliers: int
+    """Values that were left out."""
+    n_values: int
+    n_segments: int
+    machines: Machines
+    """With what was found."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Of all unknowns, by key."""
+        return {one.unknown.key: one.value for one in self.estimates}
+
+    def __getitem__(self, key: str) -> Identified:
+        """Return the estimate of a key."""
+        return next(one for one in self.estimates if one.unknown.key == key)
+
+
+Tell = Callable[[int, int], None]
+
+
+def identify(
+    log: Log, machines: Machines, loaded: bool = False, tell: Tell = lambda number, total: None
+) -> Identification:
+    """Identify one car from its log.
+
+    Args:
+        log: of one car.
+        machines: what is assumed: the start of the search, and what is held; its drive is that of the simulation.
+        loaded: a block stood over the car at the start, and was lifted.
+        tell: is called as each fit begins, with its number and how many there are.
+
+    Raises InputError for a log that says nothing of a car.
+    """
+    predictor = Predictor(log, machines, loaded)
+    if not predictor.segments:
+        raise InputError("the car leans all the time; identification needs a level floor")
+    if not (log.commands[:, :4] != 0).any():
+        raise InputError(
+            "no wheel is ever commanded in this log; 'craftsim excite' makes a drive that tells much"
+        )
+    return _Fit(predictor, Search(machines, unknowns_of(machines, loaded)), tell).run()
+
+
+class _Fit:
+    def __init__(self, predictor: Predictor, search: Search, tell: Tell) -> None:
+        self.predictor, self.search, self.tell = predictor, search, tell
+        self.n = len(search.unknowns)
+        self.vector = np.zeros(self.n)
+        self.noise = np.empty(N_COLUMNS)
+        for name, (_, columns) in CHANNELS.items():
+            self.noise[columns] = _FIRST_NOISE[name]
+        self.kept = np.isfinite(self._errors(self.vector))
+        """Which values count."""
+        self.untold: list[Untold] = []
+
+    def run(self) -> Identification:
+        from scipy.optimize import least_squares
+
+        outliers = 0
+        for number, tolerance in enumerate(_ROUNDS):
+            self.tell(number + 1, len(_ROUNDS))
+            looked_at = self._jacobian(self._with_assumed_forces(), range(self.n))
+            self.untold = untold_directions(looked_at, self.search.unknowns)
+            held = {one.held for one in self.untold}
+            # What is held is held where it is assumed to be, wherever an earlier fit has taken it.
+            self.vector[[k for k, one in enumerate(self.search.unknowns) if one.key in held]] = 0.0
+            free = [k for k, one in enumerate(self.search.unknowns) if one.key not in held]
+            low, high = (bound[free] for bound in self.search.bounds)
+
+            def put(numbers: Floats, free: list[int] = free) -> Floats:
+                vector = self.vector.copy()
+                vector[free] = numbers
+                return vector
+
+            found = least_squares(
+                lambda numbers: self._residuals(put(numbers)),
+                np.clip(self.vector[free], low + 1e-6, high - 1e-6),
+                jac=lambda numbers, free=free: self._jacobian(put(numbers), free),
+                bounds=(low, high),
+                loss="huber",
+                f_scale=3.0,
+                x_scale="jac",
+                max_nfev=_EVALUATIONS,
+                xtol=1e-6,
+                ftol=tolerance,
+            )
+            self.vector = put(found.x)
+            outliers += self._weigh()
+        return self._result(free, outliers)
+
+    def _with_assumed_forces(self) -> Floats:
+        """Return where to look at what is told: forces as assumed, all else as found.
+
+        Where a search has gone astray, to servos so stiff that they ring, everything seems to be told.
+        """
+        vector = self.vector.copy()
+        vector[[one.scales for one in self.search.unknowns]] = 0.0
+        return vector
+
+    def _errors(self, vector: Floats) -> Floats:
+        values = self.search.values(vector)
+        return self.predictor.errors(self.search.made(values), values)
+
+    def _residuals(self, vector: Floats) -> Floats:
+        found: Floats = (self._errors(vector) / self.noise)[self.kept]
+        return found
+
+    def _jacobian(self, vector: Floats, columns: Sequence[int]) -> Floats:
+        base = self._residuals(vector)
+        found = np.empty((len(base), len(columns)))
+        for place, column in enumerate(columns):
+            moved = vector.copy()
+            step = self.search.step(column, vector)
+            moved[column] += step
+            found[:, place] = (self._residuals(moved) - base) / step
+        return found
+
+    def _weigh(self) -> int:
+        """Take each channel's noise from what is left, and leave out what is far beyond it; return how many."""
+        errors = self._errors(self.vector)
+        was = int(self.kept.sum())
+        for name, (_, columns) in CHANNELS.items():
+            left = errors[..., columns][self.kept[..., columns]]
+            if left.size:
+                spread = 1.4826 * float(np.median(np.abs(left)))
+                inside = left[np.abs(left) < _OUTLIER * max(spread, _LEAST_NOISE[name])]
+                self.noise[columns] = max(float(inside.std()), _LEAST_NOISE[name])
+        self.kept &= np.abs(errors) < _OUTLIER * self.noise
+        return was - int(self.kept.sum())
+
+    def _result(self, free: list[int], outliers: int) -> Identification:
+        from scipy.stats import t
+
+        jacobian, left = self._jacobian(self.vector, free), self._residuals(self.vector)
+        inverse = np.linalg.inv(jacobian.T @ jacobian)
+        independent = inverse * (left @ left) / max(1, len(left) - len(free))
+        segment = np.broadcast_to(np.arange(len(self.kept))[:, None, None], self.kept.shape)[self.kept]
+        pulls = np.zeros((len(self.kept), len(free)))
+        np.add.at(pulls, segment, jacobian * left[:, None])
+        n_segments = len(np.unique(segment))
+        sandwich = inverse @ (pulls.T @ pulls) @ inverse * n_segments / max(1, n_segments - 1)
+        elsewhere = self._jacobian(self._with_assumed_forces(), free)
+        known = np.linalg.inv(elsewhere.T @ elsewhere)
+        spread = np.sqrt(np.max([np.diag(independent), np.diag(sandwich), np.diag(known)], axis=0))
+        wide = dict(zip(free, spread * t.ppf(0.5 + CONFIDENCE / 2, max(1, n_segments - 1)), strict=True))
+        values, starts = self.search.values(self.vector), self.search.values(np.zeros(self.n))
+        low, high = self.search.bounds
+        estimates = []
+        for k, one in enumerate(self.search.unknowns):
+            half = None
+            if k in wide:
+                half = float(wide[k] * one.usual * (values[one.key] if one.of_machine else 1.0))
+            edge = k in wide and not low[k] + 1e-3 < self.vector[k] < high[k] - 1e-3
+            estimates.append(Identified(one, starts[one.key], values[one.key], half, edge))
+        noise = {name: float(self.noise[columns][0]) for name, (_, columns) in CHANNELS.items()}
+        machines = self.search.made(values)
+        return Identification(
+            tuple(estimates), tuple(self.untold), noise, outliers, int(self.kept.sum()), n_segments, machines
+        )

@@ -1,0 +1,187 @@
+"""What a model of the car would have measured under a log's commands, and by how much the log differs.
+
+The model runs once through the whole log from rest. On a flat floor its motion is the same from every place and in
+every direction, so that each segment of the log is compared with the model's motion moved and turned to fit the
+segment best: errors do not add up over minutes, and no state has to be guessed or set.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from craftsim.errors import InputError
+from craftsim.logs.log import Floats, Log
+from craftsim.models.config import SimulationConfig
+from craftsim.models.motors import Motors
+from craftsim.models.parameters import Machines
+from craftsim.models.sensing import Sensors
+from craftsim.models.site import Site
+from craftsim.storage.limits import IDENTIFIED_S
+from craftsim.tuning.driving_log import free_area
+from craftsim.tuning.excitation import Area
+from craftsim.tuning.unknowns import Values
+
+SEGMENT_S: Final = 2.0
+CHANNELS: Final = {
+    "position": ("m", slice(0, 2)),
+    "heading": ("rad", slice(2, 3)),
+    "wheel speeds": ("rad/s", slice(3, 7)),
+    "board": ("m", slice(7, 8)),
+    "board force": ("N", slice(8, 9)),
+}
+"""What is compared: its unit, and its columns."""
+N_COLUMNS: Final = 9
+_LONGEST_STEP_S: Final = 0.005
+_TILTED_RAD: Final = 0.05
+"""A car that leans more stands on a ramp, of which the model knows nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What the model did at each row of the log."""
+
+    pose: Floats
+    """(n, 3), the heading unwrapped."""
+    wheel_speeds: Floats
+    board: Floats
+    """(n, 2) height and force."""
+
+
+class Predictor:
+    """Predicts a log; it is resampled to a regular period that physics can be stepped at."""
+
+    def __init__(self, log: Log, machines: Machines, loaded: bool = False) -> None:
+        """Take a log; ``loaded``: a block stood over the car at its start.
+
+        Raises InputError for a log without poses and wheel speeds.
+        """
+        if log.duration_s > IDENTIFIED_S:
+            raise InputError(
+                f"the log is {log.duration_s:.0f} s long; allowed: {IDENTIFIED_S:g}; give a part of it"
+            )
+        self.period_s = max(_LONGEST_STEP_S, log.period_s)
+        self.log = log.resampled(self.period_s)
+        if not (np.isfinite(self.log.pose).any() or np.isfinite(self.log.wheel_speeds).any()):
+            raise InputError("the log has neither poses nor wheel speeds; at least one of them is needed")
+        steps = math.ceil(self.period_s / _LONGEST_STEP_S - 1e-9)
+        if machines.drive == "rollers":
+            steps = math.ceil(self.period_s / 0.004 - 1e-9)
+        self._config = SimulationConfig(self.period_s / steps, self.period_s, sleep=False)
+        self._grid = free_area(Area(), loaded)
+        self._kept: dict[tuple[Machines, float], Motion] = {}
+        self.measured = self._measured()
+        """(n, 9): position, heading, wheel speeds, board and its force; nan where not measured."""
+        rows = max(2, round(SEGMENT_S / self.period_s))
+        self.segments = [slice(k, k + rows) for k in range(0, len(self.log) - rows + 1, rows)]
+        if not self.segments:
+            raise InputError(f"the log is shorter than {SEGMENT_S:g} s")
+        tilted = np.abs(self.log.tilt).max(axis=1, initial=0.0) > _TILTED_RAD
+        self.segments = [s for s in self.segments if not tilted[s].any()]
+        """Whole ones on level floor."""
+
+    def motion(self, machines: Machines, motor_lag_s: float) -> Motion:
+        """Return what a car with these figures does under the log's commands."""
+        key = machines, motor_lag_s
+        if key not in self._kept:
+            if len(self._kept) > 64:
+                self._kept.clear()
+            self._kept[key] = self._run(machines, motor_lag_s)
+        return self._kept[key]
+
+    def _run(self, machines: Machines, motor_lag_s: float) -> Motion:
+        site = Site(self._grid, self._config, machines=machines)
+        sensors, motors = Sensors(site), Motors(site, motor_lag_s)
+        n = len(self.log)
+        found = np.empty((n, N_COLUMNS))
+        for row, command in enumerate(self.log.commands):
+            now = sensors.read()[0]
+            found[row, 0], found[row, 1], found[row, 2] = now["x"], now["y"], now["heading"]
+            found[row, 3:7] = now["wheel_speeds"]
+            found[row, 7], found[row, 8] = now["board_m"], now["board_force_n"]
+            motors.drive(0, command[:4])
+            site.move_board(0, command[4])
+            site.advance()
+        found[:, 2] = np.unwrap(found[:, 2])
+        return Motion(found[:, :3], found[:, 3:7], found[:, 7:])
+
+    def errors(self, machines: Machines, values: Values, lead: float = 1.0) -> Floats:
+        """Return by how much each segment differs from what is predicted: (segments, rows, 9), nan where unknown.
+
+        Args:
+            machines: the car.
+            values: what sensors and motors do, by key; what is missing does not.
+            lead: share of each segment, from its start, to which the prediction is fitted.
+        """
+        motion = self.motion(machines, values.get("noise.motor_lag_s", 0.0))
+        bias = values.get("mounting.heading_bias_rad", 0.0)
+        c, s = np.cos(motion.pose[:, 2]), np.sin(motion.pose[:, 2])
+        ahead, left = values.get("mounting.marker_x_m", 0.0), values.get("mounting.marker_y_m", 0.0)
+        pose = motion.pose.copy()
+        pose[:, 0] += c * ahead - s * left
+        pose[:, 1] += s * ahead + c * left
+        pose = self._late(pose, values.get("noise.delay_s", 0.0))
+        lagged = self._lagged(motion.wheel_speeds, values.get("noise.encoder_lag_s", 0.0))
+        found = np.empty((len(self.segments), *self.measured[self.segments[0]].shape))
+        for number, rows in enumerate(self.segments):
+            measured = self.measured[rows]
+            until = max(2, round(lead * len(measured)))
+            found[number, :, :3] = _aligned(measured[:, :3], pose[rows], bias, until)
+            found[number, :, 3:7] = measured[:, 3:7] - lagged[rows]
+            found[number, :, 7:] = measured[:, 7:] - motion.board[rows]
+        return found
+
+    def _late(self, pose: Floats, delay_s: float) -> Floats:
+        """Return a motion as it is known so much later."""
+        rows = np.arange(len(pose)) - delay_s / self.period_s
+        return np.column_stack([np.interp(rows, np.arange(len(pose)), pose[:, k]) for k in range(3)])
+
+    def _lagged(self, speeds: Floats, lag_s: float) -> Floats:
+        """Return speeds behind a low-pass filter of first order, as sensors have it."""
+        from scipy.signal import lfilter
+
+        if lag_s <= 0:
+            return speeds
+        share = 1 - math.exp(-self.period_s / lag_s)
+        filtered: Floats = lfilter([share], [1, share - 1], speeds, axis=0)
+        return filtered
+
+    def _measured(self) -> Floats:
+        log = self.log
+        return np.column_stack([log.pose, log.wheel_speeds, log.board])
+
+
+def _aligned(measured: Floats, model: Floats, bias: float, until: int) -> Floats:
+    """Return what is left when a motion, each (n, 3), is moved and turned to fit what was measured up to a row best.
+
+    ``bias`` is by how much measured headings are larger than true ones, which does not turn the way.
+    """
+    error = np.full(measured.shape, np.nan)
+    known = np.asarray(np.isfinite(measured).all(axis=1))
+    fitted = known.copy()
+    fitted[until:] = False
+    if fitted.sum() < 2:
+        return error
+    turn = measured[:, 2] - model[:, 2]
+    reference = turn[fitted][0]
+    turn = (turn - reference + np.pi) % (2 * np.pi) - np.pi
+    angle = reference + turn[fitted].mean()
+    origin = model[fitted, :2].mean(axis=0)
+    model_way, measured_way = model[:, :2] - origin, measured[:, :2] - measured[fitted, :2].mean(axis=0)
+    # Headings and positions both say how far to turn; weighed as localisation has them: 1 mm to 3 mrad.
+    for _ in range(2):
+        c, s = math.cos(angle - bias), math.sin(angle - bias)
+        turned = model_way @ np.array([[c, s], [-s, c]])
+        across = np.column_stack([-turned[:, 1], turned[:, 0]])
+        left = measured_way - turned
+        headings = reference + turn[fitted] - angle
+        pull = 9.0 * (across[fitted] * left[fitted]).sum() + headings.sum()
+        angle += pull / (9.0 * (across[fitted] ** 2).sum() + fitted.sum())
+    c, s = math.cos(angle - bias), math.sin(angle - bias)
+    left = measured_way - model_way @ np.array([[c, s], [-s, c]])
+    error[:, :2] = left - left[fitted].mean(axis=0)
+    error[:, 2] = reference + turn - angle
+    return error

@@ -1,0 +1,62 @@
+"""Writing test bags with the library's own writer."""
+
+import math
+
+from mcap_ros2.writer import Writer
+
+STAMP = "builtin_interfaces/Time stamp\nstring frame_id"
+TIME = "int32 sec\nuint32 nanosec"
+RULE = "=" * 80
+HEADER = f"{RULE}\nMSG: std_msgs/Header\n{STAMP}\n{RULE}\nMSG: builtin_interfaces/Time\n{TIME}"
+POSE = f"""std_msgs/Header header
+geometry_msgs/Pose pose
+{RULE}
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+{RULE}
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+{RULE}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+{HEADER}"""
+JOINTS = f"""std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+{HEADER}"""
+NAMES = ["wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr", "board"]
+
+
+def write_bag(path, log, commands="/wheel_commands", pose_topics=("/localisation",), compression=None):
+    """Write a log as a robot would record it: poses, joint states and commands by their own topics."""
+    from mcap.writer import CompressionType
+
+    with open(path, "wb") as file:
+        writer = Writer(file, compression=compression or CompressionType.ZSTD)
+        poses = writer.register_msgdef("geometry_msgs/msg/PoseStamped", POSE)
+        joints = writer.register_msgdef("sensor_msgs/msg/JointState", JOINTS)
+        for row, time in enumerate(log.time_s):
+            at = 1_700_000_000_000_000_000 + round(time * 1e9)
+            header = {"stamp": {"sec": int(time), "nanosec": 0}, "frame_id": "map"}
+            x, y, heading = map(float, log.pose[row])
+            turn = {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2), "w": math.cos(heading / 2)}
+            pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
+            for topic in pose_topics:
+                writer.write_message(topic, poses, {"header": header, "pose": pose}, at, at)
+            board, force = map(float, log.board[row])
+            state = {"header": header, "name": NAMES, "position": [0.0] * 4 + [board]}
+            state |= {"velocity": [*map(float, log.wheel_speeds[row]), 0.0], "effort": [0.0] * 4 + [force]}
+            writer.write_message("/joint_states", joints, state, at, at)
+            told = {"header": header, "name": NAMES, "position": [], "effort": []}
+            told |= {"velocity": [*map(float, log.commands[row, :5])]}
+            writer.write_message(commands, joints, told, at, at)
+        writer.finish()
+    return path

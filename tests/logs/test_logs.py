@@ -1,0 +1,196 @@
+"""Logs: written as they were, read back to nine digits, and refused with a place where they are none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bags import write_bag
+
+from craftsim import Action, Executor, Grid, Machines, SensorNoise, Sensors, Site
+from craftsim.errors import InputError
+from craftsim.logs.files import read_log, read_logs
+from craftsim.logs.log import GROUPS, Log
+from craftsim.logs.recorder import LogRecorder
+from craftsim.logs.tables import COLUMNS, write_commands, write_table
+from craftsim.models.motors import Motors
+
+
+def make_log(n=60, period_s=0.02, seed=0):
+    rng = np.random.default_rng(seed)
+    groups = {name: 0.1 * rng.normal(size=(n, len(of))) for name, of in GROUPS.items()}
+    log = Log(period_s * np.arange(n), **groups)
+    log.pose[:] = 0.1 * np.cumsum(log.pose, axis=0)
+    log.docked[: n // 2] = np.nan
+    return log
+
+
+def same(one, other, tolerance=1e-8):
+    return all(
+        np.allclose(a, b, rtol=tolerance, atol=tolerance, equal_nan=True)
+        for a, b in zip(one.columns.values(), other.columns.values(), strict=True)
+    )
+
+
+def test_logs_of_many_cars_are_read_as_they_were_written(tmp_path):
+    logs = {0: make_log(), 3: make_log(40, seed=1)}
+    read = read_logs(write_table(tmp_path / "run.csv", logs))
+    assert list(read) == [0, 3]
+    assert all(same(read[car], logs[car]) for car in logs)
+
+
+def test_a_file_of_commands_alone_is_a_log_of_nothing_measured(tmp_path):
+    log = make_log()
+    read = read_log(write_commands(tmp_path / "commands.csv", {0: log}))
+    assert np.allclose(read.commands, log.commands)
+    assert all(np.isnan(getattr(read, name)).all() for name in GROUPS if name != "commands")
+
+
+ROWS = ["0,1,1,1,1,0", "0.02,1,1,1,1,0.01", "0.04,1,1,1,1,0.02"]
+HEADER = "time_s,cmd_wheel_fl_rad_s,cmd_wheel_fr_rad_s,cmd_wheel_rl_rad_s,cmd_wheel_rr_rad_s,x_m"
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "said"),
+    [
+        ("", [], "no column time_s"),
+        (HEADER, [], "no rows"),
+        (HEADER, ROWS[:1], "car 0: a log of 1 rows"),
+        (HEADER.replace("time_s", "time_ms"), ROWS, "'time_ms' looks like it in another unit"),
+        (HEADER.replace("fl_rad_s", "fl_rpm"), ROWS, "no column cmd_wheel_fl_rad_s"),
+        (HEADER.replace("x_m", "x_mm"), ROWS, "unknown column 'x_mm'; did you mean 'x_m'"),
+        (HEADER.replace("x_m", "time_s"), ROWS, "two columns 'time_s'"),
+        (HEADER, [*ROWS, "0.06,1,1,1,1"], "run.csv:5: 5 values; the header has 6 columns"),
+        (HEADER, [*ROWS, "0.06,1,x,1,1,0"], "run.csv:5: cmd_wheel_fr_rad_s is 'x', which is no number"),
+        (HEADER, [*ROWS, "0.06,1,inf,1,1,0"], "run.csv:5: cmd_wheel_fr_rad_s is infinite"),
+        (HEADER, [*ROWS, "0.06,1,,1,1,0"], "cmd_wheel_fr_rad_s has no value in row 4"),
+        (HEADER, [*ROWS, "0.04,1,1,1,1,0"], "run.csv:5: time_s is 0.04; it must be a number above"),
+        (HEADER, [*ROWS, ",1,1,1,1,0"], "run.csv:5: time_s is nan"),
+        (HEADER, [f"{1000 * k},1,1,1,1,0" for k in range(3)], "Is it in seconds"),
+        (HEADER, ["0,9e9,1,1,1,0", *ROWS[1:]], "cmd_wheel_fl_rad_s is 9e\\+09 in row 1"),
+        (HEADER + ",car", [f"{row},0.5" for row in ROWS], "run.csv:2: car is 0.5; allowed: an integer"),
+        (HEADER, [*ROWS, '0.06,1,"1,1,1,0'], "run.csv:5: not a line of a CSV table"),
+    ],
+)
+def test_a_table_that_is_no_log_is_refused_with_its_place(tmp_path, header, rows, said):
+    (tmp_path / "run.csv").write_text("\n".join([header, *rows]) + "\n")
+    with pytest.raises(InputError, match=said):
+        read_log(tmp_path / "run.csv")
+
+
+def test_a_pose_in_millimetres_or_degrees_is_told_by_how_it_moves(tmp_path):
+    log = make_log(200)
+    log.pose[:, :2] *= 1000
+    table = tmp_path / "run.csv"
+    time, pose = log.time_s, np.column_stack([900 * log.time_s, 0 * log.time_s, 0 * log.time_s])
+    with pytest.raises(InputError, match=r"900 m/s .*are x and y in metres"):
+        replace(log, pose=pose)
+    with pytest.raises(InputError, match="the heading in radians"):
+        replace(log, pose=np.column_stack([0 * time, 0 * time, 57.3 * np.sin(20 * time)]))
+    table.write_bytes(b"\xff\xfe\n")
+    with pytest.raises(InputError, match="not UTF-8"):
+        read_log(table)
+
+
+@pytest.mark.parametrize("name", ["log.txt", "no.csv", "no.mcap"])
+def test_what_is_no_file_of_a_log_is_refused(tmp_path, name):
+    with pytest.raises(InputError, match=name):
+        read_log(tmp_path / name)
+
+
+def test_a_log_has_the_cars_that_it_has(tmp_path):
+    with pytest.raises(InputError, match="no car 2; there are 0"):
+        read_log(write_table(tmp_path / "run.csv", {0: make_log()}), car=2)
+
+
+def test_resampling_holds_commands_interpolates_and_leaves_gaps_open():
+    log = make_log(101)
+    log.pose[40:60] = np.nan
+    log.pose[:40, 0] = 2 * log.time_s[:40]
+    fine = log.resampled(0.005)
+    assert fine.period_s == 0.005
+    assert np.array_equal(fine.commands[::4], log.commands)
+    assert np.array_equal(fine.commands[3::4], log.commands[:-1])
+    assert np.allclose(fine.pose[:150, 0], 2 * fine.time_s[:150])
+    assert np.isnan(fine.pose[165:230]).all()
+    assert same(log.resampled(log.period_s), log)
+
+
+def test_a_bag_is_read_as_the_log_that_was_put_into_it(tmp_path):
+    pytest.importorskip("mcap_ros2")
+    log = make_log()
+    read = read_log(write_bag(tmp_path / "run.mcap", log))
+    assert np.allclose(read.time_s, log.time_s, atol=1e-6)
+    assert np.allclose(read.commands[:, :5], log.commands[:, :5])
+    assert np.allclose(np.cos(read.pose[:, 2]), np.cos(log.pose[:, 2]), atol=1e-6)
+    assert np.allclose(read.pose[:, :2], log.pose[:, :2], atol=1e-6)
+    assert np.allclose(read.wheel_speeds, log.wheel_speeds, atol=1e-5)
+    assert np.allclose(read.board, log.board, atol=1e-5)
+
+
+def test_topics_are_found_or_named(tmp_path):
+    pytest.importorskip("mcap_ros2")
+    bag = write_bag(tmp_path / "run.mcap", make_log(), "/base/command", ("/a", "/b"))
+    with pytest.raises(InputError, match="several topics hold poses: /a, /b"):
+        read_log(bag)
+    topics = tmp_path / "topics.yaml"
+    topics.write_text("pose: /b")
+    with pytest.raises(InputError, match="no commands on the topic /wheel_commands"):
+        read_log(bag, topics=topics)
+    topics.write_text("{pose: /b, commands: /base/command}")
+    assert len(read_log(bag, topics=topics)) == 60
+    topics.write_text("{pose: [1]}")
+    with pytest.raises(InputError, match=r"topics.yaml:1: 'pose' must be a name"):
+        read_log(bag, topics=topics)
+    topics.write_text("{poses: /b}")
+    with pytest.raises(InputError, match="unknown key 'poses'"):
+        read_log(bag, topics=topics)
+
+
+def test_a_damaged_bag_is_refused_or_read(tmp_path):
+    """Whatever is cut off or overwritten: a log, or one clear error."""
+    pytest.importorskip("mcap_ros2")
+    whole = write_bag(tmp_path / "run.mcap", make_log(20)).read_bytes()
+    rng, refused = np.random.default_rng(0), 0
+    for _ in range(120):
+        data = bytearray(whole)
+        if rng.random() < 0.3:
+            data = data[: rng.integers(len(data))]
+        else:
+            for at in rng.integers(len(data), size=rng.integers(1, 6)):
+                data[at] = rng.integers(256)
+        (tmp_path / "run.mcap").write_bytes(data)
+        try:
+            read_log(tmp_path / "run.mcap")
+        except InputError:
+            refused += 1
+    assert refused > 60
+
+
+def test_replaying_recorded_commands_repeats_the_run():
+    """So commands stand in the row of what was measured when they were given."""
+    noise = SensorNoise(position_m=0.001, motor_lag_s=0.02)
+    machines = Machines(drive="reduced")
+    grid = Grid.empty((3, 2, 1), n_cars=1)
+
+    def parts():
+        site = Site(grid, machines=machines)
+        return site, Sensors(site, noise, np.random.default_rng(1)), Motors(site, noise.motor_lag_s)
+
+    site, sensors, motors = parts()
+    executor = Executor(site, sensors=sensors, motors=motors)
+    recorder = LogRecorder(executor)
+    executor.run({0: Action.MOVE_RIGHT})
+    log = recorder.logs()[0]
+    site, sensors, motors = parts()
+    for row in range(len(log)):
+        assert site.time_s == log.time_s[row]
+        assert np.array_equal(sensors.read()[0]["wheel_speeds"], log.wheel_speeds[row])
+        assert sensors.read()[0]["x"] == log.pose[row, 0]
+        motors.drive(0, log.commands[row, :4])
+        site.advance()
+        sensors.observe()
+
+
+def test_a_row_has_all_columns():
+    assert len(COLUMNS) == 2 + sum(map(len, GROUPS.values()))
+    assert list(make_log().columns) == [name for name in COLUMNS if name != "car"]

@@ -1,0 +1,114 @@
+"""Identification finds what was hidden, says what it cannot find, and is not moved by what it should not be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tuning_cars import HIDDEN, NOMINAL, log_of
+
+from craftsim.errors import InputError
+from craftsim.models.noise import EXACT
+from craftsim.tuning.identifiability import untold_directions
+from craftsim.tuning.identification import identify
+from craftsim.tuning.prediction import Predictor
+from craftsim.tuning.unknowns import UNKNOWNS, machines_of, unknowns_of
+
+
+@pytest.fixture(scope="module")
+def found(log):
+    return identify(log, NOMINAL)
+
+
+@pytest.mark.parametrize("key", HIDDEN)
+def test_hidden_figures_are_found(found, key):
+    one, true = found[key], HIDDEN[key]
+    assert one.told
+    assert one.value == pytest.approx(true, abs=0.005 if key.startswith("noise") else 0.05 * true)
+
+
+def test_what_the_log_cannot_tell_is_held_and_said(found):
+    assert found["smartcar.wheel_mass_kg"].half_width is None
+    assert found["smartcar.wheel_mass_kg"].value == NOMINAL.car(0).wheel_mass_kg
+    texts = [one.text for one in found.untold]
+    assert any("mass of the car" in text and "only as ratios" in text for text in texts)
+    assert any("gain of the wheel motors" in text for text in texts)
+
+
+def test_a_prediction_by_the_truth_leaves_nothing_but_noise():
+    hidden = {key: value for key, value in HIDDEN.items() if not key.startswith("noise")}
+    predictor = Predictor(log_of(hidden, 10.0, EXACT), NOMINAL)
+    errors = predictor.errors(machines_of(NOMINAL, hidden), {})
+    assert np.abs(errors).max() < 1e-6
+    assert np.abs(predictor.errors(NOMINAL, {})[..., 3:7]).max() > 0.01
+
+
+def test_errors_do_not_depend_on_where_a_log_was_taken(log):
+    turned = log.pose.copy()
+    c, s = np.cos(2.0), np.sin(2.0)
+    turned[:, :2] = log.pose[:, :2] @ np.array([[c, s], [-s, c]]) + [30.0, -7.0]
+    turned[:, 2] = (log.pose[:, 2] + 2.0 + np.pi) % (2 * np.pi) - np.pi
+    here, there = (Predictor(one, NOMINAL).errors(NOMINAL, {}) for one in (log, replace(log, pose=turned)))
+    assert np.allclose(
+        np.hypot(here[..., 0], here[..., 1]), np.hypot(there[..., 0], there[..., 1]), atol=1e-9
+    )
+    assert np.allclose(here[..., 2:], there[..., 2:], atol=1e-9)
+
+
+def test_a_heading_that_is_read_askew_turns_the_way_and_not_the_motion(log):
+    predictor = Predictor(replace(log, pose=log.pose + np.array([0.0, 0.0, 0.1])), NOMINAL)
+    straight = Predictor(log, NOMINAL).errors(NOMINAL, {})
+    assert np.allclose(predictor.errors(NOMINAL, {"mounting.heading_bias_rad": 0.1}), straight, atol=1e-9)
+    assert np.nanstd(predictor.errors(NOMINAL, {})[..., :2]) > 2 * np.nanstd(straight[..., :2])
+
+
+def test_a_log_at_another_rate_is_predicted_as_well(log):
+    fine, coarse = (Predictor(log.resampled(period), NOMINAL) for period in (0.004, 0.03))
+    assert fine.period_s == 0.005
+    assert coarse.period_s == 0.03
+    for predictor in (fine, coarse):
+        errors = predictor.errors(machines_of(NOMINAL, HIDDEN), HIDDEN)
+        assert np.nanstd(errors[..., :2]) < 0.005
+
+
+def test_forces_in_proportion_are_never_told_apart():
+    """Whatever a log says, and however surely."""
+    unknowns = unknowns_of(NOMINAL, loaded=False)
+    jacobian = np.random.default_rng(0).normal(size=(500, len(unknowns)))
+    (one,) = untold_directions(jacobian, unknowns)
+    assert one.held == "smartcar.wheel_mass_kg"
+    assert set(one.members) == {unknown.key for unknown in unknowns if unknown.scales}
+
+
+def test_what_a_log_says_nothing_of_is_named_alone():
+    unknowns = unknowns_of(NOMINAL, loaded=False)
+    jacobian = np.random.default_rng(0).normal(size=(500, len(unknowns)))
+    place = [one.name for one in unknowns].index("screw_friction_n")
+    jacobian[:, place] = 0.0
+    found = untold_directions(jacobian, unknowns)
+    assert found[0].held == "smartcar.screw_friction_n"
+    assert "the log does not tell it" in found[0].text
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"commands": np.zeros((1000, 6))}, "no wheel is ever commanded"),
+        ({"tilt": np.full((1000, 2), 0.2)}, "the car leans all the time"),
+        (
+            {"pose": np.full((1000, 3), np.nan), "wheel_speeds": np.full((1000, 4), np.nan)},
+            "neither poses nor",
+        ),
+    ],
+)
+def test_a_log_that_tells_nothing_is_refused(log, change, said):
+    with pytest.raises(InputError, match=said):
+        identify(replace(log, **change), NOMINAL)
+
+
+def test_a_log_that_is_too_short_is_refused(log):
+    with pytest.raises(InputError, match="shorter than 2 s"):
+        identify(log.between(0.0, 1.9), NOMINAL)
+
+
+def test_every_unknown_has_its_own_name():
+    assert len({one.key for one in UNKNOWNS}) == len({one.words for one in UNKNOWNS}) == len(UNKNOWNS)

@@ -1,0 +1,55 @@
+"""craftsim excite and identify: files that go on to be used, and exit codes."""
+
+import json
+
+import pytest
+from tuning_cars import HIDDEN
+
+from craftsim import cli, load_machines
+from craftsim.logs.files import read_log
+from craftsim.logs.tables import write_table
+from craftsim.models.parameter_files import load_noise
+
+
+def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
+    words = ["excite", "--time", "12", "--drive", "reduced", "--out", str(tmp_path)]
+    assert cli.main(words) == 0
+    log, commands = read_log(tmp_path / "log.csv"), read_log(tmp_path / "commands.csv")
+    assert (log.commands == commands.commands).all()
+    assert len(log) == 600
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["figures"]["stayed"] is True
+    assert report["seed"] == 0
+    assert "12.0 s" in capsys.readouterr().out
+
+
+def test_identify_writes_files_to_run_with(tmp_path, capsys, log):
+    table = write_table(tmp_path / "log.csv", {0: log})
+    out = tmp_path / "out"
+    assert cli.main(["identify", str(table), "--held-out", str(table), "--out", str(out)]) == 0
+    machines, noise = load_machines(out / "parameters.yaml"), load_noise(out / "noise.yaml")
+    assert machines.car(0).gear_friction_nm == pytest.approx(HIDDEN["smartcar.gear_friction_nm"], rel=0.05)
+    assert machines.car(0).wheel_mass_kg == 2.3
+    assert noise.min_delay_s == noise.max_delay_s == pytest.approx(HIDDEN["noise.delay_s"], abs=0.005)
+    figures = json.loads((out / "report.json").read_text())["figures"]
+    for of in ("fitted_log", "held_out_log"):
+        was, now = (figures[of][name]["wheel speeds"]["rms"] for name in ("as_assumed", "as_identified"))
+        assert now < 0.5 * was
+    assert (out / "prediction.png").stat().st_size > 1000
+    said = capsys.readouterr().out
+    assert "Not told: position bias" in said
+    assert "held" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["identify", "no.csv"], "no.csv: no such file"),
+        (["identify", "no.bin"], "no log by its ending"),
+        (["excite", "--time", "1"], "--time is 1.0; allowed: 10 to 3600"),
+        (["excite", "--length", "0.1"], "--length is 0.1; allowed: 0.6 to 20"),
+    ],
+)
+def test_wrong_input_ends_with_a_message(words, said, capsys):
+    assert cli.main(words) == 2
+    assert said in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""Robots behind a simulated network, one event after the other in the robots' own time; no sockets here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from craftsim.robots.channel import Channel
+from craftsim.robots.messages import Commands, Measurements, Message, MessageError, Poses, pack, unpack
+from craftsim.robots.robot import Clock
+from craftsim.robots.station import Station
+
+Send = Callable[[bytes, bytes], None]
+"""Sends (to whom, what)."""
+_TOLD: Final = 10
+"""Of the messages that are dropped, so many are said why."""
+
+
+class Service:
+    """Serves a station: takes what comes, and lets the robots' time pass."""
+
+    def __init__(
+        self,
+        station: Station,
+        clock: Clock,
+        up: Channel[Commands],
+        down: Channel[Measurements],
+        send: Send,
+        referee: Callable[[Measurements], Poses] | None = None,
+        publish: Callable[[bytes], None] = lambda data: None,
+        tell: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        """Begin at time 0.
+
+        Args:
+            station: the robots.
+            clock: lets their control periods pass.
+            up: what commands go through.
+            down: what measurements go through.
+            send: sends to who drives.
+            referee: knows where everything truly is, at the time of some measurements.
+            publish: sends that to whoever looks on.
+            tell: says why a message was dropped.
+        """
+        self.station, self._clock, self._up, self._down = station, clock, up, down
+        self._send, self._referee, self._publish, self._tell = send, referee, publish, tell
+        self.now_s = 0.0
+        self.periods = 0
+        self._measured = False
+        """Whether that has been done in this period."""
+        self.malformed = 0
+        """Messages that were none, or out of place."""
+        self.unseen: set[int] = set()
+        """Measurements on which robots that wait have no answer yet."""
+
+    @property
+    def next_s(self) -> float:
+        """When something happens next, by the robots' clock."""
+        return min(self.periods * self.station.period_s, self._up.due_s, self._down.due_s)
+
+    def arrive(self, sender: bytes, data: bytes, now_s: float) -> None:
+        """Take what has come; a command is then on its way, all else is there at once."""
+        try:
+            message = unpack(data)
+            if isinstance(message, Commands) and sender == self.station.driver:
+                self._up.send(now_s, message)
+            else:
+                self._receive(sender, message, now_s)
+        except (MessageError, ValueError) as error:
+            self.malformed += 1
+            if self.malformed <= _TOLD:
+                self._tell(f"dropped a message: {error}")
+
+    def step(self) -> None:
+        """Let happen what happens next."""
+        now_s = self.now_s = self.next_s
+        self._deliver(now_s)
+        driver = self.station.driver
+        for commands in self._up.due(now_s):
+            if driver is not None:
+                self._receive(driver, commands, now_s)
+        if self.periods * self.station.period_s > now_s:
+            return
+        if not self._measured:
+            # What is commanded in answer comes before the robots act where it takes no time.
+            self._measure(now_s)
+        else:
+            self.station.act(now_s)
+            self.periods += 1
+            self._clock.wait()
+        self._measured = not self._measured
+
+    def _measure(self, now_s: float) -> None:
+        measured = self.station.measure(now_s)
+        if self._referee is not None:
+            self._publish(pack(self._referee(measured)))
+        if self.station.driver is not None:
+            self._down.send(now_s, measured)
+            self._deliver(now_s)
+
+    def _receive(self, sender: bytes, message: Message, now_s: float) -> None:
+        answer = self.station.receive(sender, message, now_s)
+        if answer is not None:
+            self._send(sender, pack(answer))
+        self.unseen.discard(getattr(message, "number", 0)) if message.kind == "seen" else None
+
+    def _deliver(self, now_s: float) -> None:
+        for message in self._down.due(now_s):
+            if self.station.driver is not None:
+                self._send(self.station.driver, pack(message))
+                if self.station.waits:
+                    self.unseen.add(message.number)

@@ -54,7 +54,8 @@ class Channel(Generic[T]):
         if lost < network.loss:
             self.lost += 1
             return
-        due_s = now_s + network.delay_s + network.jitter_s * (2 * late - 1)
+        # Rounded, so that what takes whole periods comes at their ends.
+        due_s = round(now_s + network.delay_s + network.jitter_s * (2 * late - 1), 9)
         heapq.heappush(self._under_way, (due_s, self._sent, message))
 
     @property

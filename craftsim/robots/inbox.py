@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Final
 
 from craftsim.robots.messages import Commands
@@ -24,24 +25,28 @@ class Inbox:
         self.heard, self.late_s = 0, 0.0
         """Number of the newest command that came, and by how much after its time it did."""
         self.stops = self.dropped = 0
-        """How often too long none came; commands that came twice, after newer ones or too early."""
+        """How often too long none came; commands that came after newer ones had begun, or too early."""
         self.standing = True
         self._heard_s = 0.0
         self._obeyed: Commands | None = None
         self._waiting: list[Commands] = []
+        self._taken: deque[int] = deque(maxlen=4 * _KEPT)
 
     def begin(self) -> None:
         """Forget the driver: the next one counts anew."""
         self.heard, self.late_s, self.standing = 0, 0.0, True
         self._obeyed, self._waiting = None, []
+        self._taken.clear()
 
     def take(self, message: Commands, now_s: float) -> bool:
         """Take a command that has come, and return whether it is of use."""
-        obeyed = self._obeyed.number if self._obeyed is not None else 0
-        known = message.number <= obeyed or any(message.number == other.number for other in self._waiting)
-        if known or len(self._waiting) == _KEPT or message.at_s > now_s + _AHEAD_S:
+        if message.number in self._taken:
+            return False
+        obeyed = 0 if self._obeyed is None else self._obeyed.number
+        if message.number < obeyed or len(self._waiting) == _KEPT or message.at_s > now_s + _AHEAD_S:
             self.dropped += 1
             return False
+        self._taken.append(message.number)
         if message.number > self.heard:
             self.heard, self.late_s, self._heard_s = message.number, now_s - message.at_s, now_s
             self.standing = False

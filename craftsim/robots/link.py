@@ -17,6 +17,7 @@ from craftsim.errors import InputError
 from craftsim.models.measuring import Records
 from craftsim.models.parameters import Machines
 from craftsim.robots.messages import (
+    COPIES,
     Bye,
     Commands,
     Hello,
@@ -39,6 +40,8 @@ _LISTENED: Final = 25
 """Control periods in which one first listens to how long commands take."""
 _REMEMBERED: Final = 50
 """Control periods of which that is remembered."""
+_SPARE_S: Final = 0.01
+"""That commands are given beyond the longest that any of these took."""
 _MOST_LEAD_S: Final = 0.5
 _EPSILON_S: Final = 1e-6
 
@@ -86,7 +89,7 @@ class Link:
         self.judge: Judge | None = None
         self.lost = ""
         self.dropped = 0
-        """Messages that were none, came twice, or after newer ones."""
+        """Messages that were none."""
         self.welcome = self._greet(n_cars, world)
         period_s = self.period_s = self.welcome.period_s
         self._harness = Harness(n_cars, self.welcome.slopes)
@@ -125,7 +128,7 @@ class Link:
             return
         self.lost, self._first = "", self._number + 1
         if self._takes:
-            periods = math.ceil((max(self._takes) - _EPSILON_S) / self.period_s)
+            periods = math.ceil((max(self._takes) + _SPARE_S) / self.period_s)
             self._lead_s = min(max(periods, 0) * self.period_s, _MOST_LEAD_S)
         if not self.welcome.waits:
             while self._take(self._transport.receive(0.0)):
@@ -140,7 +143,8 @@ class Link:
             return
         self._number += 1
         message = Commands(self._number, self._due_s + self._lead_s, self._harness.commands())
-        self._transport.send(pack(message))
+        for _ in range(COPIES):
+            self._transport.send(pack(message))
         self._sent.append((self._lead_s, message))
         self._due_s += self.period_s
         if not self.welcome.waits:
@@ -210,18 +214,17 @@ class Link:
         elif isinstance(message, Measurements):
             if self.welcome.waits:
                 self._owed.append(message.number)
-            if message.number <= self._newest.number or len(message.cars) != self.welcome.cars:
-                self.dropped += 1
-            else:
+            if message.number > self._newest.number and len(message.cars) == self.welcome.cars:
                 self._note(message)
-        elif message is not None:
-            self.dropped += 1
         return True
 
     def _note(self, message: Measurements) -> None:
         if message.heard > self._newest.heard:
             leads = (lead_s for lead_s, sent in self._sent if sent.number == message.heard)
             self._takes.extend(lead_s + message.late_s for lead_s in leads)
+        acted = self._acting(message.time_s - self.period_s)
+        for prediction, now, command in zip(self._predictions, message.cars, acted, strict=True):
+            prediction.note(now, command)
         self._newest = message
 
     def _read(self, data: bytes) -> Message | None:
@@ -239,11 +242,10 @@ class Link:
         now, period_s = self._newest, self.period_s
         begins_s = self._due_s + self._lead_s
         periods = max(0, round((begins_s - now.time_s) / period_s))
-        acted = self._acting(now.time_s - period_s)
         to_act = [self._acting(now.time_s + n * period_s) for n in range(periods)]
         self._harness.measured(
             [
-                prediction.after(car, acted[i], [commands[i] for commands in to_act])
+                prediction.after(car, [commands[i] for commands in to_act])
                 for i, (prediction, car) in enumerate(zip(self._predictions, now.cars, strict=True))
             ]
         )

@@ -17,6 +17,8 @@ VERSION: Final = 1
 """Of the protocol; raised whenever something changes its meaning or goes away."""
 MOST_BYTES: Final = 64 * KIB
 """Of a message."""
+COPIES: Final = 2
+"""Of all commands and measurements, so that few are lost: the first that comes counts."""
 _MOST_TEXT: Final = 1000
 
 Number = Annotated[int, Field(ge=0, le=2**53)]

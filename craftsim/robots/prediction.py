@@ -1,20 +1,27 @@
 """What robots will measure when the next command begins, from what they measured last and the commands in between.
 
 A measurement is old when it comes, and a command takes time to get there. Which commands act in between is known: they
-say when they are to begin. A wheel is taken to change its speed as its command does beyond what its gear's friction takes, the board and the hinge to move
-as they are told; the body goes where its wheels take it (:mod:`craftsim.skills.mecanum`).
+say when they are to begin. A wheel is taken to turn as its velocity servo is told, less what its gear's friction takes
+and what it was seen to lag behind lately; the board and the hinge to move as they are told; and the body to go where
+its wheels take it (:mod:`craftsim.skills.mecanum`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
 
 from craftsim.discrete.rotation import wrap
 from craftsim.models.parameters import Machines, SmartcarParameters
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.sensing import CarMeasurement, PerWheel
 from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.skill import Command
+
+_SHARE: Final = 0.1
+"""By what share the lag that a wheel is known for approaches the one that is seen, in a control period."""
 
 
 class Prediction:
@@ -25,20 +32,19 @@ class Prediction:
         self._car, self._slope, self._period_s = car, machines.slope, period_s
         self._kinematics = Mecanum(car)
         self._droop_rad_s = car.gear_friction_nm / car.wheel_gain_nms_rad
+        self._lag = np.zeros(4)
 
-    def after(self, now: CarMeasurement, acted: Command, to_act: Iterable[Command]) -> CarMeasurement:
-        """Return the measurement that follows on ``now``, in which ``acted`` ended, when some commands have acted.
+    def note(self, now: CarMeasurement, acted: Command) -> None:
+        """Learn how fast the wheels turn under a command that has acted for a control period."""
+        self._lag += _SHARE * (np.array(now.wheel_speeds) - self._free(acted.wheels) - self._lag)
 
-        Each acts for one control period.
-        """
+    def after(self, now: CarMeasurement, to_act: Iterable[Command]) -> CarMeasurement:
+        """Return the measurement that follows on ``now`` when some commands have acted, each a control period long."""
         period_s = self._period_s
         x, y, heading, board, hinge = now.x, now.y, now.heading, now.board_m, now.hinge_rad
         wheels = now.wheel_speeds
         for command in to_act:
-            fl, fr, rl, rr = (
-                speed + self._speed(told) - self._speed(before)
-                for speed, told, before in zip(now.wheel_speeds, command.wheels, acted.wheels, strict=True)
-            )
+            fl, fr, rl, rr = (self._free(command.wheels) + self._lag).tolist()
             wheels = fl, fr, rl, rr
             forward, left, turn = self._kinematics.body_twist(wheels)
             forward, left = forward * math.cos(now.pitch) * period_s, left * math.cos(now.roll) * period_s
@@ -53,6 +59,7 @@ class Prediction:
             x=x, y=y, heading=wrap(heading), wheel_speeds=wheels, board_m=board, hinge_rad=hinge
         )
 
-    def _speed(self, told: float) -> float:
-        """Return at what speed a wheel turns freely when its velocity servo is told one, in rad/s."""
-        return math.copysign(max(0.0, abs(told) - self._droop_rad_s), told)
+    def _free(self, told: PerWheel) -> np.ndarray:
+        """Return at what speeds wheels turn freely whose servos are told some, (4,) in rad/s."""
+        speeds = np.array(told)
+        return np.copysign(np.maximum(0.0, np.abs(speeds) - self._droop_rad_s), speeds)

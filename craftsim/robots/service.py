@@ -6,7 +6,17 @@ from collections.abc import Callable
 from typing import Final
 
 from craftsim.robots.channel import Channel
-from craftsim.robots.messages import Commands, Measurements, Message, MessageError, Poses, pack, unpack
+from craftsim.robots.messages import (
+    COPIES,
+    Commands,
+    Measurements,
+    Message,
+    MessageError,
+    Poses,
+    Seen,
+    pack,
+    unpack,
+)
 from craftsim.robots.robot import Clock
 from craftsim.robots.station import Station
 
@@ -56,7 +66,11 @@ class Service:
     @property
     def next_s(self) -> float:
         """When something happens next, by the robots' clock."""
-        return min(self.periods * self.station.period_s, self._up.due_s, self._down.due_s)
+        return min(self._period_s, self._up.due_s, self._down.due_s)
+
+    @property
+    def _period_s(self) -> float:
+        return round(self.periods * self.station.period_s, 9)
 
     def arrive(self, sender: bytes, data: bytes, now_s: float) -> None:
         """Take what has come; a command is then on its way, all else is there at once."""
@@ -79,7 +93,7 @@ class Service:
         for commands in self._up.due(now_s):
             if driver is not None:
                 self._receive(driver, commands, now_s)
-        if self.periods * self.station.period_s > now_s:
+        if self._period_s > now_s:
             return
         if not self._measured:
             # What is commanded in answer comes before the robots act where it takes no time.
@@ -95,14 +109,16 @@ class Service:
         if self._referee is not None:
             self._publish(pack(self._referee(measured)))
         if self.station.driver is not None:
-            self._down.send(now_s, measured)
+            for _ in range(COPIES):
+                self._down.send(now_s, measured)
             self._deliver(now_s)
 
     def _receive(self, sender: bytes, message: Message, now_s: float) -> None:
         answer = self.station.receive(sender, message, now_s)
         if answer is not None:
             self._send(sender, pack(answer))
-        self.unseen.discard(getattr(message, "number", 0)) if message.kind == "seen" else None
+        if isinstance(message, Seen):
+            self.unseen.discard(message.number)
 
     def _deliver(self, now_s: float) -> None:
         for message in self._down.due(now_s):

@@ -30,6 +30,7 @@ COMMANDS: Final[dict[str, str]] = {
     "render": "Make films and pictures of what happened in physics.",
     "plot": "Draw paths, errors, torques and forces of recorded runs.",
     "view": "Watch a recorded run or a running one in the browser.",
+    "robot": "Simulate robots on a network, for skills elsewhere to drive.",
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",
     "bench": "Measure how fast rules, environments and workers are.",

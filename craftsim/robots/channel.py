@@ -11,7 +11,6 @@ import numpy as np
 
 from craftsim.errors import InputError
 
-
 T = TypeVar("T")
 
 

@@ -14,7 +14,9 @@ PORT: Final = 5555
 
 def need_network() -> None:
     """Raise InputError with the command that installs what is missing."""
-    missing = [name for name, module in (("pyzmq", "zmq"), ("msgpack", "msgpack")) if find_spec(module) is None]
+    missing = [
+        name for name, module in (("pyzmq", "zmq"), ("msgpack", "msgpack")) if find_spec(module) is None
+    ]
     if missing:
         raise InputError(
             f"robots on a network need {' and '.join(missing)}, not installed here; in a checkout of craftsim try: "

@@ -59,8 +59,8 @@ class Transport(Protocol):
 class Judge(Protocol):
     """Who looks on while robots act."""
 
-    def follow(self, time_s: float, timeout_s: float) -> bool:
-        """Look at how things stood at a time of the robots' clock; return whether that could be seen in time."""
+    def follow(self, measured: Measurements, timeout_s: float) -> bool:
+        """Look at how things stood when something was measured; return whether that could be seen in time."""
 
 
 class Link:
@@ -86,7 +86,7 @@ class Link:
         Raises InputError where nobody answers, or they refuse.
         """
         self._transport, self._timeout_s = transport, timeout_s
-        self.judge: Judge | None = None
+        self._judge: Judge | None = None
         self.lost = ""
         self.dropped = 0
         """Messages that were none."""
@@ -95,7 +95,9 @@ class Link:
         self._harness = Harness(n_cars, self.welcome.slopes)
         self.wires = self._harness.wires
         self._predictions = [Prediction(machines.car(car), machines, period_s) for car in range(n_cars)]
-        self._sent: deque[tuple[float, Commands]] = deque(maxlen=round(2 * _MOST_LEAD_S / period_s) + _REMEMBERED)
+        self._sent: deque[tuple[float, Commands]] = deque(
+            maxlen=round(2 * _MOST_LEAD_S / period_s) + _REMEMBERED
+        )
         """The newest commands last, each with the lead that it had."""
         self._takes: deque[float] = deque(maxlen=_REMEMBERED)
         self._lead_s = 0.0
@@ -107,11 +109,8 @@ class Link:
         self._due_s = self._newest.time_s
         for _ in range(_LISTENED):
             self.advance()
-
-    @property
-    def time_s(self) -> float:
-        """When the newest readings were taken, by the robots' clock."""
-        return self._newest.time_s
+        if self.lost:
+            raise InputError(self.lost)
 
     @property
     def late_periods(self) -> int:
@@ -130,10 +129,9 @@ class Link:
         if self._takes:
             periods = math.ceil((max(self._takes) + _SPARE_S) / self.period_s)
             self._lead_s = min(max(periods, 0) * self.period_s, _MOST_LEAD_S)
-        if not self.welcome.waits:
-            while self._take(self._transport.receive(0.0)):
-                pass
-            self._listen_until(self._newest.time_s + self.period_s)
+        while self._take(self._transport.receive(0.0)):
+            pass
+        self._listen_until(self._newest.time_s + self.period_s)
         self._due_s = self._newest.time_s
         self._predict()
 
@@ -156,8 +154,7 @@ class Link:
         elif self._newest.stops > self._stops and not self.lost:
             self.lost = f"the robots had no command for {1e3 * self.welcome.watchdog_s:.0f} ms, and stopped"
         self._predict()
-        if self.judge is not None and not self.lost and not self.judge.follow(self.time_s, self._timeout_s):
-            self._lose(f"the referee has said nothing for {self._timeout_s:g} s")
+        self._look_on()
 
     def stop(self, car: int, slope: int) -> None:
         """Command a car's motors to zero, and the hinge of a slope; tell the robots at once."""
@@ -168,6 +165,21 @@ class Link:
     def close(self) -> None:
         """Let go of the robots."""
         self._transport.send(pack(Bye()))
+
+    def let_judge(self, judge: Judge) -> None:
+        """Let a judge look on from now on. Raises InputError where it sees nothing."""
+        self._judge = judge
+        self._look_on()
+        if self.lost:
+            raise InputError(self.lost)
+
+    def _look_on(self) -> None:
+        if (
+            self._judge is not None
+            and not self.lost
+            and not self._judge.follow(self._newest, self._timeout_s)
+        ):
+            self._lose(f"the referee has said nothing for {self._timeout_s:g} s")
 
     def _greet(self, n_cars: int, world: str) -> Welcome:
         self._transport.send(pack(Hello(n_cars, world)))

@@ -61,8 +61,8 @@ class Welcome(Message):
     """Control period: they measure that often."""
     watchdog_s: Seconds
     """Without a command for so long they stop by themselves."""
-    referee: Annotated[int, Field(ge=0, le=65_535)] = 0
-    """Port at which poses are published for a judge; 0 where there is none."""
+    referee: bool = False
+    """Whether a referee answers at the same address."""
     waits: bool = False
     """Whether their time stands still until each measurement has been answered by Seen."""
 
@@ -122,8 +122,15 @@ class Bye(Message):
 
 
 @dataclass(frozen=True)
+class Watch(Message):
+    """To the referee: somebody looks on, over a connection of its own."""
+
+    kind = "watch"
+
+
+@dataclass(frozen=True)
 class Poses(Message):
-    """From the referee, each control period: where everything truly is, for a judge and never for the skills."""
+    """From the referee, at once and each control period: where everything truly is, for a judge and never for the skills."""
 
     kind = "poses"
     number: Number
@@ -140,8 +147,7 @@ class Poses(Message):
 
 _STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
 _KINDS: Final[dict[str, type[Message]]] = {
-    kind.kind: kind
-    for kind in (Hello, Welcome, Refused, Measurements, Commands, Seen, Bye, Poses)
+    kind.kind: kind for kind in (Hello, Welcome, Refused, Measurements, Commands, Seen, Bye, Watch, Poses)
 }
 
 
@@ -156,7 +162,9 @@ _ADAPTERS: Final = {name: _adapter(kind) for name, kind in _KINDS.items()}
 def pack(message: Message) -> bytes:
     """Return a message as it is sent."""
     content = {field.name: getattr(message, field.name) for field in fields(message)}  # type: ignore[arg-type]
-    packed: bytes = msgpack.packb({"v": VERSION, "kind": message.kind, **content}, default=_plain, strict_types=True)
+    packed: bytes = msgpack.packb(
+        {"v": VERSION, "kind": message.kind, **content}, default=_plain, strict_types=True
+    )
     return packed
 
 
@@ -172,7 +180,9 @@ def unpack(data: bytes) -> Message:
         raise MessageError("no map with 'v' and 'kind'")
     version, kind = content.pop("v"), content.pop("kind")
     if version != VERSION:
-        raise MessageError(f"version {_short(version)} of the protocol; this craftsim speaks version {VERSION}")
+        raise MessageError(
+            f"version {_short(version)} of the protocol; this craftsim speaks version {VERSION}"
+        )
     if not isinstance(kind, str) or kind not in _ADAPTERS:
         raise MessageError(f"kind {_short(kind)}; there are {', '.join(_KINDS)}")
     try:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Final
 
 from craftsim.robots.channel import Channel
 from craftsim.robots.messages import (
     COPIES,
+    Bye,
     Commands,
     Measurements,
     Message,
     MessageError,
     Poses,
     Seen,
+    Watch,
     pack,
     unpack,
 )
@@ -22,6 +25,8 @@ from craftsim.robots.station import Station
 
 Send = Callable[[bytes, bytes], None]
 """Sends (to whom, what)."""
+_WATCHERS: Final = 8
+"""Who look on at most; one more takes the place of the first."""
 _TOLD: Final = 10
 """Of the messages that are dropped, so many are said why."""
 
@@ -37,7 +42,6 @@ class Service:
         down: Channel[Measurements],
         send: Send,
         referee: Callable[[Measurements], Poses] | None = None,
-        publish: Callable[[bytes], None] = lambda data: None,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         """Begin at time 0.
@@ -49,17 +53,21 @@ class Service:
             down: what measurements go through.
             send: sends to who drives.
             referee: knows where everything truly is, at the time of some measurements.
-            publish: sends that to whoever looks on.
             tell: says why a message was dropped.
         """
         self.station, self._clock, self._up, self._down = station, clock, up, down
-        self._send, self._referee, self._publish, self._tell = send, referee, publish, tell
+        self._send, self._referee, self._tell = send, referee, tell
         self.now_s = 0.0
         self.periods = 0
         self._measured = False
         """Whether that has been done in this period."""
         self.malformed = 0
         """Messages that were none, or out of place."""
+        self._watchers: deque[bytes] = deque(maxlen=_WATCHERS)
+        self._poses: bytes | None = None
+        """Those published last."""
+        self.farewells = 0
+        """How many have driven the robots and said goodbye."""
         self.unseen: set[int] = set()
         """Measurements on which robots that wait have no answer yet."""
 
@@ -78,6 +86,10 @@ class Service:
             message = unpack(data)
             if isinstance(message, Commands) and sender == self.station.driver:
                 self._up.send(now_s, message)
+            elif isinstance(message, Watch) and self._referee is not None:
+                self._watchers.append(sender)
+                if self._poses is not None:
+                    self._send(sender, self._poses)
             else:
                 self._receive(sender, message, now_s)
         except (MessageError, ValueError) as error:
@@ -107,7 +119,9 @@ class Service:
     def _measure(self, now_s: float) -> None:
         measured = self.station.measure(now_s)
         if self._referee is not None:
-            self._publish(pack(self._referee(measured)))
+            self._poses = pack(self._referee(measured))
+            for watcher in self._watchers:
+                self._send(watcher, self._poses)
         if self.station.driver is not None:
             for _ in range(COPIES):
                 self._down.send(now_s, measured)
@@ -119,6 +133,9 @@ class Service:
             self._send(sender, pack(answer))
         if isinstance(message, Seen):
             self.unseen.discard(message.number)
+        elif isinstance(message, Bye):
+            self.farewells += 1
+            self.unseen.clear()
 
     def _deliver(self, now_s: float) -> None:
         for message in self._down.due(now_s):

@@ -23,8 +23,8 @@ class Station:
     period_s: float
     world: str = ""
     """Digest of the world, which a driver's must equal; empty for any."""
-    referee: int = 0
-    """Port of the referee."""
+    referee: bool = False
+    """Whether there is one."""
     waits: bool = False
     watchdog_s: float = WATCHDOG_S
     driver: bytes | None = None

@@ -62,9 +62,7 @@ class SiteFleet:
         self.site = site
         self.sensors, self.motors = sensors or Sensors(site), motors or Motors(site)
         wiring = self.sensors.wiring
-        self.wires = Wires(
-            wiring.cars, wiring.plugs, self.motors.speeds, self.motors.share, site.data.ctrl
-        )
+        self.wires = Wires(wiring.cars, wiring.plugs, self.motors.speeds, self.motors.share, site.data.ctrl)
 
     def read(self) -> Records:
         """Return the newest readings of all cars."""

@@ -28,7 +28,7 @@ def robot(
     loss: Annotated[float, SHARE] = 0.0,
     pace: Annotated[float, PACE] = 1.0,
     lockstep: bool = False,
-    patience_s: Annotated[float, PATIENCE_S] = 5.0,
+    patience_s: Annotated[float, PATIENCE_S] = 60.0,
     once: bool = False,
     out: Dir = Path("out/robot"),
 ) -> int:
@@ -61,6 +61,7 @@ def robot(
     from craftsim.robots.serving import Server
     from craftsim.robots.simulated import serve_simulated
     from craftsim.robots.sockets import Host
+    from craftsim.skills.fleet import SiteFleet
 
     network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss)
     setup = physics.setup()
@@ -71,6 +72,7 @@ def robot(
     started = time.perf_counter()
     with Host(host, port) as sockets:
         world = set_up(grid, setup, Seed.of(seeds[1]), watch_contacts=False).executor.fleet
+        assert isinstance(world, SiteFleet)
         rngs = np.random.default_rng(seeds[2]), np.random.default_rng(seeds[3])
         service = serve_simulated(world, world_digest(grid), sockets, network, rngs, lockstep, complain)
         station = service.station

@@ -8,7 +8,10 @@ from contextlib import ExitStack, contextmanager
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, SetUp, judge_on
+from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.models.noise import NOISY
+from craftsim.models.site import Site
 from craftsim.robots.extra import need_network
 
 
@@ -23,6 +26,7 @@ def robots_at(address: str, timeout_s: float) -> Iterator[SetUp]:
     Raises InputError where what it takes is not installed; and so does what is yielded, where no robots answer.
     """
     need_network()
+    _compile()
     from craftsim.robots.connecting import Connection
 
     with ExitStack() as open_links:
@@ -34,3 +38,10 @@ def robots_at(address: str, timeout_s: float) -> Iterator[SetUp]:
             return judge_on(connection.site, setup, watch_contacts=False, fleet=connection.link)
 
         yield connect
+
+
+def _compile() -> None:
+    """Let what is compiled at its first use be compiled now: robots do not wait for it."""
+    checked = judge_on(Site(Grid.empty((2, 1, 1), n_cars=1)), Setup(assumed=NOISY))
+    checked.executor.paths()
+    checked.perform(0, Action.MOVE_RIGHT)

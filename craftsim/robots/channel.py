@@ -48,7 +48,8 @@ class Channel(Generic[T]):
 
     def send(self, now_s: float, message: T) -> None:
         """Take a message at a time."""
-        network, late, lost = self._network, *self._rng.uniform(size=2).tolist()
+        network = self._network
+        late, lost = self._rng.uniform(size=2).tolist()
         self._sent += 1
         if lost < network.loss:
             self.lost += 1

@@ -36,6 +36,8 @@ from craftsim.skills.skill import Command
 
 TIMEOUT_S: Final = 1.0
 """Without a message from the robots for so long they count as lost; by this machine's clock."""
+_GREETED_S: Final = 5.0
+"""How long robots may take to answer the first message: they may be about to start."""
 _LISTENED: Final = 25
 """Control periods in which one first listens to how long commands take."""
 _REMEMBERED: Final = 50
@@ -183,7 +185,7 @@ class Link:
 
     def _greet(self, n_cars: int, world: str) -> Welcome:
         self._transport.send(pack(Hello(n_cars, world)))
-        deadline = time.monotonic() + self._timeout_s
+        deadline = time.monotonic() + max(_GREETED_S, self._timeout_s)
         while (left_s := deadline - time.monotonic()) > 0:
             data = self._transport.receive(left_s)
             message = None if data is None else self._read(data)
@@ -193,7 +195,9 @@ class Link:
                 if message.cars != n_cars:
                     raise InputError(f"{message.cars} robots answer, and there should be {n_cars}")
                 return message
-        raise InputError(f"no robots answer within {self._timeout_s:g} s; start some with: craftsim robot")
+        raise InputError(
+            f"no robots answer within {max(_GREETED_S, self._timeout_s):g} s; start some with: craftsim robot"
+        )
 
     def _first_measurements(self) -> Measurements:
         """Return the first measurements that come; raise InputError where none do."""

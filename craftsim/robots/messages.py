@@ -130,7 +130,7 @@ class Watch(Message):
 
 @dataclass(frozen=True)
 class Poses(Message):
-    """From the referee, at once and each control period: where everything truly is, for a judge and never for the skills."""
+    """From the referee, at once and then each control period: where everything truly is; the skills never see it."""
 
     kind = "poses"
     number: Number

@@ -9,7 +9,7 @@ from typing import Final, Protocol
 from craftsim.robots.messages import Bye, pack
 from craftsim.robots.service import Service
 
-PATIENCE_S: Final = 5.0
+PATIENCE_S: Final = 60.0
 """How long robots in lock-step wait for an answer, by this machine's clock; then their time goes on without."""
 _LOOK_S: Final = 0.1
 

@@ -16,7 +16,7 @@ _QUEUED: Final = 200
 
 
 def _socket(kind: int) -> Any:
-    socket = zmq.Context.instance().socket(kind)
+    socket: Any = zmq.Context.instance().socket(kind)
     socket.setsockopt(zmq.LINGER, 0)
     socket.setsockopt(zmq.SNDHWM, _QUEUED)
     socket.setsockopt(zmq.RCVHWM, _QUEUED)

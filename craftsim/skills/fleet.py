@@ -32,8 +32,10 @@ class Fleet(Protocol):
     wires: Wires
     lost: str
     """Why the cars cannot be driven any more; empty while they can."""
-    late_periods: int
-    """Control periods until what is commanded now has been done and seen."""
+
+    @property
+    def late_periods(self) -> int:
+        """Control periods until what is commanded now has been done and seen."""
 
     def read(self) -> Records:
         """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""

@@ -16,6 +16,7 @@ ALLOWED = {
     "mjcf": {"discrete.geometry", "models.parameters", "models.figures", "models.config"},
     "models": {"storage", "discrete", "mjcf"},
     "skills": {"storage", "models", "discrete"},
+    "robots": {"storage", "skills", "models", "discrete"},
     "checking": {"storage", "skills", "models", "discrete"},
     "validation": {
         "storage",

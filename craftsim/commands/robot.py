@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -78,14 +80,15 @@ def robot(
         station = service.station
         server = Server(service, sockets, pace, patience_s)
         say(f"{len(station.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
-        try:
+        sys.stdout.flush()
+        with contextlib.suppress(KeyboardInterrupt):
             server.run(lambda: once and service.farewells > 0)
-        except KeyboardInterrupt:
-            say("")
+        server.end()
     figures: dict[str, Any] = {
         "simulated_s": round(service.now_s, 6),
         "commands_dropped": station.inbox.dropped,
         "messages_malformed": service.malformed,
+        "heard_at_s": station.heard_at_s,
         "stopped_at_s": station.stopped_at_s,
     }
     config: dict[str, Any] = {"setup": setup, "network": network, "pace": pace, "lockstep": lockstep}
@@ -93,8 +96,8 @@ def robot(
     wall = {"total_s": time.perf_counter() - started, "behind_s": server.behind_s}
     report = write_report(out, figures, command="robot", seed=physics.seed, config=config, wall=wall)
     say(
-        f"{service.now_s:.1f} s of the robots' time, {server.behind_s:.2f} s behind the clock; for want of commands they "
-        f"stopped {station.inbox.stops} times."
+        f"{service.now_s:.1f} s of the robots' time, {server.behind_s:.2f} s behind the clock; for want of commands "
+        f"they stopped {station.inbox.stops} times."
     )
     say(f"Report: {report}")
     return 0

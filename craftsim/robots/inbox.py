@@ -22,12 +22,11 @@ class Inbox:
     def __init__(self, watchdog_s: float = WATCHDOG_S) -> None:
         """Wait for a driver; the robots stand."""
         self.watchdog_s = watchdog_s
-        self.heard, self.late_s = 0, 0.0
-        """Number of the newest command that came, and by how much after its time it did."""
+        self.heard, self.late_s, self.heard_s = 0, 0.0, 0.0
+        """Number of the newest command that came, by how much after its time it did, and when."""
         self.stops = self.dropped = 0
         """How often too long none came; commands that came after newer ones had begun, or too early."""
         self.standing = True
-        self._heard_s = 0.0
         self._obeyed: Commands | None = None
         self._waiting: list[Commands] = []
         self._taken: deque[int] = deque(maxlen=4 * _KEPT)
@@ -48,14 +47,14 @@ class Inbox:
             return False
         self._taken.append(message.number)
         if message.number > self.heard:
-            self.heard, self.late_s, self._heard_s = message.number, now_s - message.at_s, now_s
+            self.heard, self.late_s, self.heard_s = message.number, now_s - message.at_s, now_s
             self.standing = False
         self._waiting.append(message)
         return True
 
     def obey(self, now_s: float) -> Commands | None:
         """Return what the motors are to do from now on; None stops them."""
-        if not self.standing and now_s - self._heard_s > self.watchdog_s - _EPSILON_S:
+        if not self.standing and now_s - self.heard_s > self.watchdog_s - _EPSILON_S:
             self.stops += 1
             self.standing = True
             self._waiting = []

@@ -2,7 +2,7 @@
 
 One control period is that of the robots' clock: it is over when a measurement has come that is younger by a period.
 Commands say when they are to begin, late enough for all but a few to be there by then, so that a delay that varies
-does no harm; and the skills are given what the robots will measure at that time (:mod:`craftsim.robots.prediction`).
+does no harm; and the skills are given what the robots will measure at that time (:mod:`craftsim.robots.extrapolation`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from typing import Final, Protocol
 from craftsim.errors import InputError
 from craftsim.models.measuring import Records
 from craftsim.models.parameters import Machines
+from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.messages import (
     COPIES,
+    Ack,
     Bye,
     Commands,
     Hello,
@@ -25,12 +27,10 @@ from craftsim.robots.messages import (
     Message,
     MessageError,
     Refused,
-    Seen,
     Welcome,
     pack,
     unpack,
 )
-from craftsim.robots.prediction import Prediction
 from craftsim.robots.wires import Harness
 from craftsim.skills.skill import Command
 
@@ -38,6 +38,8 @@ TIMEOUT_S: Final = 1.0
 """Without a message from the robots for so long they count as lost; by this machine's clock."""
 _GREETED_S: Final = 5.0
 """How long robots may take to answer the first message: they may be about to start."""
+_AGAIN_S: Final = 0.2
+"""After so long one asks robots again that obey somebody else."""
 _LISTENED: Final = 25
 """Control periods in which one first listens to how long commands take."""
 _REMEMBERED: Final = 50
@@ -48,7 +50,7 @@ _MOST_LEAD_S: Final = 0.5
 _EPSILON_S: Final = 1e-6
 
 
-class Transport(Protocol):
+class Messenger(Protocol):
     """How messages get to robots and back."""
 
     def send(self, data: bytes) -> None:
@@ -70,7 +72,7 @@ class Link:
 
     def __init__(
         self,
-        transport: Transport,
+        transport: Messenger,
         n_cars: int,
         machines: Machines,
         world: str = "",
@@ -91,12 +93,12 @@ class Link:
         self._judge: Judge | None = None
         self.lost = ""
         self.dropped = 0
-        """Messages that were none."""
+        """Messages that were none, or of other cars."""
         self.welcome = self._greet(n_cars, world)
         period_s = self.period_s = self.welcome.period_s
         self._harness = Harness(n_cars, self.welcome.slopes)
         self.wires = self._harness.wires
-        self._predictions = [Prediction(machines.car(car), machines, period_s) for car in range(n_cars)]
+        self._cars = [Extrapolation(machines.car(car), machines, period_s) for car in range(n_cars)]
         self._sent: deque[tuple[float, Commands]] = deque(
             maxlen=round(2 * _MOST_LEAD_S / period_s) + _REMEMBERED
         )
@@ -128,13 +130,14 @@ class Link:
         if self._dead:
             return
         self.lost, self._first = "", self._number + 1
-        if self._takes:
-            periods = math.ceil((max(self._takes) + _SPARE_S) / self.period_s)
-            self._lead_s = min(max(periods, 0) * self.period_s, _MOST_LEAD_S)
+        takes_s = max(self._takes, default=0.0)
+        if takes_s > _EPSILON_S:
+            takes_s += _SPARE_S
+        self._lead_s = min(math.ceil(takes_s / self.period_s - _EPSILON_S) * self.period_s, _MOST_LEAD_S)
         while self._take(self._transport.receive(0.0)):
             pass
         self._listen_until(self._newest.time_s + self.period_s)
-        self._due_s = self._newest.time_s
+        self._due_s, self._stops = self._newest.time_s, self._newest.stops
         self._predict()
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
@@ -190,7 +193,10 @@ class Link:
             data = self._transport.receive(left_s)
             message = None if data is None else self._read(data)
             if isinstance(message, Refused):
-                raise InputError(message.why)
+                if not message.busy or left_s < 2 * _AGAIN_S:
+                    raise InputError(message.why)
+                time.sleep(_AGAIN_S)
+                self._transport.send(pack(Hello(n_cars, world)))
             if isinstance(message, Welcome):
                 if message.cars != n_cars:
                     raise InputError(f"{message.cars} robots answer, and there should be {n_cars}")
@@ -205,7 +211,7 @@ class Link:
         while (left_s := deadline - time.monotonic()) > 0:
             data = self._transport.receive(left_s)
             message = None if data is None else self._read(data)
-            if isinstance(message, Measurements):
+            if isinstance(message, Measurements) and self._fits(message):
                 self._owed.append(message.number)
                 self._harness.measured(message.cars)
                 return message
@@ -215,7 +221,7 @@ class Link:
         """Take messages until there is a measurement of a time, or later, by the robots' clock; or lose them."""
         while not self.lost and self._newest.time_s < time_s - _EPSILON_S:
             for number in self._owed:
-                self._transport.send(pack(Seen(number)))
+                self._transport.send(pack(Ack(number)))
             self._owed.clear()
             if not self._take(self._transport.receive(self._timeout_s)):
                 self._lose(f"nothing has come from the robots for {self._timeout_s:g} s")
@@ -230,17 +236,24 @@ class Link:
         elif isinstance(message, Measurements):
             if self.welcome.waits:
                 self._owed.append(message.number)
-            if message.number > self._newest.number and len(message.cars) == self.welcome.cars:
+            if message.number > self._newest.number and self._fits(message):
                 self._note(message)
         return True
+
+    def _fits(self, message: Measurements) -> bool:
+        """Return whether measurements are of these cars, and of slopes that there are."""
+        slopes = (car.slope for car in message.cars if car.slope is not None)
+        fits = len(message.cars) == self.welcome.cars and all(0 <= s < self.welcome.slopes for s in slopes)
+        self.dropped += not fits
+        return fits
 
     def _note(self, message: Measurements) -> None:
         if message.heard > self._newest.heard:
             leads = (lead_s for lead_s, sent in self._sent if sent.number == message.heard)
             self._takes.extend(lead_s + message.late_s for lead_s in leads)
         acted = self._acting(message.time_s - self.period_s)
-        for prediction, now, command in zip(self._predictions, message.cars, acted, strict=True):
-            prediction.note(now, command)
+        for car, now, command in zip(self._cars, message.cars, acted, strict=True):
+            car.note(now, command)
         self._newest = message
 
     def _read(self, data: bytes) -> Message | None:
@@ -261,8 +274,8 @@ class Link:
         to_act = [self._acting(now.time_s + n * period_s) for n in range(periods)]
         self._harness.measured(
             [
-                prediction.after(car, [commands[i] for commands in to_act])
-                for i, (prediction, car) in enumerate(zip(self._predictions, now.cars, strict=True))
+                car.after(measured, [commands[i] for commands in to_act])
+                for i, (car, measured) in enumerate(zip(self._cars, now.cars, strict=True))
             ]
         )
 

@@ -64,7 +64,7 @@ class Welcome(Message):
     referee: bool = False
     """Whether a referee answers at the same address."""
     waits: bool = False
-    """Whether their time stands still until each measurement has been answered by Seen."""
+    """Whether their time stands still until each measurement has been answered by Ack."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,8 @@ class Refused(Message):
 
     kind = "refused"
     why: Text
+    busy: bool = False
+    """Whether they will obey when somebody else has ended."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +108,10 @@ class Commands(Message):
 
 
 @dataclass(frozen=True)
-class Seen(Message):
+class Ack(Message):
     """To robots that wait: a measurement has been dealt with."""
 
-    kind = "seen"
+    kind = "ack"
     number: Number
 
 
@@ -122,14 +124,14 @@ class Bye(Message):
 
 
 @dataclass(frozen=True)
-class Watch(Message):
+class Follow(Message):
     """To the referee: somebody looks on, over a connection of its own."""
 
-    kind = "watch"
+    kind = "follow"
 
 
 @dataclass(frozen=True)
-class Poses(Message):
+class TruePoses(Message):
     """From the referee, at once and then each control period: where everything truly is; the skills never see it."""
 
     kind = "poses"
@@ -147,7 +149,7 @@ class Poses(Message):
 
 _STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
 _KINDS: Final[dict[str, type[Message]]] = {
-    kind.kind: kind for kind in (Hello, Welcome, Refused, Measurements, Commands, Seen, Bye, Watch, Poses)
+    kind.kind: kind for kind in (Hello, Welcome, Refused, Measurements, Commands, Ack, Bye, Follow, TruePoses)
 }
 
 

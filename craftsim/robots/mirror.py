@@ -9,11 +9,11 @@ import numpy as np
 
 from craftsim.models.parts import FreeBody
 from craftsim.models.site import Site
-from craftsim.robots.link import Transport
-from craftsim.robots.messages import Measurements, MessageError, Poses, Watch, pack, unpack
+from craftsim.robots.link import Messenger
+from craftsim.robots.messages import Follow, Measurements, MessageError, TruePoses, pack, unpack
 
 _KEPT: Final = 64
-"""Poses that are kept: those of a measurement are there before it has come."""
+"""TruePoses that are kept: those of a measurement are there before it has come."""
 _EPSILON_S: Final = 1e-6
 
 
@@ -23,11 +23,11 @@ class Mirror:
     Wheels stand still; boards stand where they were measured; velocities are what changed since what was shown before.
     """
 
-    def __init__(self, site: Site, referee: Transport) -> None:
+    def __init__(self, site: Site, referee: Messenger) -> None:
         """Show on a Site, which is never stepped, what a referee publishes."""
         self.site, self._referee = site, referee
-        referee.send(pack(Watch()))
-        self._seen: deque[Poses] = deque(maxlen=_KEPT)
+        referee.send(pack(Follow()))
+        self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
         handles = [*(car.base for car in site.cars), *site.blocks, *site.flags]
         self._bodies: tuple[FreeBody, ...] = (*handles, *(slope.base for slope in site.slopes))
         self._n_cars, self._n_slopes = len(site.cars), len(site.slopes)
@@ -49,12 +49,12 @@ class Mirror:
             poses = unpack(data)
         except MessageError:
             return
-        if isinstance(poses, Poses) and not (self._seen and poses.time_s <= self._seen[-1].time_s):
+        if isinstance(poses, TruePoses) and not (self._seen and poses.time_s <= self._seen[-1].time_s):
             counts = len(poses.cars), len(poses.cars) + len(poses.things), len(poses.hinges)
             if counts == (self._n_cars, len(self._bodies), self._n_slopes):
                 self._seen.append(poses)
 
-    def _show(self, poses: Poses, measured: Measurements) -> None:
+    def _show(self, poses: TruePoses, measured: Measurements) -> None:
         site, data = self.site, self.site.data
         passed_s = poses.time_s - data.time
         for body, pose in zip(self._bodies, (*poses.cars, *poses.things), strict=True):

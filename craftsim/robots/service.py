@@ -9,14 +9,14 @@ from typing import Final
 from craftsim.robots.channel import Channel
 from craftsim.robots.messages import (
     COPIES,
+    Ack,
     Bye,
     Commands,
+    Follow,
     Measurements,
     Message,
     MessageError,
-    Poses,
-    Seen,
-    Watch,
+    TruePoses,
     pack,
     unpack,
 )
@@ -41,7 +41,7 @@ class Service:
         up: Channel[Commands],
         down: Channel[Measurements],
         send: Send,
-        referee: Callable[[Measurements], Poses] | None = None,
+        referee: Callable[[Measurements], TruePoses] | None = None,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         """Begin at time 0.
@@ -53,7 +53,7 @@ class Service:
             down: what measurements go through.
             send: sends to who drives.
             referee: knows where everything truly is, at the time of some measurements.
-            tell: says why a message was dropped.
+            tell: says who comes, when the robots stop, and why a message was dropped.
         """
         self.station, self._clock, self._up, self._down = station, clock, up, down
         self._send, self._referee, self._tell = send, referee, tell
@@ -84,12 +84,14 @@ class Service:
         """Take what has come; a command is then on its way, all else is there at once."""
         try:
             message = unpack(data)
-            if isinstance(message, Commands) and sender == self.station.driver:
-                self._up.send(now_s, message)
-            elif isinstance(message, Watch) and self._referee is not None:
+            if isinstance(message, Follow) and self._referee is not None:
                 self._watchers.append(sender)
                 if self._poses is not None:
                     self._send(sender, self._poses)
+                return
+            self.station.check(sender, message)
+            if isinstance(message, Commands):
+                self._up.send(now_s, message)
             else:
                 self._receive(sender, message, now_s)
         except (MessageError, ValueError) as error:
@@ -111,7 +113,10 @@ class Service:
             # What is commanded in answer comes before the robots act where it takes no time.
             self._measure(now_s)
         else:
-            self.station.act(now_s)
+            if not self.station.act(now_s):
+                self._tell(
+                    f"{now_s:.2f} s: no command for {1e3 * self.station.watchdog_s:.0f} ms, the robots stop"
+                )
             self.periods += 1
             self._clock.wait()
         self._measured = not self._measured
@@ -131,7 +136,8 @@ class Service:
         answer = self.station.receive(sender, message, now_s)
         if answer is not None:
             self._send(sender, pack(answer))
-        if isinstance(message, Seen):
+            self._tell(f"{now_s:.2f} s: {answer.kind}")
+        if isinstance(message, Ack):
             self.unseen.discard(message.number)
         elif isinstance(message, Bye):
             self.farewells += 1

@@ -66,8 +66,12 @@ class Server:
                 self._service.step()
             else:
                 self._pass_time()
-        if station.driver is not None:
-            self._sockets.send(station.driver, pack(Bye("they were told to")))
+
+    def end(self) -> None:
+        """Say goodbye to who drives the robots."""
+        driver = self._service.station.driver
+        if driver is not None:
+            self._sockets.send(driver, pack(Bye("somebody has ended them")))
 
     def _pass_time(self) -> None:
         """Wait for what happens next, and take what comes meanwhile."""

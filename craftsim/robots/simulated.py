@@ -10,7 +10,7 @@ import numpy as np
 from craftsim.models.sensing import CarMeasurement, PoseReader
 from craftsim.models.site import Site
 from craftsim.robots.channel import Channel, Network
-from craftsim.robots.messages import Measurements, Poses
+from craftsim.robots.messages import Measurements, TruePoses
 from craftsim.robots.robot import Robot
 from craftsim.robots.service import Service
 from craftsim.robots.sockets import Host
@@ -68,12 +68,12 @@ class SimulatedReferee:
         """Look at a Site."""
         self._site, self._poses = site, PoseReader(site)
 
-    def __call__(self, measured: Measurements) -> Poses:
+    def __call__(self, measured: Measurements) -> TruePoses:
         """Return where everything is, at the time at which the robots have measured."""
         poses, n_slopes = self._poses.read(), len(self._site.slopes)
         cars = np.hstack([poses.car_positions, poses.car_quaternions])
         things = np.hstack([poses.positions, poses.quaternions])
-        return Poses(
+        return TruePoses(
             measured.number,
             measured.time_s,
             tuple(map(tuple, cars.tolist())),
@@ -101,7 +101,7 @@ def serve_simulated(
         network: what is between them and who drives them.
         rngs: draw what becomes of commands, and of measurements.
         waits: whether their time stands still until each measurement has been answered.
-        tell: says why a message was dropped.
+        tell: as of the service.
     """
     site = world.site
     robots = simulated_robots(world)

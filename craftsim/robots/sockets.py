@@ -29,7 +29,7 @@ def _poll(socket: Any, timeout_s: float) -> bool:
 
 
 class Caller:
-    """The socket of who drives robots, or looks on: a :class:`~craftsim.robots.link.Transport`."""
+    """The socket of who drives robots, or looks on: a :class:`~craftsim.robots.link.Messenger`."""
 
     def __init__(self, address: str) -> None:
         """Connect to ``tcp://HOST:PORT``. Raises InputError for what is no address."""

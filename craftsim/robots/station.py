@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from craftsim.robots.inbox import WATCHDOG_S, Inbox
-from craftsim.robots.messages import Bye, Commands, Hello, Measurements, Message, Refused, Seen, Welcome
+from craftsim.robots.messages import Ack, Bye, Commands, Hello, Measurements, Message, Refused, Welcome
 from craftsim.robots.robot import Robot
 from craftsim.skills.skill import Command
 
@@ -31,6 +31,8 @@ class Station:
     """Whose commands are obeyed."""
     stopped_at_s: list[float] = field(default_factory=list)
     """When the robots stopped because no command came."""
+    heard_at_s: list[float] = field(default_factory=list)
+    """When the last command before each of these came."""
 
     def __post_init__(self) -> None:
         self.inbox = Inbox(self.watchdog_s)
@@ -40,29 +42,34 @@ class Station:
         """Of the newest that the driver has dealt with."""
         self._heard_s = 0.0
 
-    def receive(self, sender: bytes, message: Message, now_s: float) -> Message | None:
-        """Take a message, and return the answer if there is one; raise ValueError for one that is out of place."""
+    def check(self, sender: bytes, message: Message) -> None:
+        """Raise ValueError for a message that is out of place."""
         if isinstance(message, Hello):
-            return self._greet(sender, message, now_s)
+            return
+        if not isinstance(message, Commands | Ack | Bye):
+            raise ValueError(f"{message.kind} is nothing to tell robots")
         if sender != self.driver:
             raise ValueError(f"{message.kind} of somebody who does not drive the robots")
+        if isinstance(message, Commands) and len(message.cars) != len(self.robots):
+            raise ValueError(f"commands for {len(message.cars)} cars; there are {len(self.robots)}")
+
+    def receive(self, sender: bytes, message: Message, now_s: float) -> Message | None:
+        """Take a message that is in place, and return the answer if there is one."""
+        if isinstance(message, Hello):
+            return self._greet(sender, message, now_s)
         self._heard_s = now_s
         match message:
             case Commands():
-                if len(message.cars) != len(self.robots):
-                    raise ValueError(f"commands for {len(message.cars)} cars; there are {len(self.robots)}")
                 self.inbox.take(message, now_s)
-            case Seen():
+            case Ack():
                 self.seen = max(self.seen, message.number)
             case Bye():
                 self.leave()
-            case _:
-                raise ValueError(f"{message.kind} is for those who drive, not for robots")
         return None
 
     def _greet(self, sender: bytes, hello: Hello, now_s: float) -> Message:
         if self.driver not in (None, sender) and now_s - self._heard_s < LEASE_S:
-            return Refused("the robots obey somebody else; try again when that has ended")
+            return Refused("the robots obey somebody else; try again when that has ended", busy=True)
         if hello.cars != len(self.robots):
             return Refused(f"there are {len(self.robots)} robots, not {hello.cars}")
         if self.world and hello.world and hello.world != self.world:
@@ -84,11 +91,13 @@ class Station:
         inbox, cars = self.inbox, tuple(robot.measure() for robot in self.robots)
         return Measurements(self.number, now_s, inbox.heard, inbox.late_s, inbox.stops, cars)
 
-    def act(self, now_s: float) -> None:
-        """Let the robots do what they were told for now; stop them where they were told nothing for too long."""
+    def act(self, now_s: float) -> bool:
+        """Let the robots do what they were told for now; stop them, and return False, once they are told nothing."""
         before = self.inbox.stops
         commands = self.inbox.obey(now_s)
         if self.inbox.stops > before:
             self.stopped_at_s.append(now_s)
+            self.heard_at_s.append(self.inbox.heard_s)
         for car, robot in enumerate(self.robots):
             robot.command(Command() if commands is None else commands.cars[car])
+        return self.inbox.stops == before

@@ -24,7 +24,7 @@ _SHARE: Final = 0.1
 """By what share the lag that a wheel is known for approaches the one that is seen, in a control period."""
 
 
-class Prediction:
+class Extrapolation:
     """The motion of one car over a few control periods."""
 
     def __init__(self, car: SmartcarParameters, machines: Machines, period_s: float) -> None:

@@ -106,11 +106,11 @@ class Link:
         self._takes: deque[float] = deque(maxlen=_REMEMBERED)
         self._lead_s = 0.0
         """How long after the measurement that they answer commands are to begin."""
-        self._number = self._first = self._stops = 0
+        self._number = self._first = 0
         self._owed: list[int] = []
         self._dead = False
         self._newest = self._first_measurements()
-        self._due_s = self._newest.time_s
+        self._due_s, self._stops = self._newest.time_s, self._newest.stops
         for _ in range(_LISTENED):
             self.advance()
         if self.lost:

@@ -115,7 +115,7 @@ class Service:
         else:
             if not self.station.act(now_s):
                 self._tell(
-                    f"{now_s:.2f} s: no command for {1e3 * self.station.watchdog_s:.0f} ms, the robots stop"
+                    f"{now_s:.2f} s: no command since {self.station.inbox.heard_s:.2f} s, the robots stop"
                 )
             self.periods += 1
             self._clock.wait()

@@ -98,7 +98,7 @@ class Server:
         now_s = (
             self._service.now_s if waits else min(max(robots_s, self._service.now_s), self._service.next_s)
         )
-        if self._silent:
+        if self._silent and found[0] == self._service.station.driver:
             self._service.unseen.clear()
             self._silent = False
         self._service.arrive(*found, now_s)

@@ -1,4 +1,4 @@
-"""The parts of the interface by themselves: the network, the inbox with its watchdog, the extrapolation and the clock."""
+"""The parts of the interface by themselves: network, inbox with its watchdog, extrapolation and clock."""
 
 import numpy as np
 import pytest

@@ -11,12 +11,10 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from craftsim.errors import CraftsimError
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.skill import Command
-from craftsim.storage.limits import KIB, PHYSICS_CARS, PHYSICS_PARTS
+from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS
 
 VERSION: Final = 1
 """Of the protocol; raised whenever something changes its meaning or goes away."""
-MOST_BYTES: Final = 64 * KIB
-"""Of a message."""
 COPIES: Final = 2
 """Of all commands and measurements, so that few are lost: the first that comes counts."""
 _MOST_TEXT: Final = 1000
@@ -172,8 +170,8 @@ def pack(message: Message) -> bytes:
 
 def unpack(data: bytes) -> Message:
     """Return the message in what came. Raises MessageError, saying why, for what is none."""
-    if len(data) > MOST_BYTES:
-        raise MessageError(f"{len(data)} bytes; allowed: at most {MOST_BYTES}")
+    if len(data) > MESSAGE_BYTES:
+        raise MessageError(f"{len(data)} bytes; allowed: at most {MESSAGE_BYTES}")
     try:
         content = msgpack.unpackb(data, max_str_len=_MOST_TEXT * 4, max_bin_len=0, max_ext_len=0)
     except (ValueError, msgpack.UnpackException) as error:

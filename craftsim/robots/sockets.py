@@ -9,7 +9,7 @@ import zmq
 
 from craftsim.errors import InputError
 from craftsim.robots.extra import LOOPBACK
-from craftsim.robots.messages import MOST_BYTES
+from craftsim.storage.limits import MESSAGE_BYTES
 
 _QUEUED: Final = 200
 """Messages that wait in a socket; more are dropped."""
@@ -20,7 +20,7 @@ def _socket(kind: int) -> Any:
     socket.setsockopt(zmq.LINGER, 0)
     socket.setsockopt(zmq.SNDHWM, _QUEUED)
     socket.setsockopt(zmq.RCVHWM, _QUEUED)
-    socket.setsockopt(zmq.MAXMSGSIZE, MOST_BYTES)
+    socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES)
     return socket
 
 

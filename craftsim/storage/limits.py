@@ -169,6 +169,8 @@ PACE: Final = Range(0.01, 100)
 """Of simulated robots, by the clock."""
 PATIENCE_S: Final = Range(0.01, 3600)
 """With who does not answer."""
+MESSAGE_BYTES: Final = 64 * KIB
+"""To or from robots."""
 
 FRAME_RATE: Final = Range(1, 120)
 """Of a film, in frames a second."""

@@ -6,7 +6,6 @@ import pytest
 from craftsim.discrete.actions import Action
 from craftsim.models.sensing import CarMeasurement
 from craftsim.robots.messages import (
-    MOST_BYTES,
     VERSION,
     Ack,
     Bye,
@@ -22,7 +21,7 @@ from craftsim.robots.messages import (
     unpack,
 )
 from craftsim.skills.skill import Command
-from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_PARTS
+from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS
 
 POSE = (0.0, 1.0, 2.0, 1.0, 0.0, 0.0, 0.0)
 CAR = CarMeasurement(0.5, 1.0, 2.0, 0.0, 3.0, 0.1, -0.1, (1.0, 2.0, 3.0, 4.0), 0.045, 30.0, 1, 3.1)
@@ -47,8 +46,8 @@ def test_what_is_sent_is_read(message):
 def test_the_largest_worlds_fit_into_a_message():
     pose = (-1.2345678901234567,) * 7
     poses = TruePoses(2**53, 1e9, (pose,) * PHYSICS_CARS, (pose,) * PHYSICS_PARTS, (1.23,) * PHYSICS_PARTS)
-    assert len(pack(poses)) <= MOST_BYTES
-    assert len(pack(Measurements(2**53, 1e9, 2**53, 0.1, 0, (CAR,) * PHYSICS_CARS))) <= MOST_BYTES
+    assert len(pack(poses)) <= MESSAGE_BYTES
+    assert len(pack(Measurements(2**53, 1e9, 2**53, 0.1, 0, (CAR,) * PHYSICS_CARS))) <= MESSAGE_BYTES
 
 
 def changed(**values) -> bytes:
@@ -62,7 +61,7 @@ def changed(**values) -> bytes:
         (b"", "no MessagePack"),
         (b"\xc1", "no MessagePack"),
         (b"\x91" * 5000, "no MessagePack"),
-        (b"\x00" * (MOST_BYTES + 1), "at most 65536"),
+        (b"\x00" * (MESSAGE_BYTES + 1), "at most 65536"),
         (msgpack.packb([1, 2]), "no map"),
         (changed(v=VERSION + 1), "version 2 of the protocol; this craftsim speaks version 1"),
         (changed(kind="order"), "kind 'order'; there are hello"),

@@ -35,6 +35,7 @@ COMMANDS: Final[dict[str, str]] = {
     "view": "Watch a recorded run or a running one in the browser.",
     "excite": "Drive a car so that its log tells much about it.",
     "identify": "Fit a car's figures, delays and biases to its log.",
+    "robot": "Simulate robots on a network, for skills elsewhere to drive.",
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",
     "bench": "Measure how fast rules, environments and workers are.",

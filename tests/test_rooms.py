@@ -18,6 +18,7 @@ ALLOWED = {
     "models": {"storage", "discrete", "mjcf"},
     "skills": {"storage", "models", "discrete"},
     "logs": {"storage", "skills", "models", "discrete"},
+    "robots": {"storage", "skills", "models", "discrete"},
     "checking": {"storage", "skills", "models", "discrete"},
     "validation": {
         "storage",

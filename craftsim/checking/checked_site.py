@@ -152,8 +152,7 @@ class CheckedSite:
             self.on_change({car: one.step for car, one in running.items()})
             if not running:
                 break
-            while not (ended := self.executor.advance()):
-                pass
+            ended = self._ended()
             if len(ended) == len(running):
                 settled = self._settle()
             self._look()
@@ -171,6 +170,17 @@ class CheckedSite:
         attempts = [judge(one, self._verdict(one, world, found), self.thresholds) for one in found]
         place = {act: number for number, act in enumerate(schedule.acts)}
         return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
+
+    def _ended(self) -> dict[int, Outcome]:
+        """Return the outcomes of the actions that end next, by car, once what their cars did can be seen."""
+        ended: dict[int, Outcome] = {}
+        left = self.executor.fleet.late_periods
+        while not ended or left:
+            left -= bool(ended)
+            newly = self.executor.advance()
+            if newly:
+                ended, left = ended | newly, self.executor.fleet.late_periods
+        return ended
 
     def _begin(self, index: int, step: ScheduledAction, running: dict[int, _Running]) -> _Running:
         if running and self._looked_s != self.site.time_s:

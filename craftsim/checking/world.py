@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,6 +19,7 @@ from craftsim.models.randomization import RandomizedSite
 from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
+from craftsim.skills.fleet import Fleet
 
 MAX_WORDS: Final = 64
 """Numbers in a seed."""
@@ -58,6 +59,8 @@ class Seed:
 
 
 SEED_0: Final = Seed((0,))
+SetUp = Callable[[Grid, Setup, Seed, Sequence[Cell]], CheckedSite]
+"""Sets up a world from its start, its configuration, its seed and the cells to mark, as :func:`set_up` does."""
 
 
 def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> RandomizedSite:
@@ -114,14 +117,20 @@ def check_start(site: Site) -> None:
 
 
 def judge_on(
-    site: Site, setup: Setup, sensors: Sensors | None = None, watch_contacts: bool = True
+    site: Site,
+    setup: Setup,
+    sensors: Sensors | None = None,
+    watch_contacts: bool = True,
+    fleet: Fleet | None = None,
 ) -> CheckedSite:
     """Return the judge on a Site as it stands, whose machines and simulation are its own; sensors are exact if None.
+
+    A ``fleet`` are robots elsewhere, of which the Site shows where they are.
 
     Raises StartError where something stood in something else when the Site was reset.
     """
     check_start(site)
     site.set_drivetrain(setup.randomization.drivetrain)
     motors = Motors(site, setup.randomization.sensors.motor_lag_s)
-    executor = Executor(site, setup.gains, sensors=sensors, motors=motors, assumed=setup.assumed)
+    executor = Executor(site, setup.gains, None, sensors, motors, setup.assumed, fleet)
     return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

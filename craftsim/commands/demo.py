@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import tyro
 
@@ -17,6 +18,7 @@ from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
+from craftsim.storage.limits import TIMEOUT_S
 
 OPTIONS: Final = PhysicsOptions(randomize="none")
 
@@ -28,6 +30,8 @@ def demo(
     blueprint: File = None,
     plan: File = None,
     goal: File = None,
+    robot: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None,
+    timeout_s: Annotated[float, TIMEOUT_S] = 1.0,
     video: bool = True,
     out: Dir = Path("out/demo"),
 ) -> int:
@@ -43,14 +47,18 @@ def demo(
         blueprint: start file of your own, in place of the task's; needs --plan.
         plan: plan file of your own, one 'tick car ACTION' a line.
         goal: goal file of your own; a blueprint of your own needs none.
+        robot: address of robots elsewhere that are driven in place of simulated ones, such as those of craftsim robot.
+        timeout_s: without a message from these robots for so long they count as lost.
         video: make a film of each task; without a rendering backend the demo goes on without.
         out: folder for report.json, the films, the trajectories that they show, and the cars' logs.
     """
     from craftsim.checking.episode import Watch
+    from craftsim.checking.world import set_up
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
     from craftsim.commands.notes_text import print_notes
     from craftsim.commands.progress import counting
+    from craftsim.commands.robots import robots_at
     from craftsim.logs.tables import LOG_SUFFIX, write_table
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
@@ -61,6 +69,8 @@ def demo(
     console = Terminal()
     if task == "all" and (blueprint or plan or goal):
         raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
+    if task == "all" and robot is not None:
+        raise InputError("robots stand in one world; --robot goes with a single task")
     setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
     buildings = [read_building(name, blueprint, plan, goal) for name in names]
@@ -69,8 +79,12 @@ def demo(
     films: list[str] = []
     done: list[Building] = []
     for building in buildings:
-        with counting(console, building.name, building.n_actions, attrgetter("agrees")) as tell:
-            one = building.run(setup, physics.seed, order, Watch(on_attempts=partial(_tell_each, tell)))
+        with (
+            nullcontext(set_up) if robot is None else robots_at(robot, timeout_s) as where,
+            counting(console, building.name, building.n_actions, attrgetter("agrees")) as tell,
+        ):
+            watch = Watch(on_attempts=partial(_tell_each, tell))
+            one = building.run(setup, physics.seed, order, watch, where)
         assert one.trajectory is not None
         one.trajectory.write(out / f"{one.name}{SUFFIX}")
         write_table(out / f"{one.name}{LOG_SUFFIX}", one.logs)
@@ -80,7 +94,7 @@ def demo(
             films.append(str(path))
         done.append(replace(one, trajectory=None, logs={}))
     config: dict[str, Any] = {"setup": setup, "order": order, "rules": physics.rules}
-    config |= {"randomize": physics.randomize, "digests": setup.digests}
+    config |= {"robot": robot, "randomize": physics.randomize, "digests": setup.digests}
     if task == "all":
         figures: dict[str, Any] = {
             "tasks": {one.name: one.figures for one in done},

@@ -22,7 +22,7 @@ class LogRecorder:
     def __init__(self, executor: Executor) -> None:
         """Record the cars of an executor from now on."""
         self._executor = executor
-        self._readings = [executor.sensors.read().tobytes()]
+        self._readings = [executor.fleet.read().tobytes()]
         self._commands: list[bytes] = []
         self._time = [executor.site.time_s]
         executor.observers.append(self._look)
@@ -32,7 +32,7 @@ class LogRecorder:
         if not self._time[-1] < site.time_s or len(self._time) == MOST_ROWS:
             return
         self._commands.append(self._executor.commands.tobytes())
-        self._readings.append(self._executor.sensors.read().tobytes())
+        self._readings.append(self._executor.fleet.read().tobytes())
         self._time.append(site.time_s)
 
     def logs(self) -> dict[int, Log]:

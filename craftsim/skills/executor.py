@@ -16,6 +16,7 @@ from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.sensing import CarMeasurement, Sensors, measurement_of
 from craftsim.models.site import Site
 from craftsim.skills.control import read_paths, step_cars
+from craftsim.skills.fleet import Fleet, SiteFleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.holding import on_incline
 from craftsim.skills.leading import leads
@@ -50,6 +51,7 @@ class Executor:
         sensors: Sensors | None = None,
         motors: Motors | None = None,
         assumed: SensorNoise = EXACT,
+        fleet: Fleet | None = None,
     ) -> None:
         """Run on a Site with these gains, sensors and motors (exact and prompt ones unless given).
 
@@ -57,6 +59,9 @@ class Executor:
         none they take each measured pose as it is.
 
         ``observer`` is called after every control period; :attr:`observers` takes more of them.
+
+        ``fleet`` are robots that are driven in place of the Site's cars: the Site then says what they and their world
+        are like, and it is theirs to change.
         """
         self.site = site
         self.gains = gains or load_gains()
@@ -65,8 +70,7 @@ class Executor:
         """Called after every physics step."""
         self.guard: Guard | None = None
         """Asked after every control period: a yes stops all cars, and ends their actions."""
-        self.sensors = sensors or Sensors(site)
-        self.motors = motors or Motors(site)
+        self.fleet: Fleet = fleet or SiteFleet(site, sensors, motors)
         period = site.config.control_period_s
         self._setups = [SkillSetup(car.parameters, site.machines, self.gains, period) for car in site.cars]
         self._localiser = (
@@ -82,10 +86,10 @@ class Executor:
         self._past = np.zeros((n, n_past(self.gains, period)))
         self._docked = np.full(n, -1)
         """The slope that each car commands, -1 for none."""
-        wiring = self.sensors.wiring
+        wires = self.fleet.wires
         self._arrays = (
-            *(self._tasks, self._past, self._constants, self._commands, wiring.cars, wiring.plugs),
-            *(self._docked, leads(n, period), self.motors.speeds, self.motors.share, site.data.ctrl),
+            *(self._tasks, self._past, self._constants, self._commands, wires.cars, wires.plugs),
+            *(self._docked, leads(n, period), wires.speeds, wires.share, wires.ctrl),
         )
         """What the compiled laws work on."""
         self._skills: dict[int, Skill] = {}
@@ -117,7 +121,7 @@ class Executor:
 
     def readings(self) -> Records:
         """Return what the cars believe to measure, shape (n,) of READING; the array is used again by the next ones."""
-        return self.sensors.read() if self._localiser is None else self._localiser.readings
+        return self.fleet.read() if self._localiser is None else self._localiser.readings
 
     @property
     def commands(self) -> Records:
@@ -134,6 +138,8 @@ class Executor:
     def begin(self, car: int, action: Action, terrain: Terrain | None = None) -> None:
         """Let an idle car start an action; it runs as :meth:`advance` is called."""
         assert car not in self._skills, f"car {car} is busy"
+        if not self._skills:
+            self.fleet.attend()
         setup = self._setups[car]
         setup = setup if terrain is None else setup.on(terrain)
         self._tries[car], skill = Tries.begin(action, setup, self._view(car))
@@ -159,13 +165,14 @@ class Executor:
             self._commands[car] = (command.wheels, command.board, command.hinge)
         n_ended = step_cars(readings, *self._arrays)
         ended = self._end(readings) if self._own or n_ended else {}
-        self.site.advance(self.step_observer)
-        self.sensors.observe()
+        self.fleet.advance(self.step_observer)
         self._look()
         for observer in self.observers:
             observer(self.site)
+        if self._skills and self.fleet.lost:
+            ended |= self._stop_all(Reason.DISCONNECTED, self.fleet.lost)
         if self._skills and self.guard is not None and self.guard():
-            ended |= self._stop_all()
+            ended |= self._stop_all(Reason.STOPPED)
         return ended
 
     def _end(self, readings: Records) -> dict[int, Outcome]:
@@ -185,16 +192,13 @@ class Executor:
                 self._start(car, following)
         return ended
 
-    def _stop_all(self) -> dict[int, Outcome]:
-        stopped = {car: Outcome(Reason.STOPPED, skill.elapsed_s) for car, skill in self._skills.items()}
+    def _stop_all(self, reason: Reason, detail: str = "") -> dict[int, Outcome]:
+        stopped = {car: Outcome(reason, skill.elapsed_s, detail) for car, skill in self._skills.items()}
         self._skills.clear()
         self._tries.clear()
         for car in stopped:
             self._commands[car] = np.zeros((), COMMAND)
-            self.motors.drive(car, (0.0, 0.0, 0.0, 0.0))
-            self.site.move_board(car, 0.0)
-            if self._docked[car] >= 0:
-                self.site.turn_hinge(self._docked[car], 0.0)
+            self.fleet.stop(car, self._docked[car])
             self._park(car, self.readings())
         return stopped
 
@@ -208,7 +212,7 @@ class Executor:
 
     def _look(self) -> None:
         if self._localiser is not None:
-            self._localiser.update(self.sensors.read())
+            self._localiser.update(self.fleet.read())
 
     def _view(self, car: int) -> CarMeasurement:
         return measurement_of(self.readings()[car])

@@ -25,6 +25,8 @@ class Reason(StrEnum):
     """The measurements are not finite or not plausible."""
     STOPPED = "stopped"
     """Something unsafe has happened, and all cars were stopped."""
+    DISCONNECTED = "disconnected"
+    """The robots cannot be reached, or had no command for so long that they stopped by themselves."""
 
 
 @dataclass(frozen=True)

@@ -167,6 +167,15 @@ BONUS: Final = Range(0, 1000)
 """Of novelty."""
 NETWORK_WIDTH: Final = Range(1, 4096)
 
+DELAY_MS: Final = Range(0, 10_000)
+"""Of a simulated network."""
+PACE: Final = Range(0.01, 100)
+"""Of simulated robots, by the clock."""
+PATIENCE_S: Final = Range(0.01, 3600)
+"""With who does not answer."""
+MESSAGE_BYTES: Final = 64 * KIB
+"""To or from robots."""
+
 FRAME_RATE: Final = Range(1, 120)
 """Of a film, in frames a second."""
 FILM_SPEED: Final = Range(0.01, 1000)

@@ -14,6 +14,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.logs.log import Floats, Log
 from craftsim.logs.recorder import log_of
 from craftsim.models.measuring import READING
+from craftsim.skills.fleet import SiteFleet
 from craftsim.skills.state import COMMAND
 from craftsim.tuning.excitation import Area
 
@@ -37,7 +38,9 @@ def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> Log:
     """
     setup = replace(setup, simulation=replace(setup.simulation, sleep=False))
     executor = set_up(grid, setup, seed, watch_contacts=False).executor
-    site, sensors, motors = executor.site, executor.sensors, executor.motors
+    site, fleet = executor.site, executor.fleet
+    assert isinstance(fleet, SiteFleet)
+    sensors, motors = fleet.sensors, fleet.motors
     readings, told = np.zeros(len(commands), READING), np.zeros(len(commands), COMMAND)
     time = np.zeros(len(commands))
     for row, command in enumerate(commands):

@@ -10,6 +10,7 @@ from typing import Any
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import UNWATCHED, Episode, Watch
 from craftsim.checking.settings import Setup
+from craftsim.checking.world import SetUp, set_up
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import Plan, read_plan, shipped_plan
@@ -63,7 +64,9 @@ class Building:
         """Whether every action of the plan agrees and no goal was missed."""
         return self.n_agree == self.n_actions and self.reached is not False
 
-    def run(self, setup: Setup, seed: int, order: PlanOrder, watch: Watch = UNWATCHED) -> Building:
+    def run(
+        self, setup: Setup, seed: int, order: PlanOrder, watch: Watch = UNWATCHED, where: SetUp = set_up
+    ) -> Building:
         """Carry out the plan and return the building with its episode.
 
         Args:
@@ -71,8 +74,10 @@ class Building:
             seed: decides what is drawn.
             order: how the plan is carried out.
             watch: who looks on.
+            where: sets up its world.
         """
-        run = Run(self.name, self.task, steps_of(self.plan.ticks, order), "", 0, Terms(seed, setup))
+        terms = Terms(seed, setup, set_up=where)
+        run = Run(self.name, self.task, steps_of(self.plan.ticks, order), "", 0, terms)
         done = record_episode(run, watch)
         return replace(self, episode=done.episode, trajectory=done.trajectory, logs=done.logs)
 

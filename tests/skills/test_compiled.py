@@ -91,14 +91,14 @@ def test_a_skill_of_ones_own_is_stopped_on_nonsense(make_site, monkeypatch):
     executor = Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]))
     executor.begin(0, Action.LIFT)
     executor.advance()
-    read = executor.sensors.read
+    read = executor.fleet.read
 
     def nonsense():
         readings = read().copy()
         readings["pitch"] = np.nan
         return readings
 
-    monkeypatch.setattr(executor.sensors, "read", nonsense)
+    monkeypatch.setattr(executor.fleet, "read", nonsense)
     assert executor.advance()[0].reason is Reason.DIVERGED
 
 
@@ -107,7 +107,7 @@ def test_a_measurement_survives_the_way_through_a_record(make_site, objects):
     executor = Executor(make_site((3, 3, 2), [(1, 1, 1, 0)], objects))
     now = executor._view(0)
     assert (now.slope is None) == (now.hinge_rad is None) == (not objects)
-    readings = executor.sensors.read().copy()
+    readings = executor.fleet.read().copy()
     readings[:] = 7
     write_reading(now, readings)
     assert measurement_of(readings[0]) == now

@@ -295,7 +295,7 @@ def test_an_outcome_reads_as_a_sentence():
 
 def _break_plug(monkeypatch, executor, broken):
     """Let the cars of an executor feel no slope wherever ``broken()``."""
-    read = executor.sensors.read
+    read = executor.fleet.read
 
     def without():
         readings = read().copy()
@@ -303,7 +303,7 @@ def _break_plug(monkeypatch, executor, broken):
             readings["slope"], readings["hinge_rad"] = -1, 0.0
         return readings
 
-    monkeypatch.setattr(executor.sensors, "read", without)
+    monkeypatch.setattr(executor.fleet, "read", without)
 
 
 def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):

@@ -14,7 +14,7 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.episode import UNWATCHED, Episode, Watch
 from craftsim.checking.recipe import Recipe, Step, do
 from craftsim.checking.settings import Setup
-from craftsim.checking.world import Seed, set_up
+from craftsim.checking.world import Seed, SetUp, set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import write_plan
 from craftsim.discrete.files.saving import blueprint_text, write_blueprint
@@ -56,6 +56,8 @@ class Terms:
     """Called with each run's Site after every control period."""
     record: bool = False
     """Whether to write a trajectory and the logs of each run."""
+    set_up: SetUp = set_up
+    """How a plan's world comes about: simulated here, or that of robots elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +188,7 @@ def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: Watch) -> Epi
     """Carry out a plan, each step from what was read before it."""
     task, setup = drawn.task, run.terms.setup
     recipe = Recipe(blueprint_text(drawn.grid), (), setup, drawn.physics, tuple(task.goal_cells))
-    checked = set_up(drawn.grid, setup, drawn.physics, recipe.goals)
+    checked = run.terms.set_up(drawn.grid, setup, drawn.physics, recipe.goals)
     checked.executor.observers.extend(run.terms.observers)
     if drawn.played is not None and not checked.grid.same_visible(drawn.grid):
         raise StartError("this world cannot be: it reads otherwise than it was drawn")

@@ -1,0 +1,74 @@
+"""Connecting to robots on a network, and to the referee who sees them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.errors import InputError
+from craftsim.models.config import SimulationConfig
+from craftsim.models.parameters import Machines
+from craftsim.models.site import Site
+from craftsim.robots.link import TIMEOUT_S, Link
+from craftsim.robots.mirror import Mirror
+from craftsim.robots.sockets import Caller
+
+
+def world_digest(grid: Grid) -> str:
+    """Return the SHA-256 of a world, by which robots and who drives them know that they mean the same."""
+    return hashlib.sha256(blueprint_text(grid).encode()).hexdigest()
+
+
+class Connection:
+    """A link to robots in a world, and a mirror that shows it."""
+
+    def __init__(
+        self,
+        address: str,
+        grid: Grid,
+        machines: Machines,
+        config: SimulationConfig | None = None,
+        goals: Sequence[Cell] = (),
+        timeout_s: float = TIMEOUT_S,
+    ) -> None:
+        """Connect to robots at ``HOST:PORT`` or ``tcp://HOST:PORT``, and look at their world.
+
+        Args:
+            address: of the robots.
+            grid: the world in which they should stand.
+            machines: the figures of them and of what they handle.
+            config: of the Site that shows them.
+            goals: cells to mark on it.
+            timeout_s: without a message for so long they count as lost.
+
+        Raises InputError where they do not answer or refuse, or where no referee shows their world.
+        """
+        address = address if "://" in address else f"tcp://{address}"
+        self._callers = [Caller(address)]
+        try:
+            digest = world_digest(grid)
+            self.link = Link(self._callers[0], grid.n_cars, machines, digest, timeout_s)
+            if not self.link.welcome.referee:
+                raise InputError(f"nobody shows the world of the robots at {address}: there is no referee")
+            self._callers.append(Caller(address))
+            self.site = Site(grid, config, goals, reset=False, machines=machines)
+            self.link.let_judge(Mirror(self.site, self._callers[1]))
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Let go of the robots, and close."""
+        if hasattr(self, "link"):
+            self.link.close()
+        for caller in self._callers:
+            caller.close()

@@ -1,0 +1,65 @@
+"""What robots will measure when the next command begins, from what they measured last and the commands in between.
+
+A measurement is old when it comes, and a command takes time to get there. Which commands act in between is known: they
+say when they are to begin. A wheel is taken to turn as its velocity servo is told, less what its gear's friction takes
+and what it was seen to lag behind lately; the board and the hinge to move as they are told; and the body to go where
+its wheels take it (:mod:`craftsim.skills.mecanum`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.rotation import wrap
+from craftsim.models.parameters import Machines, SmartcarParameters
+from craftsim.models.sensing import CarMeasurement, PerWheel
+from craftsim.skills.mecanum import Mecanum
+from craftsim.skills.skill import Command
+
+_SHARE: Final = 0.1
+"""By what share the lag that a wheel is known for approaches the one that is seen, in a control period."""
+
+
+class Extrapolation:
+    """The motion of one car over a few control periods."""
+
+    def __init__(self, car: SmartcarParameters, machines: Machines, period_s: float) -> None:
+        """Take the figures of the car and of what it handles."""
+        self._car, self._slope, self._period_s = car, machines.slope, period_s
+        self._kinematics = Mecanum(car)
+        self._droop_rad_s = car.gear_friction_nm / car.wheel_gain_nms_rad
+        self._lag = np.zeros(4)
+
+    def note(self, now: CarMeasurement, acted: Command) -> None:
+        """Learn how fast the wheels turn under a command that has acted for a control period."""
+        self._lag += _SHARE * (np.array(now.wheel_speeds) - self._free(acted.wheels) - self._lag)
+
+    def after(self, now: CarMeasurement, to_act: Iterable[Command]) -> CarMeasurement:
+        """Return the measurement that follows on ``now`` when some commands have acted, each a control period long."""
+        period_s = self._period_s
+        x, y, heading, board, hinge = now.x, now.y, now.heading, now.board_m, now.hinge_rad
+        wheels = now.wheel_speeds
+        for command in to_act:
+            fl, fr, rl, rr = (self._free(command.wheels) + self._lag).tolist()
+            wheels = fl, fr, rl, rr
+            forward, left, turn = self._kinematics.body_twist(wheels)
+            forward, left = forward * math.cos(now.pitch) * period_s, left * math.cos(now.roll) * period_s
+            middle = heading + turn * period_s / 2
+            x += math.cos(middle) * forward - math.sin(middle) * left
+            y += math.sin(middle) * forward + math.cos(middle) * left
+            heading += turn * period_s
+            board = min(max(board + command.board * period_s, 0.0), self._car.board_travel_m)
+            if hinge is not None:
+                hinge = min(max(hinge + command.hinge * period_s, 0.0), self._slope.hinge_range_rad)
+        return now._replace(
+            x=x, y=y, heading=wrap(heading), wheel_speeds=wheels, board_m=board, hinge_rad=hinge
+        )
+
+    def _free(self, told: PerWheel) -> np.ndarray:
+        """Return at what speeds wheels turn freely whose servos are told some, (4,) in rad/s."""
+        speeds = np.array(told)
+        return np.copysign(np.maximum(0.0, np.abs(speeds) - self._droop_rad_s), speeds)

@@ -1,0 +1,287 @@
+"""Robots on a network as a fleet that an executor drives.
+
+One control period is that of the robots' clock: it is over when a measurement has come that is younger by a period.
+Commands say when they are to begin, late enough for all but a few to be there by then, so that a delay that varies
+does no harm; and the skills are given what the robots will measure at that time (:mod:`craftsim.robots.extrapolation`).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from craftsim.errors import InputError
+from craftsim.models.measuring import Records
+from craftsim.models.parameters import Machines
+from craftsim.robots.extrapolation import Extrapolation
+from craftsim.robots.messages import (
+    COPIES,
+    Ack,
+    Bye,
+    Commands,
+    Hello,
+    Measurements,
+    Message,
+    MessageError,
+    Refused,
+    Welcome,
+    pack,
+    unpack,
+)
+from craftsim.robots.wires import Harness
+from craftsim.skills.skill import Command
+
+TIMEOUT_S: Final = 1.0
+"""Without a message from the robots for so long they count as lost; by this machine's clock."""
+_GREETED_S: Final = 5.0
+"""How long robots may take to answer the first message: they may be about to start."""
+_AGAIN_S: Final = 0.2
+"""After so long one asks robots again that obey somebody else."""
+_LISTENED: Final = 25
+"""Control periods in which one first listens to how long commands take."""
+_REMEMBERED: Final = 50
+"""Control periods of which that is remembered."""
+_SPARE_S: Final = 0.01
+"""That commands are given beyond the longest that any of these took."""
+_MOST_LEAD_S: Final = 0.5
+_EPSILON_S: Final = 1e-6
+
+
+class Messenger(Protocol):
+    """How messages get to robots and back."""
+
+    def send(self, data: bytes) -> None:
+        """Send a message; it may be lost."""
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """Return the next message that comes, or None where none does in time."""
+
+
+class Judge(Protocol):
+    """Who looks on while robots act."""
+
+    def follow(self, measured: Measurements, timeout_s: float) -> bool:
+        """Look at how things stood when something was measured; return whether that could be seen in time."""
+
+
+class Link:
+    """A connection to robots."""
+
+    def __init__(
+        self,
+        transport: Messenger,
+        n_cars: int,
+        machines: Machines,
+        world: str = "",
+        timeout_s: float = TIMEOUT_S,
+    ) -> None:
+        """Say hello to the robots, and listen for half a second how long messages take.
+
+        Args:
+            transport: reaches them.
+            n_cars: how many there should be.
+            machines: their figures.
+            world: digest of the world in which they should stand.
+            timeout_s: without a message for so long they count as lost.
+
+        Raises InputError where nobody answers, or they refuse.
+        """
+        self._transport, self._timeout_s = transport, timeout_s
+        self._judge: Judge | None = None
+        self.lost = ""
+        self.dropped = 0
+        """Messages that were none, or of other cars."""
+        self.welcome = self._greet(n_cars, world)
+        period_s = self.period_s = self.welcome.period_s
+        self._harness = Harness(n_cars, self.welcome.slopes)
+        self.wires = self._harness.wires
+        self._cars = [Extrapolation(machines.car(car), machines, period_s) for car in range(n_cars)]
+        self._sent: deque[tuple[float, Commands]] = deque(
+            maxlen=round(2 * _MOST_LEAD_S / period_s) + _REMEMBERED
+        )
+        """The newest commands last, each with the lead that it had."""
+        self._takes: deque[float] = deque(maxlen=_REMEMBERED)
+        self._lead_s = 0.0
+        """How long after the measurement that they answer commands are to begin."""
+        self._number = self._first = 0
+        self._owed: list[int] = []
+        self._dead = False
+        self._newest = self._first_measurements()
+        self._due_s, self._stops = self._newest.time_s, self._newest.stops
+        for _ in range(_LISTENED):
+            self.advance()
+        if self.lost:
+            raise InputError(self.lost)
+
+    @property
+    def late_periods(self) -> int:
+        """Control periods until what is commanded now has been done and seen."""
+        return round(self._lead_s / self.period_s) + 1
+
+    def read(self) -> Records:
+        """Return what the cars will measure when the next command begins, shape (n,) of READING."""
+        return self._harness.readings
+
+    def attend(self) -> None:
+        """Take up with the robots' clock, which has gone on."""
+        if self._dead:
+            return
+        self.lost, self._first = "", self._number + 1
+        takes_s = max(self._takes, default=0.0)
+        if takes_s > _EPSILON_S:
+            takes_s += _SPARE_S
+        self._lead_s = min(math.ceil(takes_s / self.period_s - _EPSILON_S) * self.period_s, _MOST_LEAD_S)
+        while self._take(self._transport.receive(0.0)):
+            pass
+        self._listen_until(self._newest.time_s + self.period_s)
+        self._due_s, self._stops = self._newest.time_s, self._newest.stops
+        self._predict()
+
+    def advance(self, observe: Callable[[], None] | None = None) -> None:
+        """Send what stands on the wires, and wait until a control period of the robots is over."""
+        if self.lost:
+            return
+        self._number += 1
+        message = Commands(self._number, self._due_s + self._lead_s, self._harness.commands())
+        for _ in range(COPIES):
+            self._transport.send(pack(message))
+        self._sent.append((self._lead_s, message))
+        self._due_s += self.period_s
+        if not self.welcome.waits:
+            while self._take(self._transport.receive(0.0)):
+                pass
+        self._listen_until(self._due_s)
+        if self._newest.heard < self._first:
+            self._stops = self._newest.stops
+        elif self._newest.stops > self._stops and not self.lost:
+            self.lost = f"the robots had no command for {1e3 * self.welcome.watchdog_s:.0f} ms, and stopped"
+        self._predict()
+        self._look_on()
+
+    def stop(self, car: int, slope: int) -> None:
+        """Command a car's motors to zero, and the hinge of a slope; tell the robots at once."""
+        self._harness.stop(car, slope)
+        self._number += 1
+        self._transport.send(pack(Commands(self._number, 0.0, self._harness.commands())))
+
+    def close(self) -> None:
+        """Let go of the robots."""
+        self._transport.send(pack(Bye()))
+
+    def let_judge(self, judge: Judge) -> None:
+        """Let a judge look on from now on. Raises InputError where it sees nothing."""
+        self._judge = judge
+        self._look_on()
+        if self.lost:
+            raise InputError(self.lost)
+
+    def _look_on(self) -> None:
+        if (
+            self._judge is not None
+            and not self.lost
+            and not self._judge.follow(self._newest, self._timeout_s)
+        ):
+            self._lose(f"the referee has said nothing for {self._timeout_s:g} s")
+
+    def _greet(self, n_cars: int, world: str) -> Welcome:
+        self._transport.send(pack(Hello(n_cars, world)))
+        deadline = time.monotonic() + max(_GREETED_S, self._timeout_s)
+        while (left_s := deadline - time.monotonic()) > 0:
+            data = self._transport.receive(left_s)
+            message = None if data is None else self._read(data)
+            if isinstance(message, Refused):
+                if not message.busy or left_s < 2 * _AGAIN_S:
+                    raise InputError(message.why)
+                time.sleep(_AGAIN_S)
+                self._transport.send(pack(Hello(n_cars, world)))
+            if isinstance(message, Welcome):
+                if message.cars != n_cars:
+                    raise InputError(f"{message.cars} robots answer, and there should be {n_cars}")
+                return message
+        raise InputError(
+            f"no robots answer within {max(_GREETED_S, self._timeout_s):g} s; start some with: craftsim robot"
+        )
+
+    def _first_measurements(self) -> Measurements:
+        """Return the first measurements that come; raise InputError where none do."""
+        deadline = time.monotonic() + self._timeout_s
+        while (left_s := deadline - time.monotonic()) > 0:
+            data = self._transport.receive(left_s)
+            message = None if data is None else self._read(data)
+            if isinstance(message, Measurements) and self._fits(message):
+                self._owed.append(message.number)
+                self._harness.measured(message.cars)
+                return message
+        raise InputError(f"the robots measure nothing for {self._timeout_s:g} s")
+
+    def _listen_until(self, time_s: float) -> None:
+        """Take messages until there is a measurement of a time, or later, by the robots' clock; or lose them."""
+        while not self.lost and self._newest.time_s < time_s - _EPSILON_S:
+            for number in self._owed:
+                self._transport.send(pack(Ack(number)))
+            self._owed.clear()
+            if not self._take(self._transport.receive(self._timeout_s)):
+                self._lose(f"nothing has come from the robots for {self._timeout_s:g} s")
+
+    def _take(self, data: bytes | None) -> bool:
+        """Take a message that has come; return whether there was one."""
+        if data is None:
+            return False
+        message = self._read(data)
+        if isinstance(message, Bye):
+            self._lose(f"the robots have ended{': ' if message.why else ''}{message.why}")
+        elif isinstance(message, Measurements):
+            if self.welcome.waits:
+                self._owed.append(message.number)
+            if message.number > self._newest.number and self._fits(message):
+                self._note(message)
+        return True
+
+    def _fits(self, message: Measurements) -> bool:
+        """Return whether measurements are of these cars, and of slopes that there are."""
+        slopes = (car.slope for car in message.cars if car.slope is not None)
+        fits = len(message.cars) == self.welcome.cars and all(0 <= s < self.welcome.slopes for s in slopes)
+        self.dropped += not fits
+        return fits
+
+    def _note(self, message: Measurements) -> None:
+        if message.heard > self._newest.heard:
+            leads = (lead_s for lead_s, sent in self._sent if sent.number == message.heard)
+            self._takes.extend(lead_s + message.late_s for lead_s in leads)
+        acted = self._acting(message.time_s - self.period_s)
+        for car, now, command in zip(self._cars, message.cars, acted, strict=True):
+            car.note(now, command)
+        self._newest = message
+
+    def _read(self, data: bytes) -> Message | None:
+        try:
+            return unpack(data)
+        except MessageError:
+            self.dropped += 1
+            return None
+
+    def _lose(self, why: str) -> None:
+        self.lost, self._dead = why, True
+
+    def _predict(self) -> None:
+        """Let the cars read what they will measure when the next command begins."""
+        now, period_s = self._newest, self.period_s
+        begins_s = self._due_s + self._lead_s
+        periods = max(0, round((begins_s - now.time_s) / period_s))
+        to_act = [self._acting(now.time_s + n * period_s) for n in range(periods)]
+        self._harness.measured(
+            [
+                car.after(measured, [commands[i] for commands in to_act])
+                for i, (car, measured) in enumerate(zip(self._cars, now.cars, strict=True))
+            ]
+        )
+
+    def _acting(self, time_s: float) -> tuple[Command, ...]:
+        """Return what the cars do, or have done, in the control period that begins at a time."""
+        for _, message in reversed(self._sent):
+            if message.at_s <= time_s + _EPSILON_S:
+                return message.cars
+        return (Command(),) * self.welcome.cars

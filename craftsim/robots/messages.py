@@ -1,0 +1,204 @@
+"""The messages between robots and who drives them: MessagePack maps, checked when they are read (docs/robots.md)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, Any, ClassVar, Final
+
+import msgpack
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from craftsim.errors import CraftsimError
+from craftsim.models.sensing import CarMeasurement
+from craftsim.skills.skill import Command
+from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS
+
+VERSION: Final = 1
+"""Of the protocol; raised whenever something changes its meaning or goes away."""
+COPIES: Final = 2
+"""Of all commands and measurements, so that few are lost: the first that comes counts."""
+_MOST_TEXT: Final = 1000
+
+Number = Annotated[int, Field(ge=0, le=2**53)]
+Seconds = Annotated[float, Field(ge=0, le=1e9)]
+Text = Annotated[str, Field(max_length=_MOST_TEXT)]
+Cars = Annotated[int, Field(ge=1, le=PHYSICS_CARS)]
+Pose = tuple[float, float, float, float, float, float, float]
+"""x, y, z in metres and a unit quaternion, w first; world frame."""
+
+
+class MessageError(CraftsimError):
+    """What came is no message of this protocol."""
+
+
+class Message:
+    """One of the messages below."""
+
+    kind: ClassVar[str]
+
+
+@dataclass(frozen=True)
+class Hello(Message):
+    """To the robots: somebody wants to drive them."""
+
+    kind = "hello"
+    cars: Cars
+    """How many there should be."""
+    world: Text = ""
+    """Digest of the world in which they should stand, empty for any."""
+
+
+@dataclass(frozen=True)
+class Welcome(Message):
+    """From the robots: they obey whoever said hello."""
+
+    kind = "welcome"
+    cars: Cars
+    slopes: Annotated[int, Field(ge=0, le=PHYSICS_PARTS)]
+    period_s: Annotated[float, Field(ge=0.001, le=1.0)]
+    """Control period: they measure that often."""
+    watchdog_s: Seconds
+    """Without a command for so long they stop by themselves."""
+    referee: bool = False
+    """Whether a referee answers at the same address."""
+    waits: bool = False
+    """Whether their time stands still until each measurement has been answered by Ack."""
+
+
+@dataclass(frozen=True)
+class Refused(Message):
+    """From the robots: they do not obey."""
+
+    kind = "refused"
+    why: Text
+    busy: bool = False
+    """Whether they will obey when somebody else has ended."""
+
+
+@dataclass(frozen=True)
+class Measurements(Message):
+    """From the robots, each control period: what they measure."""
+
+    kind = "measurements"
+    number: Number
+    """Counts up."""
+    time_s: Seconds
+    """When it was measured, by the robots' clock; theirs are all other times, too."""
+    heard: Number
+    """Number of the newest command that had come; 0 for none."""
+    late_s: float
+    """By how much that came after the time for which it was meant; negative where it was early."""
+    stops: Number
+    """How often they have stopped because no command came."""
+    cars: Annotated[tuple[CarMeasurement, ...], Field(max_length=PHYSICS_CARS)]
+
+
+@dataclass(frozen=True)
+class Commands(Message):
+    """To the robots, each control period: what their motors are to do."""
+
+    kind = "commands"
+    number: Number
+    """Counts up from 1 after each hello."""
+    at_s: Seconds
+    """When they are to begin with it; what comes too late is begun with at once."""
+    cars: Annotated[tuple[Command, ...], Field(max_length=PHYSICS_CARS)]
+
+
+@dataclass(frozen=True)
+class Ack(Message):
+    """To robots that wait: a measurement has been dealt with."""
+
+    kind = "ack"
+    number: Number
+
+
+@dataclass(frozen=True)
+class Bye(Message):
+    """To the robots: they may obey somebody else. From the robots: they end."""
+
+    kind = "bye"
+    why: Text = ""
+
+
+@dataclass(frozen=True)
+class Follow(Message):
+    """To the referee: somebody looks on, over a connection of its own."""
+
+    kind = "follow"
+
+
+@dataclass(frozen=True)
+class TruePoses(Message):
+    """From the referee, at once and then each control period: where everything truly is; the skills never see it."""
+
+    kind = "poses"
+    number: Number
+    """Of the measurements of the same time."""
+    time_s: Seconds
+    cars: Annotated[tuple[Pose, ...], Field(max_length=PHYSICS_CARS)]
+    things: Annotated[tuple[Pose, ...], Field(max_length=PHYSICS_PARTS)]
+    """Blocks, flags, then slopes, each in the order of their cells."""
+    hinges: Annotated[tuple[float, ...], Field(max_length=PHYSICS_PARTS)]
+    """Of the slopes, in radians: 0 unfolded, pi folded."""
+    capped_steps: Number = 0
+    """Of a simulation: physics steps in which the solver gave up."""
+
+
+_STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
+_KINDS: Final[dict[str, type[Message]]] = {
+    kind.kind: kind for kind in (Hello, Welcome, Refused, Measurements, Commands, Ack, Bye, Follow, TruePoses)
+}
+
+
+def _adapter(kind: type[Message]) -> TypeAdapter[Any]:
+    kind.__pydantic_config__ = _STRICT  # type: ignore[attr-defined]
+    return TypeAdapter(kind)
+
+
+_ADAPTERS: Final = {name: _adapter(kind) for name, kind in _KINDS.items()}
+
+
+def pack(message: Message) -> bytes:
+    """Return a message as it is sent."""
+    content = {field.name: getattr(message, field.name) for field in fields(message)}  # type: ignore[arg-type]
+    packed: bytes = msgpack.packb(
+        {"v": VERSION, "kind": message.kind, **content}, default=_plain, strict_types=True
+    )
+    return packed
+
+
+def unpack(data: bytes) -> Message:
+    """Return the message in what came. Raises MessageError, saying why, for what is none."""
+    if len(data) > MESSAGE_BYTES:
+        raise MessageError(f"{len(data)} bytes; allowed: at most {MESSAGE_BYTES}")
+    try:
+        content = msgpack.unpackb(data, max_str_len=_MOST_TEXT * 4, max_bin_len=0, max_ext_len=0)
+    except (ValueError, msgpack.UnpackException) as error:
+        raise MessageError(f"no MessagePack: {error or type(error).__name__}") from None
+    if not isinstance(content, dict) or "v" not in content or "kind" not in content:
+        raise MessageError("no map with 'v' and 'kind'")
+    version, kind = content.pop("v"), content.pop("kind")
+    if version != VERSION:
+        raise MessageError(
+            f"version {_short(version)} of the protocol; this craftsim speaks version {VERSION}"
+        )
+    if not isinstance(kind, str) or kind not in _ADAPTERS:
+        raise MessageError(f"kind {_short(kind)}; there are {', '.join(_KINDS)}")
+    try:
+        message: Message = _ADAPTERS[kind].validate_python(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise MessageError(f"{kind}{'.' if where else ''}{where}: {first['msg']}") from None
+    return message
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, CarMeasurement):
+        return value._asdict()
+    return list(value) if isinstance(value, tuple) else asdict(value)
+
+
+def _short(value: object) -> str:
+    return text if len(text := repr(value)) <= 40 else f"{text[:37]}..."

@@ -1,0 +1,151 @@
+"""Robots behind a simulated network, one event after the other in the robots' own time; no sockets here."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from craftsim.robots.channel import Channel
+from craftsim.robots.messages import (
+    COPIES,
+    Ack,
+    Bye,
+    Commands,
+    Follow,
+    Measurements,
+    Message,
+    MessageError,
+    TruePoses,
+    pack,
+    unpack,
+)
+from craftsim.robots.robot import Clock
+from craftsim.robots.station import Station
+
+Send = Callable[[bytes, bytes], None]
+"""Sends (to whom, what)."""
+_WATCHERS: Final = 8
+"""Who look on at most; one more takes the place of the first."""
+_TOLD: Final = 10
+"""Of the messages that are dropped, so many are said why."""
+
+
+class Service:
+    """Serves a station: takes what comes, and lets the robots' time pass."""
+
+    def __init__(
+        self,
+        station: Station,
+        clock: Clock,
+        up: Channel[Commands],
+        down: Channel[Measurements],
+        send: Send,
+        referee: Callable[[Measurements], TruePoses] | None = None,
+        tell: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        """Begin at time 0.
+
+        Args:
+            station: the robots.
+            clock: lets their control periods pass.
+            up: what commands go through.
+            down: what measurements go through.
+            send: sends to who drives.
+            referee: knows where everything truly is, at the time of some measurements.
+            tell: says who comes, when the robots stop, and why a message was dropped.
+        """
+        self.station, self._clock, self._up, self._down = station, clock, up, down
+        self._send, self._referee, self._tell = send, referee, tell
+        self.now_s = 0.0
+        self.periods = 0
+        self._measured = False
+        """Whether that has been done in this period."""
+        self.malformed = 0
+        """Messages that were none, or out of place."""
+        self._watchers: deque[bytes] = deque(maxlen=_WATCHERS)
+        self._poses: bytes | None = None
+        """Those published last."""
+        self.farewells = 0
+        """How many have driven the robots and said goodbye."""
+        self.unseen: set[int] = set()
+        """Measurements on which robots that wait have no answer yet."""
+
+    @property
+    def next_s(self) -> float:
+        """When something happens next, by the robots' clock."""
+        return min(self._period_s, self._up.due_s, self._down.due_s)
+
+    @property
+    def _period_s(self) -> float:
+        return round(self.periods * self.station.period_s, 9)
+
+    def arrive(self, sender: bytes, data: bytes, now_s: float) -> None:
+        """Take what has come; a command is then on its way, all else is there at once."""
+        try:
+            message = unpack(data)
+            if isinstance(message, Follow) and self._referee is not None:
+                self._watchers.append(sender)
+                if self._poses is not None:
+                    self._send(sender, self._poses)
+                return
+            self.station.check(sender, message)
+            if isinstance(message, Commands):
+                self._up.send(now_s, message)
+            else:
+                self._receive(sender, message, now_s)
+        except (MessageError, ValueError) as error:
+            self.malformed += 1
+            if self.malformed <= _TOLD:
+                self._tell(f"dropped a message: {error}")
+
+    def step(self) -> None:
+        """Let happen what happens next."""
+        now_s = self.now_s = self.next_s
+        self._deliver(now_s)
+        driver = self.station.driver
+        for commands in self._up.due(now_s):
+            if driver is not None:
+                self._receive(driver, commands, now_s)
+        if self._period_s > now_s:
+            return
+        if not self._measured:
+            # What is commanded in answer comes before the robots act where it takes no time.
+            self._measure(now_s)
+        else:
+            if not self.station.act(now_s):
+                self._tell(
+                    f"{now_s:.2f} s: no command since {self.station.inbox.heard_s:.2f} s, the robots stop"
+                )
+            self.periods += 1
+            self._clock.wait()
+        self._measured = not self._measured
+
+    def _measure(self, now_s: float) -> None:
+        measured = self.station.measure(now_s)
+        if self._referee is not None:
+            self._poses = pack(self._referee(measured))
+            for watcher in self._watchers:
+                self._send(watcher, self._poses)
+        if self.station.driver is not None:
+            for _ in range(COPIES):
+                self._down.send(now_s, measured)
+            self._deliver(now_s)
+
+    def _receive(self, sender: bytes, message: Message, now_s: float) -> None:
+        answer = self.station.receive(sender, message, now_s)
+        if answer is not None:
+            self._send(sender, pack(answer))
+            self._tell(f"{now_s:.2f} s: {answer.kind}")
+        if isinstance(message, Ack):
+            self.unseen.discard(message.number)
+        elif isinstance(message, Bye):
+            self.farewells += 1
+            self.unseen.clear()
+
+    def _deliver(self, now_s: float) -> None:
+        for message in self._down.due(now_s):
+            if self.station.driver is not None:
+                self._send(self.station.driver, pack(message))
+                if self.station.waits:
+                    self.unseen.add(message.number)

@@ -1,0 +1,110 @@
+"""Simulated robots: the cars of a Site, behind the interface that real ones have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from craftsim.models.sensing import CarMeasurement, PoseReader
+from craftsim.models.site import Site
+from craftsim.robots.channel import Channel, Network
+from craftsim.robots.messages import Measurements, TruePoses
+from craftsim.robots.robot import Robot
+from craftsim.robots.service import Service
+from craftsim.robots.sockets import Host
+from craftsim.robots.station import Station
+from craftsim.skills.fleet import SiteFleet
+from craftsim.skills.skill import Command
+
+
+class SimulatedRobot:
+    """A car of a Site."""
+
+    def __init__(self, world: SiteFleet, car: int) -> None:
+        """Take car number ``car`` with its sensors and motors."""
+        self._world, self._car, self._slope = world, car, -1
+
+    def measure(self) -> CarMeasurement:
+        """Return its newest measurement."""
+        return self._world.sensors.measure(self._car)
+
+    def command(self, command: Command) -> None:
+        """Give its motors these speeds; a hinge turns while its plug is felt."""
+        site = self._world.site
+        self._world.motors.drive(self._car, command.wheels)
+        site.move_board(self._car, command.board)
+        slope = self.measure().slope
+        slope = -1 if slope is None else slope
+        if self._slope not in (-1, slope):
+            site.turn_hinge(self._slope, 0.0)
+        if slope >= 0:
+            site.turn_hinge(slope, command.hinge)
+        self._slope = slope
+
+
+class SimulatedClock:
+    """The time of a Site, which passes in its physics alone."""
+
+    def __init__(self, world: SiteFleet) -> None:
+        """Let the time of these cars pass."""
+        self._world = world
+
+    def wait(self) -> None:
+        """Simulate one control period."""
+        self._world.advance()
+
+
+def simulated_robots(world: SiteFleet) -> tuple[Robot, ...]:
+    """Return a robot for each car of a Site."""
+    return tuple(SimulatedRobot(world, car) for car in range(len(world.site.cars)))
+
+
+class SimulatedReferee:
+    """Knows where everything on a Site truly is."""
+
+    def __init__(self, site: Site) -> None:
+        """Look at a Site."""
+        self._site, self._poses = site, PoseReader(site)
+
+    def __call__(self, measured: Measurements) -> TruePoses:
+        """Return where everything is, at the time at which the robots have measured."""
+        poses, n_slopes = self._poses.read(), len(self._site.slopes)
+        cars = np.hstack([poses.car_positions, poses.car_quaternions])
+        things = np.hstack([poses.positions, poses.quaternions])
+        return TruePoses(
+            measured.number,
+            measured.time_s,
+            tuple(map(tuple, cars.tolist())),
+            tuple(map(tuple, things.tolist())),
+            tuple(poses.hinges[len(poses.hinges) - n_slopes :].tolist()),
+            self._site.capped_steps,
+        )
+
+
+def serve_simulated(
+    world: SiteFleet,
+    digest: str,
+    sockets: Host,
+    network: Network,
+    rngs: tuple[np.random.Generator, np.random.Generator],
+    waits: bool,
+    tell: Callable[[str], None],
+) -> Service:
+    """Return the service of the cars of a Site.
+
+    Args:
+        world: the cars.
+        digest: of their world.
+        sockets: where they are reached.
+        network: what is between them and who drives them.
+        rngs: draw what becomes of commands, and of measurements.
+        waits: whether their time stands still until each measurement has been answered.
+        tell: as of the service.
+    """
+    site = world.site
+    robots = simulated_robots(world)
+    station = Station(robots, len(site.slopes), site.config.control_period_s, digest, True, waits)
+    up, down = (Channel[Any](network, rng) for rng in rngs)
+    return Service(station, SimulatedClock(world), up, down, sockets.send, SimulatedReferee(site), tell)

@@ -1,0 +1,173 @@
+"""Laws of driving robots through messages, in lock-step and in memory."""
+
+import numpy as np
+import pytest
+from drawn import draw
+
+from craftsim.checking.settings import setup_of
+from craftsim.checking.world import set_up
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Kind
+from craftsim.errors import InputError
+from craftsim.models.parameters import NOMINAL
+from craftsim.robots.channel import Network
+from craftsim.robots.fleet import RobotFleet
+from craftsim.robots.link import Link
+from craftsim.robots.messages import Bye, Commands, Hello, Refused, TruePoses, Welcome, pack, unpack
+from craftsim.robots.simulated import SimulatedClock, simulated_robots
+from craftsim.robots.station import LEASE_S
+from craftsim.skills.executor import Executor
+from craftsim.skills.outcome import Reason
+from craftsim.skills.skill import Command
+
+SIZE, CARS = (4, 4, 2), [(0, 0, 1, 0), (3, 3, 1, 2)]
+OBJECTS = [(Kind.BLOCK, (1, 0, 1)), (Kind.BLOCK, (1, 2, 1))]
+BUSY = Network(0.03, 0.01, 0.02)
+ACTIONS = [{0: Action.MOVE_RIGHT, 1: Action.ROTATE_LEFT}, {0: Action.LIFT, 1: Action.MOVE_LEFT}]
+"""Of each time, by car; the first car ends under the first block."""
+
+
+def perform(executor: Executor) -> list:
+    return [executor.run(joint) for joint in ACTIONS]
+
+
+def attempts(robots):
+    return [robots.checked.perform_tick(tuple(joint.items())) for joint in ACTIONS]
+
+
+@pytest.fixture(scope="module")
+def on_site():
+    checked = set_up(draw(SIZE, OBJECTS, CARS), setup_of(drive="reduced"))
+    return perform(checked.executor), checked.site.data.qpos.copy()
+
+
+def test_robots_of_ones_own_class_do_what_a_sites_cars_do(on_site):
+    fleet = set_up(draw(SIZE, OBJECTS, CARS), setup_of(drive="reduced"), watch_contacts=False).executor.fleet
+    site, robots = fleet.site, RobotFleet(simulated_robots(fleet), SimulatedClock(fleet))
+    assert perform(Executor(site, fleet=robots)) == on_site[0]
+    np.testing.assert_array_equal(site.data.qpos, on_site[1])
+
+
+def test_a_network_that_takes_no_time_changes_nothing(make_robots, on_site):
+    robots = make_robots(SIZE, CARS, OBJECTS)
+    outcomes = perform(robots.checked.executor)
+    assert outcomes[0] == on_site[0][0]  # what follows begins a control period later
+    assert all(outcome.succeeded for outcome in outcomes[1].values())
+    assert robots.link.late_periods == 1
+
+
+def test_actions_agree_through_delay_jitter_and_loss_and_are_the_same_again(make_robots):
+    first, second = (make_robots(SIZE, CARS, OBJECTS, BUSY, seed=3) for _ in range(2))
+    done = attempts(first)
+    assert [attempt.reason for tick in done for attempt in tick] == [""] * 4
+    assert attempts(second) == done
+    np.testing.assert_array_equal(second.site.data.qpos, first.site.data.qpos)
+
+
+def test_the_skills_see_nothing_of_what_the_referee_says(make_robots):
+    robots = make_robots(SIZE, CARS, OBJECTS)
+    mirror = robots.link._judge
+    take = mirror._take
+
+    def lie(data: bytes) -> None:
+        poses = unpack(data)
+        cars = tuple((x + 0.05, *rest) for x, *rest in poses.cars)
+        take(pack(TruePoses(poses.number, poses.time_s, cars, poses.things, poses.hinges)))
+
+    mirror._take = lie
+    attempt = robots.checked.perform(0, Action.MOVE_RIGHT)
+    assert attempt.skill == "succeeded"
+    assert not attempt.agrees
+    assert attempt.car_error_m == pytest.approx(0.05, abs=0.001)
+
+
+def fastest_m_s(robots) -> float:
+    return max(float(np.linalg.norm(robots.site.data.qvel[car.base.dof :][:3])) for car in robots.site.cars)
+
+
+def test_robots_that_hear_nothing_stop_by_themselves(make_robots):
+    robots = make_robots(SIZE, CARS, OBJECTS, BUSY)
+    for car, action in ACTIONS[0].items():
+        robots.checked.executor.begin(car, action)
+    for _ in range(24):
+        robots.checked.executor.advance()
+    assert fastest_m_s(robots) > 0.3
+    robots.driver.cut = True
+    robots.pass_time(0.06)
+    heard_s = robots.service.station.inbox.heard_s
+    robots.pass_time(heard_s + 0.15 - robots.service.now_s)
+    (stopped_s,) = robots.service.station.stopped_at_s
+    assert 0.1 <= stopped_s - heard_s < 0.12 + 1e-6
+    motors = robots.site.data.ctrl[np.concatenate([car.wheel_actuators for car in robots.site.cars])]
+    assert not motors.any()
+    robots.pass_time(0.2)  # a car that brakes from 0.8 m/s needs that long with this drive
+    assert fastest_m_s(robots) < 0.01
+
+
+def test_a_lost_connection_is_an_outcome_at_once(make_robots):
+    robots = make_robots(SIZE, CARS, OBJECTS)
+    robots.checked.executor.begin(0, Action.MOVE_RIGHT)
+    robots.checked.executor.advance()
+    robots.driver.cut = True
+    outcome = robots.checked.executor.advance()[0]
+    assert outcome.reason is Reason.DISCONNECTED
+    assert str(outcome) == "disconnected: nothing has come from the robots for 1 s"
+    assert robots.checked.executor.run({1: Action.ROTATE_LEFT})[1].reason is Reason.DISCONNECTED
+
+
+def test_who_is_away_too_long_finds_the_robots_stopped_and_may_go_on(make_robots):
+    robots = make_robots(SIZE, CARS, OBJECTS)
+    executor = robots.checked.executor
+    executor.begin(0, Action.MOVE_RIGHT)
+    for _ in range(5):
+        executor.advance()
+    robots.pass_time(0.2)
+    ended = {}
+    while not ended:
+        ended = executor.advance()
+    assert str(ended[0]) == "disconnected: the robots had no command for 100 ms, and stopped"
+    assert executor.run({1: Action.ROTATE_LEFT})[1].succeeded
+    robots.pass_time(3.0)  # between two actions it is no loss
+    assert executor.run({1: Action.ROTATE_RIGHT})[1].succeeded
+
+
+def test_robots_that_end_say_so(make_robots):
+    robots = make_robots(SIZE, CARS, OBJECTS)
+    robots.checked.executor.begin(0, Action.MOVE_RIGHT)
+    robots.driver.inbox.append(pack(Bye("they were told to")))
+    assert (
+        str(robots.checked.executor.advance()[0]) == "disconnected: the robots have ended: they were told to"
+    )
+
+
+def test_a_slope_folds_and_is_held_through_a_network(make_robots):
+    robots = make_robots((3, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)], BUSY)
+    assert robots.checked.perform(0, Action.UNFOLD).reason == ""
+
+
+def test_robots_refuse_whom_they_do_not_fit_and_obey_one_at_a_time(make_robots):
+    robots = make_robots(SIZE, CARS, OBJECTS)
+    station = robots.service.station
+    station.world = "a"
+
+    def ask(hello: Hello, now_s: float = robots.service.now_s):
+        return station.receive(b"other", hello, now_s)
+
+    assert ask(Hello(2, "a")) == Refused("the robots obey somebody else; try again when that has ended", True)
+    late_s = robots.service.now_s + LEASE_S + 0.1
+    assert ask(Hello(3, "a"), late_s) == Refused("there are 2 robots, not 3")
+    assert isinstance(ask(Hello(2, "b"), late_s), Refused)
+    assert isinstance(ask(Hello(2, "a"), late_s), Welcome)
+    with pytest.raises(ValueError, match="does not drive"):
+        station.check(b"driver", Commands(1, 0.0, (Command(), Command())))
+
+
+def test_nobody_there_is_said_in_words():
+    class Nobody:
+        def send(self, data: bytes) -> None: ...
+
+        def receive(self, timeout_s: float) -> bytes:
+            return pack(Refused("the robots rest"))
+
+    with pytest.raises(InputError, match="the robots rest"):
+        Link(Nobody(), 1, NOMINAL)

@@ -1,0 +1,130 @@
+"""The parts of the interface by themselves: network, inbox with its watchdog, extrapolation and clock."""
+
+import numpy as np
+import pytest
+
+from craftsim.errors import InputError
+from craftsim.models.parameters import NOMINAL
+from craftsim.models.sensing import CarMeasurement
+from craftsim.robots.channel import Channel, Network
+from craftsim.robots.extrapolation import Extrapolation
+from craftsim.robots.inbox import Inbox
+from craftsim.robots.messages import Commands
+from craftsim.robots.robot import RealClock
+from craftsim.skills.skill import Command
+
+
+def drained(network: Network, seed: int, n: int = 400) -> list[tuple[float, int]]:
+    channel = Channel(network, np.random.default_rng(seed))
+    for number in range(n):
+        channel.send(0.02 * number, number)
+    found = []
+    while channel.due_s < np.inf:
+        at_s = channel.due_s
+        found += [(at_s, number) for number in channel.due(at_s)]
+    return found
+
+
+def test_a_network_is_late_loses_and_lets_overtake_as_it_is_told():
+    network = Network(0.03, 0.025, 0.1)
+    found = drained(network, 0)
+    late = [at_s - 0.02 * number for at_s, number in found]
+    assert 0.005 <= min(late) < 0.01 < 0.05 < max(late) <= 0.055
+    assert 0.05 < 1 - len(found) / 400 < 0.15
+    numbers = [number for _, number in found]
+    assert numbers != sorted(numbers)
+    assert found == drained(network, 0) != drained(network, 1)
+
+
+def test_a_network_without_faults_changes_nothing():
+    assert drained(Network(), 0) == [(round(0.02 * number, 9), number) for number in range(400)]
+
+
+@pytest.mark.parametrize("figures", [(0.01, 0.02, 0.0), (-0.1, 0.0, 0.0), (0.0, 0.0, 1.5), (11.0, 0.0, 0.0)])
+def test_a_network_that_cannot_be_is_refused(figures):
+    with pytest.raises(InputError, match="allowed: "):
+        Network(*figures)
+
+
+def message(number: int, at_s: float) -> Commands:
+    return Commands(number, at_s, (Command((float(number),) * 4),))
+
+
+def test_commands_wait_for_their_time_and_the_newest_is_obeyed():
+    inbox = Inbox()
+    assert inbox.obey(0.0) is None
+    assert inbox.take(message(2, 0.04), 0.01)
+    assert inbox.take(message(1, 0.02), 0.01)  # overtaken, and still in time
+    assert not inbox.take(message(2, 0.04), 0.01)  # a copy
+    assert inbox.obey(0.0) is None
+    assert inbox.obey(0.02).number == 1
+    assert inbox.take(message(4, 0.03), 0.04)  # too late for its time
+    assert inbox.obey(0.04).number == 4
+    assert not inbox.take(message(3, 0.05), 0.05)  # after a newer one has begun
+    assert inbox.dropped == 1
+    assert inbox.obey(0.06).number == 4
+    assert (inbox.heard, inbox.late_s) == (4, pytest.approx(0.01))
+
+
+def test_commands_from_afar_in_time_or_without_end_are_dropped():
+    inbox = Inbox()
+    assert not inbox.take(message(1, 5.0), 0.0)
+    assert sum(inbox.take(message(number, 0.5), 0.0) for number in range(1, 1000)) == 64
+    assert inbox.obey(0.05) is None
+
+
+@pytest.mark.parametrize("last_s", [0.0, 0.013])
+def test_without_a_command_for_100_ms_robots_stop_until_one_comes(last_s):
+    inbox = Inbox()
+    inbox.take(message(1, 0.0), last_s)
+    obeyed = {round(0.02 * k, 2): inbox.obey(0.02 * k) for k in range(1, 10)}
+    stopped_s = min(at_s for at_s, commands in obeyed.items() if commands is None)
+    assert 0.1 <= stopped_s - last_s < 0.12
+    assert inbox.stops == 1
+    inbox.take(message(2, 0.2), 0.2)
+    assert inbox.obey(0.2).number == 2
+
+
+def car(**values) -> CarMeasurement:
+    still = CarMeasurement(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0.0,) * 4, 0.0, 0.0, None, None)
+    return still._replace(**values)
+
+
+def test_an_extrapolation_goes_on_as_the_commands_say():
+    machine = NOMINAL.car(0)
+    prediction = Extrapolation(machine, NOMINAL, 0.02)
+    droop = machine.gear_friction_nm / machine.wheel_gain_nms_rad
+    ahead = Command((10.0 + droop,) * 4, 0.05, -0.3)
+    found = prediction.after(car(heading=np.pi / 2, slope=0, hinge_rad=1.0), [ahead] * 5)
+    way_m = 10.0 * machine.wheel_radius_m * 0.1
+    assert (found.x, found.y) == pytest.approx((0.0, way_m))
+    assert found.wheel_speeds == pytest.approx((10.0,) * 4)
+    assert (found.board_m, found.hinge_rad) == pytest.approx((0.005, 0.97))
+    up = prediction.after(car(board_m=0.044), [ahead] * 5)
+    assert (up.board_m, up.hinge_rad) == (pytest.approx(machine.board_travel_m), None)
+    assert prediction.after(found, []) == found
+
+
+def test_an_extrapolation_learns_how_far_wheels_lag_behind():
+    prediction = Extrapolation(NOMINAL.car(0), NOMINAL, 0.02)
+    told = Command((5.0,) * 4)
+    for _ in range(100):
+        prediction.note(car(wheel_speeds=(4.0,) * 4), told)
+    assert prediction.after(car(), [told]).wheel_speeds == pytest.approx((4.0,) * 4, abs=1e-3)
+
+
+def test_a_real_clock_keeps_to_its_periods_and_does_not_catch_up():
+    now = [0.0]
+
+    def sleep(duration_s: float) -> None:
+        now[0] += duration_s
+
+    clock = RealClock(0.02, lambda: now[0], sleep)
+    now[0] += 0.005
+    clock.wait()
+    assert now[0] == pytest.approx(0.02)
+    now[0] += 0.05
+    clock.wait()
+    assert (now[0], clock.overruns) == (pytest.approx(0.07), 1)
+    clock.wait()
+    assert now[0] == pytest.approx(0.09)

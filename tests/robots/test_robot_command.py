@@ -1,0 +1,120 @@
+"""Robots in a process of their own, reached over sockets: what is built, and what becomes of a lost connection."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import numpy as np
+
+from craftsim.checking.settings import setup_of
+from craftsim.checking.world import Seed
+from craftsim.cli import main
+from craftsim.commands.robots import robots_at
+from craftsim.discrete.actions import Action
+from craftsim.discrete.tasks import make_task
+from craftsim.skills.outcome import Reason
+
+PLAN = "0 0 MOVE_RIGHT\n0 1 MOVE_LEFT\n1 0 LIFT\n1 1 ROTATE_LEFT\n"
+BUSY = ("--delay-ms", "30", "--jitter-ms", "10", "--loss", "0.02")
+DRIVE = """
+import os, signal
+import numpy as np
+from craftsim.checking.settings import setup_of
+from craftsim.checking.world import Seed
+from craftsim.commands.robots import robots_at
+from craftsim.discrete.actions import Action
+from craftsim.discrete.tasks import make_task
+with robots_at("{address}", 30.0) as where:
+    grid = make_task("simple_two_story").draw(np.random.default_rng(0))
+    executor = where(grid, setup_of(drive="reduced"), Seed((0,)), ()).executor
+    for fate in (signal.SIGSTOP, signal.SIGKILL):
+        executor.begin(0, Action.MOVE_RIGHT)
+        for _ in range(10):
+            assert not executor.advance()
+        print("acting", flush=True)
+        os.kill(os.getpid(), fate)
+        while not (ended := executor.advance()):
+            pass
+        print(ended[0], flush=True)
+"""
+"""A process that drives one car, stops in the midst of it, goes on when it is told to, and then is killed."""
+
+
+@contextmanager
+def served(out, *options):
+    """Yield a process that serves robots with the reduced drive, and its address; it ends when it should."""
+    words = ["robot", "--drive", "reduced", "--port", "0", "--out", str(out), *options]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "craftsim", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield process, re.search(r"tcp://\S+", process.stdout.readline())[0]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def stop_of(process: subprocess.Popen) -> tuple[float, float]:
+    """Return when robots stopped the next time, and when the last command before had come."""
+    for line in process.stderr:
+        if found := re.search(r"([.\d]+) s: no command since ([.\d]+) s, the robots stop", line):
+            return float(found[1]), float(found[2])
+    raise AssertionError("the robots did not stop")
+
+
+def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys):
+    plan = tmp_path / "short.plan"
+    plan.write_text(PLAN, encoding="utf-8")
+    with served(tmp_path / "robot", "--lockstep", "--once", *BUSY) as (process, address):
+        words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "reduced", "--no-video"]
+        assert (
+            main([*words, "--timeout-s", "60", "--out", str(tmp_path / "demo")]) == 1
+        )  # the goal is not reached
+        assert process.wait(60) == 0
+    figures = json.loads((tmp_path / "demo/report.json").read_text())["figures"]
+    assert (figures["agree"], figures["total"]) == (4, 4)
+    assert figures["simulated_s"] > 2
+    assert (tmp_path / "demo/simple_two_story.npz").is_file()
+    served_figures = json.loads((tmp_path / "robot/report.json").read_text())["figures"]
+    assert served_figures["stopped_at_s"] == []
+
+
+def test_robots_and_who_drives_them_outlive_each_other(tmp_path):
+    with served(tmp_path, "--lockstep", "--patience-s", "3") as (process, address):
+        words = [sys.executable, "-c", DRIVE.format(address=address)]
+        driver = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        assert driver.stdout.readline() == "acting\n"
+        asleep = stop_of(process)
+        driver.send_signal(signal.SIGCONT)
+        lost = "disconnected: the robots had no command for 100 ms, and stopped\n"
+        assert [driver.stdout.readline() for _ in range(2)] == [lost, "acting\n"]
+        killed = stop_of(process)
+        assert driver.wait(60) == -signal.SIGKILL
+        for stopped_s, heard_s in (asleep, killed):
+            assert 0.09 < stopped_s - heard_s < 0.13  # as far as two digits say
+        with robots_at(address, 2.0) as where:
+            grid = make_task("simple_two_story").draw(np.random.default_rng(0))
+            executor = where(grid, setup_of(drive="reduced"), Seed((0,)), ()).executor
+            executor.begin(1, Action.ROTATE_LEFT)
+            process.kill()
+            begun = time.monotonic()
+            ended = {}
+            while not ended:
+                ended = executor.advance()
+        assert ended[1].reason is Reason.DISCONNECTED
+        assert time.monotonic() - begun < 60  # two seconds where nothing else runs
+
+
+def test_an_address_where_no_robots_are_is_refused_in_words(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("craftsim.robots.link._GREETED_S", 0.2)
+    words = ["demo", "--robot", "127.0.0.1:9", "--timeout-s", "0.1", "--no-video", "--out", str(tmp_path)]
+    assert main(words) == 2
+    assert "no robots answer within 0.2 s; start some with: craftsim robot" in capsys.readouterr().err
+    assert main([*words, "--task", "all"]) == 2
+    assert "--robot goes with a single task" in capsys.readouterr().err
+    assert main(["demo", "--robot", "udp://nowhere", "--out", str(tmp_path), "--no-video"]) == 2
+    assert "is no address of robots" in capsys.readouterr().err

@@ -9,6 +9,7 @@ from typing import Final
 from craftsim.validation.audit.audit import Audit
 from craftsim.validation.audit.suspects import SuspectFinding
 from craftsim.validation.html.page import Case, Headline, KeyFigure, Page, Tone, count, provenance
+from craftsim.validation.html.recorded import recorded_cases
 from craftsim.validation.statistics.audit_rows import (
     SOUND_SHARE,
     AuditRow,
@@ -51,7 +52,10 @@ def audit_page(audit: Audit, command: str) -> Page:
     """Return the page of an audit; ``command`` is how it can be run again."""
     rows, rules = audit.results.rows, audit.config["rules"]
     unsound = _striking_first(rows, Judgement.UNSOUND)
-    one_each = {row.action: row for row in reversed(unsound)}.values()
+    first = {row.action: row for row in reversed(unsound)}
+    one_each = [row for row in unsound if first[row.action] is row]
+    conservative = _striking_first(rows, Judgement.CONSERVATIVE)
+    strangest_first = [*one_each, *(row for row in unsound if row not in one_each), *conservative]
     uncorrected = sum(not flags for flags in audit.corrections.values())
     return Page(
         "audit.html.j2",
@@ -68,9 +72,10 @@ def audit_page(audit: Audit, command: str) -> Page:
             "comparison": audit.comparison,
             "smallest": audit.smallest,
             "unsound": _by_action(rows, unsound),
-            "most_striking": [_case(row) for row in unsound if row in one_each][:MOST_STRIKING],
+            "most_striking": [_case(row) for row in one_each][:MOST_STRIKING],
             "corrections": audit.rows_by_flag | {"no flag": uncorrected},
-            "conservative": _by_action(rows, _striking_first(rows, Judgement.CONSERVATIVE)),
+            "conservative": _by_action(rows, conservative),
+            "recorded": recorded_cases(map(_case, strangest_first)),
             "legal": (a for a in attempts_of(carried_out(audit.judged)) if a["legal"]),
             "provenance": provenance(command, audit.seed, audit.config),
         },

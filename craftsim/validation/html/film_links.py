@@ -1,4 +1,4 @@
-"""Films within a page: the bytes themselves while there is room, then links to the files beside it."""
+"""What lies in the bundles beside a page: films, whose bytes are in it while there is room, and trajectories."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Final
 from urllib.parse import quote
 
 from craftsim.validation.html.page import Case
-from craftsim.validation.replays.bundle import FILM
+from craftsim.validation.replays.bundle import FILM, TRAJECTORY
 
 BUDGET_BYTES: Final = 20_000_000
 """Of all films within one page, as base64: more would make it slow to open and hard to send."""
 
 
 class Films:
-    """The films of one page, within a budget; the first ones that fit are embedded."""
+    """The films and trajectories of one page; the first films that fit into a budget are embedded."""
 
     def __init__(self, out: Path, budget_bytes: int = BUDGET_BYTES) -> None:
-        """Look for films below ``out``, the page's folder."""
+        """Look for them below ``out``, the page's folder."""
         self.out = out
         self.left_bytes = budget_bytes
 
@@ -32,15 +32,23 @@ class Films:
         return [(case, film) for case, film in found if film or not filmed_only]
 
     def _film(self, bundle: str) -> str | None:
-        """Return the address of the film in a bundle, None when there is none, or it lies outside of the folder."""
-        if not bundle:
+        """Return the address of the film in a bundle, None when there is none."""
+        if (address := self._file(bundle, FILM)) is None:
             return None
-        path = (self.out / bundle / FILM).resolve()
-        root = self.out.resolve()
-        if not (path.is_relative_to(root) and path.is_file()):
-            return None
+        path = self.out / bundle / FILM
         size = -(-path.stat().st_size // 3) * 4
         if size > self.left_bytes:
-            return quote(path.relative_to(root).as_posix())
+            return address
         self.left_bytes -= size
         return "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode()
+
+    def trajectory(self, bundle: str) -> str | None:
+        """Return the path, relative to the page, of the trajectory in a bundle, None when none was recorded."""
+        return self._file(bundle, TRAJECTORY)
+
+    def _file(self, bundle: str, name: str) -> str | None:
+        """Return the address of a file in a bundle, None when there is none, or it lies outside of the folder."""
+        path, root = (self.out / bundle / name).resolve(), self.out.resolve()
+        if not (bundle and path.is_relative_to(root) and path.is_file()):
+            return None
+        return quote(path.relative_to(root).as_posix())

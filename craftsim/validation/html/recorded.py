@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,7 +15,9 @@ from craftsim.rendering.plots.signals import Signals
 from craftsim.rendering.plots.style import WIDTH_IN
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.validation.campaign import Item, TrialRecord
+from craftsim.validation.html.page import Case
 from craftsim.validation.html.svg import canvas
+from craftsim.validation.replays.bundle import TRAJECTORY
 
 MOST_RUNS: Final = 4
 """Runs that a page draws."""
@@ -57,6 +59,11 @@ def recorded_runs(items: Sequence[Item], records: Sequence[TrialRecord]) -> list
     return sorted(ended, key=lambda run: run.agrees)
 
 
+def recorded_cases(cases: Iterable[Case]) -> list[RecordedRun]:
+    """Return what was recorded of disagreements, if it was."""
+    return [RecordedRun(case.title, f"{case.bundle}/{TRAJECTORY}", False) for case in cases if case.bundle]
+
+
 class Drawn:
     """The drawings of one page."""
 
@@ -64,6 +71,10 @@ class Drawn:
         """Look for trajectories below ``out``, the page's folder."""
         self.out = out
         self.left_bytes = budget_bytes
+
+    def there(self, runs: Sequence[RecordedRun]) -> list[RecordedRun]:
+        """Return the runs that were recorded."""
+        return [run for run in runs if (self.out / run.file).is_file()]
 
     def of(self, runs: Sequence[RecordedRun]) -> Iterator[DrawnRun]:
         """Yield the first runs as far as there is room."""

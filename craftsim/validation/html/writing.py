@@ -16,6 +16,7 @@ from craftsim.validation.html import plots
 from craftsim.validation.html.film_links import Films
 from craftsim.validation.html.page import Page, count, interval, percent
 from craftsim.validation.html.recorded import Drawn
+from craftsim.validation.replays.bundle import TRAJECTORY
 
 FILE_NAME: Final = "report.html"
 
@@ -62,7 +63,9 @@ def _environment() -> Environment:
         shell=shlex.quote,
         thousands="{:,}".format,
     )
-    environment.globals.update(count=count, interval=interval, max_cases=MAX_CASES, plots=plots)
+    environment.globals.update(
+        count=count, interval=interval, max_cases=MAX_CASES, plots=plots, trajectory_file=TRAJECTORY
+    )
     return environment
 
 

@@ -2,6 +2,7 @@
 
 import base64
 import re
+import shutil
 from html.parser import HTMLParser
 from types import SimpleNamespace
 
@@ -298,6 +299,35 @@ def test_a_damaged_trajectory_is_told_and_does_not_keep_the_page_from_being_writ
     items, records = _recorded(tmp_path, ["one"])
     (tmp_path / TRAJECTORIES / "one.npz").write_bytes(b"PK")
     assert "No figures: " in Reader(_page_of(tmp_path, items, records)).text
+
+
+def test_the_disagreements_of_an_audit_that_were_recorded_are_drawn_and_linked(tmp_path, monkeypatch):
+    monkeypatch.setattr("craftsim.validation.html.recorded.MOST_RUNS", 2)
+    _recorded(tmp_path, ["one"])
+    results = {
+        "LIFT/a": Result.FAILED,
+        "LIFT/b": Result.FAILED,
+        "FOLD/c": Result.UNSAFE,
+        "LIFT/d": Result.FAILED,
+    }
+    bundles = {name: f"bundles/{name[-1]} 1" for name in results}
+    for name in ("LIFT/a", "LIFT/b", "FOLD/c"):
+        (tmp_path / bundles[name]).mkdir(parents=True)
+        shutil.copy(tmp_path / TRAJECTORIES / "one.npz", tmp_path / bundles[name] / "trajectory.npz")
+    page = audit_html(
+        tmp_path,
+        [record(name, attempt(result), group=name, bundle=bundles[name]) for name, result in results.items()],
+    )
+    section = page[page.index('<section id="recorded">') :]
+    section = section[: section.index("</section>")]
+    assert re.findall(r"<summary>(\w+)/<wbr>(\w)", section) == [("FOLD", "c"), ("LIFT", "a")]
+    assert section.count("<svg") == 10
+    assert "3 recorded runs" in section
+    links = [address for address in Reader(page).addresses if address.endswith("trajectory.npz")]
+    assert links.count("bundles/b%201/trajectory.npz") == 1, "in the table of all"
+    assert links.count("bundles/c%201/trajectory.npz") == 2, "beside the command, too"
+    assert not any("/d" in link for link in links)
+    assert "craftsim render &#39;bundles/<wbr>c 1/<wbr>trajectory.npz&#39;" in page
 
 
 def test_what_is_folded_on_a_screen_is_open_on_paper_and_no_table_is_cut(pages):

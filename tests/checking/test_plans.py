@@ -12,6 +12,7 @@ from craftsim.checking.settings import Setup, nominal_gains
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.noise import EXACT
 
 RIGHT = Action.MOVE_RIGHT
 

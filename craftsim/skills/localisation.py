@@ -41,6 +41,10 @@ _STILL_M_S: Final = 0.002
 """A car that rolls slower than this rests."""
 _LEAST: Final = 1e-12
 """m^2 or rad^2: what is exact is not taken to be quite so."""
+_ALIKE: Final = 100.0
+"""An age that is believed wrongly is so for all localisations of a move: about so many count as one."""
+_DOUBT: Final = 0.1
+"""By this share of its way an outlier makes a car doubt where it is, so that it believes one after the other."""
 _X, _Y, _HEADING, _BIAS = range(4)
 """Places in the state: what odometry lacks of x, y and heading, and then the biases of their localisations."""
 
@@ -172,8 +176,10 @@ def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats,
         known.slopes[k] = known.slopes[_BIAS + k] = 1.0
         off = located[k] - _at(rolled[k], age) - state[k] - state[_BIAS + k]
         # A localisation of unknown age says little of a car that moved.
-        spread = (_at(rolled[k], age - std) - _at(rolled[k], age + std)) / 2
-        straight &= correct(known, off, estimate.noise[k] + spread**2 + _LEAST)
+        spread = _ALIKE * _spread(rolled[k], age, std) + _spread(rolled[k], age, estimate.jitter) + _LEAST
+        if not correct(known, off, estimate.noise[k] + spread):
+            straight = False
+            known.covariance[k, k] += (_DOUBT * off) ** 2
     if straight:
         for k in range(3):
             seen[k, 0] = located[k]
@@ -229,8 +235,7 @@ def _find_age(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats
         weigh_ages(
             mismatches, seen[k, 0] - seen[k, WINDOW], rolled[k], 2 * estimate.noise[k] + unsure**2 + _LEAST
         )
-    age, std = likeliest_age(mismatches)
-    estimate.age, estimate.age_std = age, math.hypot(std, estimate.jitter)
+    estimate.age, estimate.age_std = likeliest_age(mismatches)
 
 
 @compiled
@@ -239,13 +244,21 @@ def _find_noise(estimate: Record, seen: Floats) -> None:
     last = 1
     while last < WINDOW and not math.isfinite(seen[_X, last]):
         last += 1
-    if estimate.n_still < estimate.age + 3 * estimate.age_std + 1 + last or not math.isfinite(seen[_X, last]):
+    if estimate.n_still < estimate.age + 3 * (
+        estimate.age_std + estimate.jitter
+    ) + 1 + last or not math.isfinite(seen[_X, last]):
         return
     fade = min(1.0, _MEMORY / (estimate.counts + 1))
     estimate.counts = fade * (estimate.counts + 1)
     for k in range(3):
         estimate.scatter[k] = fade * (estimate.scatter[k] + (seen[k, 0] - seen[k, last]) ** 2 / 2)
         estimate.noise[k] = estimate.scatter[k] / estimate.counts
+
+
+@compiled
+def _spread(past: Floats, age: float, std: float) -> float:
+    """Return the variance of what was so many periods ago, give or take a standard deviation."""
+    return ((_at(past, age - std) - _at(past, age + std)) / 2) ** 2
 
 
 @compiled

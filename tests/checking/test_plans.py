@@ -12,6 +12,7 @@ from craftsim.checking.settings import Setup, nominal_gains
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models.noise import EXACT
 
 RIGHT = Action.MOVE_RIGHT
 
@@ -93,7 +94,7 @@ def test_the_failure_of_a_car_that_nobody_waits_for_concerns_nobody_else():
 
 @pytest.mark.parametrize("force_n", [0.0, 120.0])
 def test_what_moves_after_its_action_has_ended_is_held_against_the_actions_still_running(force_n):
-    checked = set_up(_yard(), Setup())
+    checked = set_up(_yard(), Setup(assumed=EXACT))
     running, started, start = {}, set(), []
 
     def listen(now):
@@ -162,7 +163,9 @@ def test_a_stack_that_sways_under_a_car_on_its_way_is_held_against_no_other_acti
     stacks = [(Kind.BLOCK, (x, 0, z)) for x in (0, 1) for z in (1, 2, 3, 4)]
     grid = draw((4, 2, 5), stacks, [(0, 0, 5, 0, Kind.FSLOPE, 2), (3, 1, 1, 0)])
     gains = nominal_gains()
-    checked = set_up(grid, Setup(gains=replace(gains, drive=replace(gains.drive, rocking=9.0))))
+    checked = set_up(
+        grid, Setup(gains=replace(gains, drive=replace(gains.drive, rocking=9.0)), assumed=EXACT)
+    )
     swayed = []
 
     def note(site):

@@ -5,7 +5,7 @@ import pytest
 from craftsim.checking.settings import RANDOMIZE, Thresholds, setup_of, widened
 from craftsim.errors import InputError
 from craftsim.models.imperfection import Floor
-from craftsim.models.noise import MILD, NOISY, SensorNoise
+from craftsim.models.noise import ASSUMED, MILD, SensorNoise
 from craftsim.models.randomization import NONE
 
 
@@ -24,7 +24,7 @@ def test_a_file_changes_what_it_names_of_its_base(tmp_path):
     assert setup.randomization.mass == mild.mass
     assert setup.randomization.floor == Floor(lippage_m=0.001)
     assert setup.randomization.sensors.position_m == MILD.position_m
-    assert setup.assumed == setup.randomization.sensors
+    assert setup.assumed == ASSUMED
 
 
 def test_limits_are_widened_by_what_no_car_can_know_and_by_nothing_else(tmp_path):
@@ -45,7 +45,7 @@ def test_without_bias_and_relief_limits_are_those_of_the_preset(name):
 def test_noise_takes_the_place_of_the_presets_and_the_assumption_stays():
     setup = setup_of("strong", noise=SensorNoise(position_m=0.002))
     assert setup.randomization.sensors == SensorNoise(position_m=0.002)
-    assert setup.assumed == NOISY
+    assert setup.assumed == ASSUMED
 
 
 @pytest.mark.parametrize(

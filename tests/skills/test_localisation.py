@@ -116,12 +116,11 @@ def test_at_rest_the_error_falls_as_one_over_the_root_of_the_number_of_localisat
 
 def test_at_rest_every_localisation_counts_once_however_late_it_comes():
     localiser = _localiser(SensorNoise(0.001, 0.003, min_delay_s=0.04, max_delay_s=0.04))
-    first = 0.001
-    for n in range(1, 17):
-        view = _update(localiser, STILL._replace(x=first if n == 1 else 0.0))
-        # The mean of n localisations of which the first alone is off; the filter's unrest forgets a little, and the
-        # others, which do not scatter, count a little more.
-        assert view.x == pytest.approx(first / n, rel=0.2)
+    located = 0.001 * np.random.default_rng(0).normal(size=16)
+    for n, x in enumerate(located, 1):
+        view = _update(localiser, STILL._replace(x=x))
+        # The mean, of which the filter's unrest and what it finds of the noise make a little less.
+        assert abs(view.x - located[:n].mean()) < 0.4 * 0.001 / math.sqrt(n)
 
 
 @pytest.mark.parametrize("n", [5, 40, 200])
@@ -221,7 +220,7 @@ def test_a_car_that_has_moved_knows_how_late_its_localisations_are(delay_s):
     assert before_s > 0.04
     # Wheels are read at the end of a period over which the speed is taken to be the same: half of it.
     assert PERIOD_S * estimate["age"] == pytest.approx(delay_s, abs=0.012)
-    assert PERIOD_S * math.sqrt(estimate["age_std"] ** 2 - estimate["jitter"] ** 2) < 0.006
+    assert PERIOD_S * estimate["age_std"] < 0.006
 
 
 @pytest.mark.parametrize("noise", [(0.0, 0.0), (0.003, 0.01)], ids=["exact", "three times as noisy"])

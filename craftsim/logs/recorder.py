@@ -12,8 +12,8 @@ from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.state import COMMAND
 
-MOST_ROWS: Final = 180_000
-"""An hour at the usual control period; what comes later is left out."""
+MOST_ROWS: Final = 250_000
+"""Of all cars together, so that a reader takes them: over an hour of one car; what comes later is left out."""
 
 
 class LogRecorder:
@@ -25,11 +25,12 @@ class LogRecorder:
         self._readings = [executor.fleet.read().tobytes()]
         self._commands: list[bytes] = []
         self._time = [executor.site.time_s]
+        self._most = MOST_ROWS // max(1, len(executor.site.cars))
         executor.observers.append(self._look)
 
     def _look(self, site: Site) -> None:
         # A simulation that breaks down starts its time over: what it does then is no part of the run.
-        if not self._time[-1] < site.time_s or len(self._time) == MOST_ROWS:
+        if not self._time[-1] < site.time_s or len(self._time) >= self._most:
             return
         self._commands.append(self._executor.commands.tobytes())
         self._readings.append(self._executor.fleet.read().tobytes())

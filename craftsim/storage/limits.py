@@ -48,7 +48,7 @@ POLICY: Final = _plain("policy file", 128 * MIB)
 RUN: Final = Limits("run file", 4096 * MIB, 4096 * MIB, members=1024)
 REPORT: Final = _plain("report.json", 64 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
-LOG: Final = _plain("log", 256 * MIB, line_bytes=4 * KIB)
+LOG: Final = _plain("log", 64 * MIB, line_bytes=4 * KIB)
 BAG: Final = Limits("ROS 2 bag", 256 * MIB, 1024 * MIB)
 
 JSON_VALUES: Final = 200_000

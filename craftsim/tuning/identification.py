@@ -4,7 +4,7 @@ Residuals are what :mod:`craftsim.tuning.prediction` leaves, each in terms of th
 from the residuals themselves and worked out anew after each fit; values beyond six times that are left out as outliers.
 Intervals are those of the linearized problem, with the segments as independent samples (Liang and Zeger's sandwich
 estimate), so that a model that misses something slow is not surer than it should be; never narrower than those of
-independent residuals, where the search has ended or with forces as assumed.
+independent residuals with forces as assumed, where what is held may be off by its common error.
 
 MuJoCo's own ``mujoco.sysid`` is not used: it compares one rollout with the whole of a recording, from a state that is
 given, needs five more packages, and its intervals are of independent residuals.
@@ -215,8 +215,10 @@ class _Fit:
         np.add.at(pulls, segment, jacobian * left[:, None])
         n_segments = len(np.unique(segment))
         sandwich = inverse @ (pulls.T @ pulls) @ inverse * n_segments / max(1, n_segments - 1)
-        elsewhere = self._jacobian(self._with_assumed_forces(), free)
-        known = np.linalg.inv(elsewhere.T @ elsewhere)
+        # What is held may be off by its common error, except for forces: the rest is told in proportion to those.
+        unsure = [k for k, one in enumerate(self.search.unknowns) if k not in free and not one.scales]
+        elsewhere = self._jacobian(self._with_assumed_forces(), [*free, *unsure])
+        known = np.linalg.inv(elsewhere.T @ elsewhere + np.eye(elsewhere.shape[1]))[: len(free), : len(free)]
         spread = np.sqrt(np.max([np.diag(independent), np.diag(sandwich), np.diag(known)], axis=0))
         wide = dict(zip(free, spread * t.ppf(0.5 + CONFIDENCE / 2, max(1, n_segments - 1)), strict=True))
         values, starts = self.search.values(self.vector), self.search.values(np.zeros(self.n))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bags import write_bag
 
-from craftsim import Action, Executor, Grid, Machines, SensorNoise, Sensors, Site
+from craftsim import Action, Executor, Grid, Machines, SensorNoise, Sensors, Site, Trajectory, validate
 from craftsim.errors import InputError
 from craftsim.logs.files import read_log, read_logs
 from craftsim.logs.log import GROUPS, Log
@@ -194,3 +194,16 @@ def test_replaying_recorded_commands_repeats_the_run():
 def test_a_row_has_all_columns():
     assert len(COLUMNS) == 2 + sum(map(len, GROUPS.values()))
     assert list(make_log().columns) == [name for name in COLUMNS if name != "car"]
+
+
+def test_a_recorded_run_writes_its_log_beside_its_trajectory(tmp_path):
+    validate("strip", policy="random", drive="reduced", randomize="mild", out=tmp_path, record=True)
+    (log,), (trajectory,) = (list((tmp_path / "trajectories").glob(end)) for end in ("*.log.csv", "*.npz"))
+    assert log.name == f"{trajectory.stem}.log.csv"
+    moved = Trajectory.read(trajectory)
+    cars = read_logs(log)
+    assert len(cars) == moved.measured.shape[1]
+    for car, one in cars.items():
+        assert np.allclose(one.time_s, moved.time[:-1])
+        assert np.abs(one.pose[:, 0] - moved.pose(f"car {car}")[:-1, 0]).max() < 0.05
+    assert np.abs(cars[0].commands[:, :4]).max() > 1

@@ -9,6 +9,7 @@ from craftsim import cli, load_machines
 from craftsim.logs.files import read_log
 from craftsim.logs.tables import write_table
 from craftsim.models.parameter_files import load_noise
+from craftsim.tuning import identification
 
 
 def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
@@ -23,7 +24,9 @@ def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
     assert "12.0 s" in capsys.readouterr().out
 
 
-def test_identify_writes_files_to_run_with(tmp_path, capsys, log):
+def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeypatch):
+    # The fit itself is that of tests/tuning/test_identification.py.
+    monkeypatch.setattr(identification, "identify", lambda *_: found)
     table = write_table(tmp_path / "log.csv", {0: log})
     out = tmp_path / "out"
     assert cli.main(["identify", str(table), "--held-out", str(table), "--out", str(out)]) == 0

@@ -5,13 +5,16 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 
 from craftsim.errors import InputError
 
 T = TypeVar("T")
+
+_MOST: Final = 10_000
+"""Messages on their way; more are lost."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +46,13 @@ class Channel(Generic[T]):
         self._network, self._rng = network, rng
         self._under_way: list[tuple[float, int, T]] = []
         self._sent = 0
-        self.lost = 0
-        """Messages that were lost so far."""
 
     def send(self, now_s: float, message: T) -> None:
         """Take a message at a time."""
         network = self._network
         late, lost = self._rng.uniform(size=2).tolist()
         self._sent += 1
-        if lost < network.loss:
-            self.lost += 1
+        if lost < network.loss or len(self._under_way) == _MOST:
             return
         # Rounded, so that what takes whole periods comes at their ends.
         due_s = round(now_s + network.delay_s + network.jitter_s * (2 * late - 1), 9)

@@ -219,11 +219,14 @@ class Link:
 
     def _listen_until(self, time_s: float) -> None:
         """Take messages until there is a measurement of a time, or later, by the robots' clock; or lose them."""
+        deadline = time.monotonic() + self._timeout_s
         while not self.lost and self._newest.time_s < time_s - _EPSILON_S:
             for number in self._owed:
                 self._transport.send(pack(Ack(number)))
             self._owed.clear()
-            if not self._take(self._transport.receive(self._timeout_s)):
+            left_s = deadline - time.monotonic()
+            # What is no measurement does not count, however much of it comes.
+            if left_s <= 0 or not self._take(self._transport.receive(left_s)):
                 self._lose(f"nothing has come from the robots for {self._timeout_s:g} s")
 
     def _take(self, data: bytes | None) -> bool:

@@ -20,7 +20,7 @@ COPIES: Final = 2
 _MOST_TEXT: Final = 1000
 
 Number = Annotated[int, Field(ge=0, le=2**53)]
-Seconds = Annotated[float, Field(ge=0, le=1e9)]
+Seconds = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 Text = Annotated[str, Field(max_length=_MOST_TEXT)]
 Cars = Annotated[int, Field(ge=1, le=PHYSICS_CARS)]
 Pose = tuple[float, float, float, float, float, float, float]
@@ -86,7 +86,7 @@ class Measurements(Message):
     """When it was measured, by the robots' clock; theirs are all other times, too."""
     heard: Number
     """Number of the newest command that had come; 0 for none."""
-    late_s: float
+    late_s: Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
     """By how much that came after the time for which it was meant; negative where it was early."""
     stops: Number
     """How often they have stopped because no command came."""
@@ -145,14 +145,15 @@ class TruePoses(Message):
     """Of a simulation: physics steps in which the solver gave up."""
 
 
-_STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
 _KINDS: Final[dict[str, type[Message]]] = {
     kind.kind: kind for kind in (Hello, Welcome, Refused, Measurements, Commands, Ack, Bye, Follow, TruePoses)
 }
 
 
 def _adapter(kind: type[Message]) -> TypeAdapter[Any]:
-    kind.__pydantic_config__ = _STRICT  # type: ignore[attr-defined]
+    # What a car measures may be infinite, or no number: that is for its skills to tell.
+    config = ConfigDict(extra="forbid", allow_inf_nan=kind is Measurements)
+    kind.__pydantic_config__ = config  # type: ignore[attr-defined]
     return TypeAdapter(kind)
 
 

@@ -85,7 +85,8 @@ class Service:
         try:
             message = unpack(data)
             if isinstance(message, Follow) and self._referee is not None:
-                self._watchers.append(sender)
+                if sender not in self._watchers:
+                    self._watchers.append(sender)
                 if self._poses is not None:
                     self._send(sender, self._poses)
                 return

@@ -1,5 +1,7 @@
 """Messages: what is sent is read, and what is none is refused in words."""
 
+import math
+
 import msgpack
 import pytest
 
@@ -29,7 +31,9 @@ MESSAGES = [
     Hello(2, "digest"),
     Welcome(2, 1, 0.02, 0.1, True, False),
     Refused("no", True),
-    Measurements(7, 0.5, 3, -0.01, 0, (CAR, CAR._replace(slope=None, hinge_rad=None))),
+    Measurements(
+        7, 0.5, 3, -0.01, 0, (CAR, CAR._replace(slope=None, hinge_rad=None, board_force_n=math.inf))
+    ),
     Commands(3, 0.6, (Command((1.0, 2.0, 3.0, 4.0), 0.05, -0.3),)),
     Ack(7),
     Bye(),
@@ -50,8 +54,8 @@ def test_the_largest_worlds_fit_into_a_message():
     assert len(pack(Measurements(2**53, 1e9, 2**53, 0.1, 0, (CAR,) * PHYSICS_CARS))) <= MESSAGE_BYTES
 
 
-def changed(**values) -> bytes:
-    content = msgpack.unpackb(pack(MESSAGES[4]))
+def changed(number: int = 4, /, **values) -> bytes:
+    content = msgpack.unpackb(pack(MESSAGES[number]))
     return msgpack.packb({**content, **values})
 
 
@@ -69,6 +73,10 @@ def changed(**values) -> bytes:
         (changed(number=-1), "commands.number"),
         (changed(at_s=float("nan")), "commands.at_s"),
         (changed(extra=1), "commands.extra"),
+        (changed(3, late_s=float("nan")), "measurements.late_s"),
+        (changed(3, time_s=float("inf")), "measurements.time_s"),
+        (changed(3, cars=[{}]), "measurements.cars.0.time_s"),
+        (changed(8, hinges=[float("nan")]), "poses.hinges.0"),
         (changed(cars=[{"wheels": [1, 2, 3], "board": 0.0, "hinge": 0.0}]), "commands.cars.0.wheels.3"),
         (changed(cars=[{"wheels": [1, 2, 3, float("inf")], "board": 0.0, "hinge": 0.0}]), "finite"),
         (changed(cars=[{"wheels": [0] * 4}] * (PHYSICS_CARS + 1)), "commands.cars"),

@@ -159,8 +159,8 @@ class RandomizedSite:
         Raises InputError for a floor that the Site was not composed with.
         """
         model, tiles = self.site.model, self.site.tiles
-        if randomization.floor != (self.site.floor if tiles else FLAT):
-            raise InputError("a floor that is not flat must be given to the Site, too: Site(..., floor=...)")
+        if (tiles.floor if tiles else None) != (None if randomization.floor.flat else randomization.floor):
+            raise InputError("the floor that is drawn must be that of the Site: Site(..., floor=...)")
         self.site.show_figures()
         self._nominal.write(model)
         self._is_nominal = False

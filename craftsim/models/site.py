@@ -108,7 +108,6 @@ class Site:
         self.config = config or SimulationConfig.of(machines.drive)
         self.machines = machines
         self.size = grid.size
-        self.floor = floor
         self.uneven = False
         """Whether wheels may come off the ground: the reduced drive's limits then follow each step."""
         self.lift_m = 0.0

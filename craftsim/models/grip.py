@@ -3,15 +3,17 @@
 Wheels without rollers do not touch the floor with friction; their motors push the car as if they did. A mecanum wheel
 holds the ground along its roller's axis, at 45 degrees to its way, with a force of at most the friction coefficient
 times its load N: no more of its motor's torque than mu N R / sqrt(2), less what the gear takes, reaches the ground. The
-loads are those of the last physics step, and the limits hold for one control period, where wheels come
-off an uneven floor, or are not equal, for one physics step.
+loads are those of the last physics step, and the limits hold for one control period.
+
+Where the floor is uneven, or the wheels are not equal, they hold for one physics step, and of the four loads those
+three parts count that equilibrium gives: their sum, and how it lies along the car and across. The fourth, how a stiff
+car leans on one diagonal or the other, is left out: rollers, which rattle, share it out (docs/imperfections.md).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 import mujoco
 import numpy as np
@@ -20,28 +22,6 @@ from numpy.typing import NDArray
 from craftsim.discrete.compiled import compiled
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.parts import WHEELS, Car
-
-TREAD_S: Final = 0.05
-"""Time constant of the wheels' contacts with an uneven floor, or of unequal wheels with any. Assumed: each gives way by
-0.17 mm under a quarter of the car, 150 kN/m, as a thin rubber tread does. As stiff as on a plane, the car would stand
-on two or three wheels and drift sideways by ten times what it does on rollers (docs/imperfections.md)."""
-SUNK_M: Final = 0.00017
-"""By so much the wheels then stand lower in the car, which keeps its height."""
-
-
-def sink(model: mujoco.MjModel, cars: Sequence[Car]) -> None:
-    """Put the wheels of all cars so much lower as their tread gives way."""
-    model.geom_pos[_wheels(model, cars), 2] -= SUNK_M
-
-
-def _wheels(model: mujoco.MjModel, cars: Sequence[Car]) -> NDArray[np.int32]:
-    """Return the geoms that stand for the wheels of all cars, car by car."""
-    names = [f"{prefix}{wheel}" for prefix in _prefixes(model, cars) for wheel in WHEELS]
-    return np.array([model.geom(name).id for name in names], np.int32)
-
-
-def _prefixes(model: mujoco.MjModel, cars: Sequence[Car]) -> list[str]:
-    return [model.body(car.base.body).name.rpartition("/")[0] + "/" for car in cars]
 
 
 class Grip:
@@ -52,23 +32,18 @@ class Grip:
         model: mujoco.MjModel,
         data: mujoco.MjData,
         cars: Sequence[Car],
-        ground: NDArray[np.bool_] | None = None,
+        uneven: bool = False,
     ) -> None:
-        """Take the motors' own limits as they are in the model now.
-
-        With ``ground``, which says of each geom whether it is of an uneven floor, wheels have a tread there.
-        """
+        """Take the motors' own limits as they are in the model now; ``uneven`` where wheels may come off the ground."""
         self._model, self._data = model, data
         self.limits = model.actuator_forcerange.copy()
         """(nu, 2): the motors' own."""
-        prefixes, geoms = _prefixes(model, cars), _wheels(model, cars)
+        prefixes = [model.body(car.base.body).name.rpartition("/")[0] + "/" for car in cars]
+        geoms = np.array([model.geom(prefix + wheel).id for prefix in prefixes for wheel in WHEELS], np.int32)
         wheel = np.full(model.ngeom, -1, np.int32)
         wheel[geoms] = np.arange(len(geoms))
         gears = [model.actuator(p + w.replace("wheel", "gear")).id for p in prefixes for w in WHEELS]
         motors = np.array([motor for car in cars for motor in car.wheel_actuators], np.intp)
-        self._tread = None
-        if ground is not None:
-            self._tread = (wheel, geoms, ground, model.geom_solref[geoms, 0].copy(), model.geom_solref)
         radii = np.repeat([car.parameters.wheel_radius_m for car in cars], len(WHEELS))
         spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in cars], len(WHEELS))
         self._arrays = (
@@ -84,40 +59,18 @@ class Grip:
             np.repeat([car.base.dof for car in cars], len(WHEELS)),
             np.repeat([car.base.body for car in cars], len(WHEELS)),
             np.zeros(len(geoms)),
+            uneven,
         )
 
     def begin(self) -> None:
-        """Give the motors their own limits, and the wheels their tread."""
+        """Give the motors their own limits."""
         self._model.actuator_forcerange[:] = self.limits
-        if self._tread is not None:
-            _tread(np.empty((0, 2), np.int32), *self._tread)
 
     def limit(self) -> None:
         """Limit all motors for what their wheels carry now; of cars that sleep, the loads of which MuJoCo leaves out,
         not at all, so that limits depend on the state alone."""
         contact = self._data.contact
-        if self._tread is not None:
-            _tread(contact.geom, *self._tread)
         _limit(contact.geom, contact.efc_address, self._data.efc_force, *self._arrays)
-
-
-@compiled
-def _tread(
-    geoms: NDArray[np.int32],
-    wheel_of: NDArray[np.int32],
-    wheels: NDArray[np.int32],
-    ground: NDArray[np.bool_],
-    stiffness: NDArray[np.float64],
-    solref: NDArray[np.float64],
-) -> None:
-    """Let wheels have their tread but where they touch something else: into what is light they would sink."""
-    for wheel in range(len(wheels)):
-        solref[wheels[wheel], 0] = TREAD_S
-    for contact in range(len(geoms)):
-        for side in range(2):
-            wheel = wheel_of[geoms[contact, side]]
-            if wheel >= 0 and not ground[geoms[contact, 1 - side]]:
-                solref[wheels[wheel], 0] = stiffness[wheel]
 
 
 @compiled
@@ -140,6 +93,7 @@ def _limit(
     dofs: NDArray[np.int64],
     bodies: NDArray[np.int64],
     load: NDArray[np.float64],
+    uneven: bool,
 ) -> None:
     for wheel in range(len(load)):
         load[wheel] = 0.0
@@ -150,6 +104,10 @@ def _limit(
             wheel = wheel_of[geoms[contact, side]]
             if wheel >= 0:
                 load[wheel] += forces[addresses[contact]]
+    for first in range(0, len(load) if uneven else 0, 4):
+        twist = (load[first] - load[first + 1] - load[first + 2] + load[first + 3]) / 4
+        for wheel, sign in ((first, -1), (first + 1, 1), (first + 2, 1), (first + 3, -1)):
+            load[wheel] = max(0.0, load[wheel] + sign * twist)
     for wheel in range(len(motors)):
         motor, most = motors[wheel], load[wheel] * nm_per_n[wheel]
         low, high = limits[motor]

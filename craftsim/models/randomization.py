@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.models.floor import lay, tiles_body
-from craftsim.models.grip import sink
 from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
 from craftsim.models.making import make
 from craftsim.models.noise import EXACT, SensorNoise
@@ -82,7 +81,6 @@ class Nominal:
     body_quat: NDArray[np.float64]
     geom_pos: NDArray[np.float64]
     geom_size: NDArray[np.float64]
-    geom_solref: NDArray[np.float64]
     hfield_data: NDArray[np.float32]
     gravity: NDArray[np.float64]
 
@@ -164,8 +162,8 @@ class RandomizedSite:
         Raises InputError for a floor that the Site was not composed with.
         """
         model, tiles = self.site.model, self.site.tiles
-        if randomization.floor != (self.site.floor if tiles else FLAT):
-            raise InputError("a floor that is not flat must be given to the Site, too: Site(..., floor=...)")
+        if (tiles.floor if tiles else None) != (None if randomization.floor.flat else randomization.floor):
+            raise InputError("the floor that is drawn must be that of the Site: Site(..., floor=...)")
         self.site.set_drivetrain(IDEAL)
         self.site.show_figures()
         self._nominal.write(model)
@@ -200,8 +198,6 @@ class RandomizedSite:
         if not randomization.making.exact:
             make(self.site, randomization.making, workshop)
         self.site.uneven = tiles is not None or randomization.making.wheel_radius_m > 0
-        if self.site.uneven and self.site.machines.drive == "reduced":
-            sink(model, self.site.cars)
         self._follow()
         self.site.reset()
 

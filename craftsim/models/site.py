@@ -111,10 +111,8 @@ class Site:
         self.config = config or SimulationConfig.of(machines.drive)
         self.machines = machines
         self.size = grid.size
-        self.floor = floor
         self.uneven = False
-        """Whether wheels may come off the ground: the reduced drive's limits then follow each step, and its wheels have
-        a tread, from :meth:`take_figures` on."""
+        """Whether wheels may come off the ground: the reduced drive's limits then follow each step."""
         self.lift_m = 0.0
         """How high above its place everything that moves is put by a reset, to come down onto an uneven floor."""
         self.overlaps: tuple[Overlap, ...] = ()
@@ -204,8 +202,7 @@ class Site:
         The rollers' friction counts if it was changed since it was shown (:meth:`show_figures`).
         """
         if self._grip is not None:
-            ground = self.machine_names.of_geom == 0 if self.uneven else None
-            self._grip = Grip(self.model, self.data, self.cars, ground)
+            self._grip = Grip(self.model, self.data, self.cars, self.uneven)
         if self._bearings is not None:
             self._bearings.take()
         if self._drivetrains is not None:

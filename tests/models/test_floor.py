@@ -189,5 +189,6 @@ def test_a_floor_that_cannot_be_is_refused():
     for floor in (Floor(lippage_m=0.001, tile_m=0.01), Floor(unevenness_m=0.001, wavelength_m=0.001)):
         with pytest.raises(InputError, match="too fine"):
             Site(_grid(), floor=floor)
+    _world(FLAT).draw(replace(NONE, floor=Floor(tile_m=0.6)), np.random.default_rng(0))
     with pytest.raises(InputError, match="floor"):
         _world(FLAT).draw(replace(NONE, floor=LIPPAGE), np.random.default_rng(0))

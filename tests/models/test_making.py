@@ -92,7 +92,7 @@ def test_unequal_wheels_turn_a_car(drive):
         for _ in range(60):
             site.advance()
         headings.append(abs(_heading(site)))
-    assert headings[1] > max(0.005, 2 * headings[0])
+    assert headings[1] > max(0.002, 2 * headings[0])
 
 
 @pytest.mark.parametrize("drive", DRIVES)

@@ -11,6 +11,7 @@ from craftsim.commands.again import command_again
 from craftsim.commands.options import CampaignOptions, Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
+from craftsim.errors import InputError
 
 OPTIONS: Final = CampaignOptions(randomize="none", trials=59, drive="reduced")
 QUICK: Final = ("lippage", "unevenness", "position-bias", "heading-bias", "delay", "motor-lag")
@@ -19,7 +20,7 @@ QUICK: Final = ("lippage", "unevenness", "position-bias", "heading-bias", "delay
 
 def margins(
     axes: tuple[str, ...] = (),
-    situations: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",
+    scenarios: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",
     pair: Annotated[tuple[str, str] | None, tyro.conf.arg(metavar="AXIS AXIS")] = None,
     quick: bool = False,
     campaign: tyro.conf.OmitArgPrefixes[CampaignOptions] = OPTIONS,
@@ -32,10 +33,10 @@ def margins(
     actions stand --randomize itself and every search came to an end, 1 when not, 2 for wrong input.
 
     Args:
-        axes: only these imperfections, such as lippage, position-bias or delay; unless given, all.
-        situations: only those whose name matches, such as 'lift*' or '*between*'.
+        axes: only these imperfections, such as lippage, position-bias or delay, or all of them; eighteen unless given.
+        scenarios: only those whose name matches, such as 'lift*' or '*between*'.
         pair: draw a map of two imperfections that grow together; unless --axes says more, only these are searched.
-        quick: six imperfections in the first situation of each action, with 20 trials: two minutes on two cores.
+        quick: six imperfections in the first scenario of each action, with 20 trials: two minutes on two cores.
         out: folder for report.html, report.json, trials.jsonl and the bundles of what fails first.
     """
     given = locals().copy()
@@ -43,15 +44,17 @@ def margins(
     from craftsim.commands.progress import counting
     from craftsim.validation.html.margins import margins_page
     from craftsim.validation.html.writing import write_html
-    from craftsim.validation.margins import situations as known
-    from craftsim.validation.margins.axes import axes_of
+    from craftsim.validation.margins import scenarios as known
+    from craftsim.validation.margins.axes import WORTH, axes_of
     from craftsim.validation.margins.margins import run_margins
 
     console = Terminal()
-    over = None if pair is None else axes_of(pair)
-    chosen = axes_of(axes or pair or (QUICK if quick else ()))
+    over = axes_of(pair or ())
+    if pair is not None and len(over) != len(pair):
+        raise InputError(f"--pair is {' '.join(pair)}; allowed: two different imperfections")
+    chosen = axes_of(axes or pair or (QUICK if quick else WORTH))
     result = run_margins(
-        known.situations(situations, quick),
+        known.scenarios(scenarios, quick),
         chosen,
         campaign.setup(),
         20 if quick else campaign.trials,
@@ -59,13 +62,13 @@ def margins(
         out,
         asked={
             "axes": axes,
-            "situations": situations,
+            "scenarios": scenarios,
             "pair": pair,
             "quick": quick,
             "randomize": campaign.randomize,
         },
         progress=lambda total: counting(console, "searches", total, lambda record: record["error"] is None),
-        pair=None if over is None else (over[0], over[-1]),
+        pair=(over[0], over[1]) if pair else None,
         workers=campaign.workers,
         engine=campaign.engine,
         resume=campaign.resume,

@@ -36,12 +36,12 @@ def print_margins(console: Console, out: Path, result: Margins) -> None:
     for one in result.margins:
         if one.before is not None and one.before.margin != one.limit.margin:
             was = "not even the base" if one.before.margin is None else one.axis.text(one.before.margin)
-            say(f"{one.situation}, {one.axis.words}: {one.text}, was {was}")
+            say(f"{one.scenario}, {one.axis.words}: {one.text}, was {was}")
     if errors := sum(record["error"] is not None for record in result.records):
         say(f"{errors} searches came to no end; the report has the reasons")
 
 
 def _first_failure(out: Path, one: Margin) -> str:
     at = "in the base" if one.limit.fails_at is None else f"at {one.axis.text(one.limit.fails_at)}"
-    text = f"{one.axis.words}: {one.situation} first, {at}: {one.limit.reason}"
+    text = f"{one.axis.words}: {one.scenario} first, {at}: {one.limit.reason}"
     return f"{text}\n  craftsim replay {out / one.bundle}" if one.bundle else text

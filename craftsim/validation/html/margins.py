@@ -45,9 +45,9 @@ def margins_page(result: Margins, command: str) -> Page:
 
 
 def _headline(result: Margins) -> Headline:
-    weak = sorted({one.situation for one in result.margins if one.limit.margin is None})
+    weak = sorted({one.scenario for one in result.margins if one.limit.margin is None})
     if weak:
-        sentence = f"{count(len(weak), 'situation')} not stood even in the base: {', '.join(weak)}."
+        sentence = f"{count(len(weak), 'scenario')} not stood even in the base: {', '.join(weak)}."
         return Headline("Fails in the base", Tone.BAD, sentence)
     lost = sum(record["error"] is not None for record in result.records)
     sentence = "How far each imperfection may grow, alone, until an action fails."
@@ -57,7 +57,7 @@ def _headline(result: Margins) -> Headline:
 
 def _key_figures(result: Margins) -> Iterator[KeyFigure]:
     yield KeyFigure(
-        f"{len({one.situation for one in result.margins})}", "situations", f"{len(result.weakest)} actions"
+        f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(result.weakest)} actions"
     )
     yield KeyFigure(f"{len(result.telling)}", "imperfections that matter", "to one action or more")
     trials = result.config["trials"]
@@ -74,7 +74,7 @@ def _drawn(one: Map) -> Markup:
 
     right, up = one.pair
     share = np.array(one.stood) / one.of
-    label = f"{one.situation}: share that stands {right.words} and {up.words}"
+    label = f"{one.scenario}: share that stands {right.words} and {up.words}"
     with canvas(_SIDE_IN + 1.0, _SIDE_IN, label) as drawing:
         axes = drawing.axes
         for row, column in np.ndindex(*share.shape):

@@ -117,6 +117,15 @@ _SAID: Final = {
 }
 
 
+WORTH: Final = (
+    *("lippage", "unevenness", "floor-tilt", "friction", "mass", "motor-strength", "backlash", "motor-lag"),
+    *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
+    *("heading-bias", "delay", "localisation-period", "lost-localisations"),
+)
+"""The axes that are searched where nothing else is asked for."""
+ALL: Final = "all"
+
+
 @cache
 def axes() -> dict[str, Axis]:
     """Return all axes by name, in the order of the figures."""
@@ -125,14 +134,14 @@ def axes() -> dict[str, Axis]:
 
 
 def axes_of(names: Sequence[str]) -> tuple[Axis, ...]:
-    """Return the axes of these names, or all; raise InputError for one that there is not."""
+    """Return the axes of these names; for ``all`` every one. Raises InputError for one that there is not."""
     known = axes()
     for name in names:
-        if name not in known:
+        if name not in known and name != ALL:
             raise InputError(
-                f"no imperfection '{name}'{suggestion(name, known)}; there are {', '.join(known)}"
+                f"no imperfection '{name}'{suggestion(name, known)}; there are {', '.join(known)}, {ALL}"
             )
-    return tuple(known[name] for name in dict.fromkeys(names)) if names else tuple(known.values())
+    return tuple(known[name] for name in dict.fromkeys(known if ALL in names else names))
 
 
 def _axis(figure: str) -> Axis:

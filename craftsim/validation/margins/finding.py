@@ -1,4 +1,4 @@
-"""Searching the margin of one situation along one axis: what a worker does."""
+"""Searching the margin of one scenario along one axis: what a worker does."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from craftsim.validation.campaign import Done, Item
 from craftsim.validation.margins.axes import Axis
 from craftsim.validation.margins.limit import End, Limit
 from craftsim.validation.margins.search import BASE, search
-from craftsim.validation.margins.trial import Place, Result
+from craftsim.validation.margins.trial import Rig, TrialResult
 
 PROBES: Final = 3
 """Trials that must come out at the largest level as they do in the base, bit for bit, for no effect at all."""
@@ -20,16 +20,16 @@ PROBES: Final = 3
 class Search:
     """A search, as it goes to a worker."""
 
-    place: Place
+    rig: Rig
     axis: Axis
     trials: int
 
     @property
     def item(self) -> Item:
         """It, as a campaign's item."""
-        situation = self.place.situation
-        key = f"{situation.name}/{self.axis.name}"
-        return Item(key, situation.action, self.place.seed, self, context=situation.name)
+        scenario = self.rig.scenario
+        key = f"{scenario.name}/{self.axis.name}"
+        return Item(key, scenario.action, self.rig.seed, self, context=scenario.name)
 
 
 def find(one: Search) -> Done:
@@ -40,15 +40,15 @@ def find(one: Search) -> Done:
 
 
 def _find(one: Search) -> tuple[Limit, tuple[Attempt, ...]]:
-    place, axis = one.place, one.axis
-    base = axis.value(place.setup.randomization)
+    rig, axis = one.rig, one.axis
+    base = axis.value(rig.setup.randomization)
     values = [base, *(value for value in axis.levels if value > base)]
-    results: dict[tuple[int, int], Result] = {}
+    results: dict[tuple[int, int], TrialResult] = {}
 
-    def result(trial: int, level: int) -> Result:
+    def result(trial: int, level: int) -> TrialResult:
         if (trial, level) not in results:
             levels = () if level == BASE else ((axis, values[level]),)
-            results[trial, level] = place.attempt(trial, levels)
+            results[trial, level] = rig.attempt(trial, levels)
         return results[trial, level]
 
     largest, probes = len(values) - 1, range(min(PROBES, one.trials))

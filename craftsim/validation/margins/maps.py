@@ -9,7 +9,7 @@ from typing import Final
 from craftsim.validation.campaign import Done, Item, TrialRecord
 from craftsim.validation.margins.axes import Axis
 from craftsim.validation.margins.limit import RowFound
-from craftsim.validation.margins.trial import Place
+from craftsim.validation.margins.trial import Rig
 
 TRIALS: Final = 20
 """Of each pair of levels, at most."""
@@ -22,9 +22,9 @@ Pair = tuple[Axis, Axis]
 
 @dataclass(frozen=True)
 class Map:
-    """How many trials of a situation stand each pair of levels."""
+    """How many trials of a scenario stand each pair of levels."""
 
-    situation: str
+    scenario: str
     pair: Pair
     stood: tuple[tuple[int, ...], ...]
     """By the level up, then by the level to the right."""
@@ -33,10 +33,10 @@ class Map:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class MapRow:
     """A row of a map, as it goes to a worker."""
 
-    place: Place
+    rig: Rig
     pair: Pair
     up: int
     """Number of its level."""
@@ -46,9 +46,9 @@ class Row:
     def item(self) -> Item:
         """It, as a campaign's item."""
         right, up = self.pair
-        situation = self.place.situation
-        key = f"{situation.name}/{right.name} x {up.name}/{self.up}"
-        return Item(key, situation.action, self.place.seed, self, context=situation.name)
+        scenario = self.rig.scenario
+        key = f"{scenario.name}/{right.name} x {up.name}/{self.up}"
+        return Item(key, scenario.action, self.rig.seed, self, context=scenario.name)
 
 
 def values_of(axis: Axis) -> tuple[float, ...]:
@@ -56,12 +56,12 @@ def values_of(axis: Axis) -> tuple[float, ...]:
     return (0.0, *axis.levels[::-1][::STRIDE][::-1])
 
 
-def rows_of(place: Place, pair: Pair, trials: int) -> Iterator[Row]:
+def rows_of(rig: Rig, pair: Pair, trials: int) -> Iterator[MapRow]:
     """Yield the rows of a map."""
-    return (Row(place, pair, up, min(trials, TRIALS)) for up in range(len(values_of(pair[1]))))
+    return (MapRow(rig, pair, up, min(trials, TRIALS)) for up in range(len(values_of(pair[1]))))
 
 
-def find_row(row: Row) -> Done:
+def find_row(row: MapRow) -> Done:
     """Try all pairs of levels of one row."""
     right, up = row.pair
     value = values_of(up)[row.up]
@@ -70,17 +70,17 @@ def find_row(row: Row) -> Done:
         levels = [
             (axis, v)
             for axis, v in ((right, other), (up, value))
-            if v > axis.value(row.place.setup.randomization)
+            if v > axis.value(row.rig.setup.randomization)
         ]
-        stood.append(sum(not row.place.attempt(n, levels).reason for n in range(row.trials)))
+        stood.append(sum(not row.rig.attempt(n, levels).reason for n in range(row.trials)))
     return Done(agrees=True, extra=asdict(RowFound(tuple(stood), row.trials)))
 
 
-def maps_of(rows: Iterable[tuple[Row, TrialRecord]]) -> tuple[Map, ...]:
+def maps_of(rows: Iterable[tuple[MapRow, TrialRecord]]) -> tuple[Map, ...]:
     """Return the maps that rows with their records make; one with an error in a row is left out."""
     found: dict[tuple[str, Pair], list[TrialRecord]] = {}
     for row, record in rows:
-        found.setdefault((row.place.situation.name, row.pair), []).append(record)
+        found.setdefault((row.rig.scenario.name, row.pair), []).append(record)
     return tuple(
         Map(name, pair, tuple(tuple(r["extra"]["stood"]) for r in records), records[0]["extra"]["of"])
         for (name, pair), records in found.items()

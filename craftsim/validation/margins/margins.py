@@ -26,10 +26,10 @@ from craftsim.validation.forms import MARGINS
 from craftsim.validation.margins.axes import Axis
 from craftsim.validation.margins.finding import Search, find
 from craftsim.validation.margins.limit import End, Limit, limit_of
-from craftsim.validation.margins.maps import Map, Pair, Row, find_row, maps_of, rows_of, values_of
+from craftsim.validation.margins.maps import Map, MapRow, Pair, find_row, maps_of, rows_of, values_of
+from craftsim.validation.margins.scenarios import Scenario
 from craftsim.validation.margins.search import SHARE, confidence
-from craftsim.validation.margins.situations import Situation
-from craftsim.validation.margins.trial import Place
+from craftsim.validation.margins.trial import Rig
 from craftsim.validation.replays.bundle import TEXT, write_bundle
 from craftsim.validation.validation import Progress
 
@@ -40,10 +40,10 @@ TIMEOUT_S: Final = 600.0
 
 @dataclass(frozen=True)
 class Margin:
-    """The margin of a situation along an axis."""
+    """The margin of a scenario along an axis."""
 
     action: str
-    situation: str
+    scenario: str
     axis: Axis
     limit: Limit
     before: Limit | None = None
@@ -54,7 +54,7 @@ class Margin:
     @property
     def key(self) -> str:
         """Of its record."""
-        return f"{self.situation}/{self.axis.name}"
+        return f"{self.scenario}/{self.axis.name}"
 
     @property
     def number(self) -> str:
@@ -73,7 +73,7 @@ class Margin:
 
     @property
     def rank(self) -> tuple[int, float]:
-        """By which the weakest situation of an action comes first."""
+        """By which the weakest scenario of an action comes first."""
         order = (End.BASE, End.EDGE, End.LARGEST, End.NO_EFFECT)
         return order.index(self.limit.end), self.limit.margin or 0.0
 
@@ -84,15 +84,15 @@ class Margins:
 
     records: Sequence[TrialRecord]
     margins: tuple[Margin, ...]
-    """Of each situation along each axis that came to an end."""
+    """Of each scenario along each axis that came to an end."""
     maps: tuple[Map, ...]
-    """Of each situation over the pair of axes that was asked for."""
+    """Of each scenario over the pair of axes that was asked for."""
     config: dict[str, Any]
     seed: int
 
     @property
     def weakest(self) -> dict[str, dict[str, Margin]]:
-        """For each action and each axis by name the situation that stands least."""
+        """For each action and each axis by name the scenario that stands least."""
         found: dict[str, dict[str, Margin]] = {}
         for one in sorted(self.margins, key=lambda one: one.rank):
             found.setdefault(one.action, {}).setdefault(one.axis.name, one)
@@ -110,13 +110,13 @@ class Margins:
 
     @property
     def stands(self) -> bool:
-        """Whether every search came to an end, and every situation stands the base."""
+        """Whether every search came to an end, and every scenario stands the base."""
         ended = all(record["error"] is None for record in self.records)
         return ended and all(one.limit.end is not End.BASE for one in self.margins)
 
 
 def run_margins(
-    situations: Sequence[Situation],
+    scenarios: Sequence[Scenario],
     axes: Sequence[Axis],
     setup: Setup,
     trials: int,
@@ -131,18 +131,18 @@ def run_margins(
     resume: bool = False,
     against: Path | None = None,
 ) -> Margins:
-    """Search the margin of each situation along each axis, and write report.json and replay bundles into a folder.
+    """Search the margin of each scenario along each axis, and write report.json and replay bundles into a folder.
 
     Args:
-        situations: what is done where.
+        scenarios: what is done where.
         axes: the imperfections that grow, one at a time.
         setup: of the base.
-        trials: of each situation, all of which must stand a margin.
+        trials: of each scenario, all of which must stand a margin.
         seed: decides the places and all that is drawn.
         out: the folder.
         asked: the options that chose all this, for the report.
         progress: shows what is done.
-        pair: two axes of which a map is drawn for each situation, too.
+        pair: two axes of which a map is drawn for each scenario, too.
         workers: processes to share the work.
         engine: processes of this machine, or an existing Ray cluster.
         resume: go on with what an interrupted search has left in the folder.
@@ -152,10 +152,10 @@ def run_margins(
     output_directory(out)
     earlier = {} if against is None else _earlier(against, out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
-    places = [Place(situation, setup, seed) for situation in situations]
-    searches = [Search(place, axis, trials) for place in places for axis in axes]
-    rows = [row for place in places for row in rows_of(place, pair, trials)] if pair else []
-    jobs: list[Search | Row] = [*searches, *rows]
+    rigs = [Rig(scenario, setup, seed) for scenario in scenarios]
+    searches = [Search(rig, axis, trials) for rig in rigs for axis in axes]
+    rows = [row for rig in rigs for row in rows_of(rig, pair, trials)] if pair else []
+    jobs: list[Search | MapRow] = [*searches, *rows]
     items = [job.item for job in jobs]
     with progress(len(items)) as on_record:
         records = run_campaign(
@@ -185,14 +185,14 @@ def run_margins(
     return result
 
 
-def work(job: Search | Row) -> Done:
+def work(job: Search | MapRow) -> Done:
     """Do one item of the campaign."""
     return find(job) if isinstance(job, Search) else find_row(job)
 
 
 def _margin(search: Search, record: TrialRecord, before: Limit | None) -> Margin:
-    situation = search.place.situation
-    return Margin(situation.action, situation.name, search.axis, limit_of(record), before)
+    scenario = search.rig.scenario
+    return Margin(scenario.action, scenario.name, search.axis, limit_of(record), before)
 
 
 def _earlier(folder: Path, out: Path) -> dict[str, Limit]:
@@ -232,7 +232,7 @@ def _bundle(job: tuple[Path, Search, TrialRecord]) -> Done:
     limit = limit_of(record)
     levels = () if limit.fails_at is None else ((search.axis, limit.fails_at),)
     assert limit.trial is not None
-    recipe = search.place.recipe(limit.trial, levels)
+    recipe = search.rig.recipe(limit.trial, levels)
     write_bundle(folder, record["key"], recipe, tuple(map(Attempt.of, record["attempts"])))
     return Done(agrees=True)
 
@@ -242,10 +242,10 @@ def _figures(result: Margins, trials: int) -> dict[str, Any]:
     return {
         "share": SHARE,
         "confidence": confidence(trials),
-        "situations": [
+        "scenarios": [
             {
                 "action": one.action,
-                "situation": one.situation,
+                "scenario": one.scenario,
                 "axis": one.axis.name,
                 "figure": one.axis.figure,
             }
@@ -253,12 +253,12 @@ def _figures(result: Margins, trials: int) -> dict[str, Any]:
             for one in result.margins
         ],
         "weakest": {
-            action: {name: {"situation": one.situation, "text": one.text} for name, one in by_axis.items()}
+            action: {name: {"scenario": one.scenario, "text": one.text} for name, one in by_axis.items()}
             for action, by_axis in result.weakest.items()
         },
         "maps": [
             {
-                "situation": one.situation,
+                "scenario": one.scenario,
                 "axes": [axis.name for axis in one.pair],
                 "values": [values_of(axis) for axis in one.pair],
                 "stood": one.stood,

@@ -1,4 +1,4 @@
-"""One trial of a situation, at given levels of imperfections."""
+"""One trial of a scenario, at given levels of imperfections."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from craftsim.errors import StartError
 from craftsim.models.imperfection import Floor, Making
 from craftsim.models.randomization import RandomizedSite
 from craftsim.validation.margins.axes import Axis
-from craftsim.validation.margins.situations import Situation
+from craftsim.validation.margins.scenarios import Scenario
 
 Level = tuple[Axis, float]
 """An imperfection and its value."""
 
 
 @dataclass(frozen=True)
-class Result:
+class TrialResult:
     """What became of a trial."""
 
     attempts: tuple[Attempt, ...]
@@ -33,10 +33,10 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A situation under a base's setup, where levels are tried; hashable."""
+class Rig:
+    """A scenario under a base's setup, in which levels are tried; hashable."""
 
-    situation: Situation
+    scenario: Scenario
     setup: Setup
     """Of the base."""
     seed: int
@@ -46,36 +46,36 @@ class Place:
         drawn = self.setup.randomization
         for axis, value in levels:
             drawn = axis.on(drawn, value)
-        world, steps = _begin(self.situation, self.seed, self.setup.rules)
-        seed = Seed((self.seed, _digest(self.situation), number))
+        world, steps = _begin(self.scenario, self.seed, self.setup.rules)
+        seed = Seed((self.seed, _digest(self.scenario), number))
         return Recipe(world, steps, imperfect(self.setup, drawn), seed)
 
-    def attempt(self, number: int, levels: Iterable[Level] = ()) -> Result:
+    def attempt(self, number: int, levels: Iterable[Level] = ()) -> TrialResult:
         """Perform a trial; what counts is the last step, whatever came of the ones that lead to it."""
         recipe = self.recipe(number, levels)
         drawn = recipe.setup.randomization
         try:
             checked = start(recipe, _site(self, drawn.floor, drawn.making))
         except StartError as error:
-            return Result((), str(error))
+            return TrialResult((), str(error))
         for step in recipe.steps:
             attempts = do(checked, step)
         failed = next((attempt for attempt in attempts if not attempt.agrees), None)
-        return Result(attempts, "" if failed is None else f"{failed.result}: {failed.reason}")
+        return TrialResult(attempts, "" if failed is None else f"{failed.result}: {failed.reason}")
 
 
 @lru_cache(maxsize=2)
-def _site(place: Place, floor: Floor, making: Making) -> RandomizedSite:
-    """Return the compiled world of a place, which all trials on the same kind of floor use again."""
-    recipe = place.recipe(0)
+def _site(rig: Rig, floor: Floor, making: Making) -> RandomizedSite:
+    """Return the compiled world of a rig, which all trials on the same kind of floor use again."""
+    recipe = rig.recipe(0)
     drawn = replace(recipe.setup.randomization, floor=floor, making=making)
     return compile_world(recipe.grid, imperfect(recipe.setup, drawn))
 
 
 @lru_cache(maxsize=2)
-def _begin(situation: Situation, seed: int, rules: RuleSet) -> tuple[str, tuple[Step, ...]]:
-    return situation.begin(seed, rules)
+def _begin(scenario: Scenario, seed: int, rules: RuleSet) -> tuple[str, tuple[Step, ...]]:
+    return scenario.begin(seed, rules)
 
 
-def _digest(situation: Situation) -> int:
-    return int.from_bytes(hashlib.sha256(situation.id.encode()).digest()[:8])
+def _digest(scenario: Scenario) -> int:
+    return int.from_bytes(hashlib.sha256(scenario.id.encode()).digest()[:8])

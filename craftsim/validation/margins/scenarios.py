@@ -1,4 +1,4 @@
-"""The situations whose margins are searched: the car gets to its place by itself, and then does what is judged.
+"""The scenarios whose margins are searched: the car gets to its place by itself, and then does what is judged.
 
 A car that has just driven under a block stands there as well as it knows its place: that decides what it can lift. So
 the actions that do not drive come after one that does. Mirror images are left out, for the machines are alike left and
@@ -27,7 +27,7 @@ SCENE: Final = "/scene="
 
 
 @dataclass(frozen=True)
-class Situation:
+class Scenario:
     """What is done where; the last action is judged."""
 
     action: str
@@ -45,7 +45,7 @@ class Situation:
     def begin(self, seed: int, rules: RuleSet) -> tuple[str, tuple[Step, ...]]:
         """Return the world as a blueprint, and the steps; the seed draws the place on the map and the direction.
 
-        Raises CraftsimError for a situation that no world can show, or that the rules forbid.
+        Raises CraftsimError for a scenario that no world can show, or that the rules forbid.
         """
         start, *others = self.id.split(THEN)
         if SCENE in start:
@@ -74,7 +74,7 @@ def _turn(load: str, level: int = 1, tight: bool = False) -> str:
 _DOWN: Final = f"{THEN}MOVE-forward{THEN}MOVE-forward"
 
 CHOSEN: Final = tuple(
-    Situation(action, where, id)
+    Scenario(action, where, id)
     for action, ids in {
         "lift": {
             "a block": _go("forward", "block") + THEN + "LIFT",
@@ -137,8 +137,8 @@ CHOSEN: Final = tuple(
 """Each action in free room, loaded, between neighbours, on top of blocks and on slopes, as far as it has these."""
 
 
-def situations(pattern: str = "*", quick: bool = False) -> tuple[Situation, ...]:
-    """Return the situations whose names match a pattern as of file names; quick: the first one of each action.
+def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
+    """Return the scenarios whose names match a pattern as of file names; quick: the first one of each action.
 
     Raises InputError where none does.
     """
@@ -148,5 +148,5 @@ def situations(pattern: str = "*", quick: bool = False) -> tuple[Situation, ...]
     )
     if not found:
         names = ", ".join(one.name for one in CHOSEN)
-        raise InputError(f"no situation matches '{pattern}'; there are {names}")
+        raise InputError(f"no scenario matches '{pattern}'; there are {names}")
     return found

@@ -23,7 +23,7 @@ from craftsim.logs.log import Floats, Log
 from craftsim.models.parameters import Machines
 from craftsim.tuning.identifiability import Untold, untold_directions
 from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor
-from craftsim.tuning.unknowns import Search, Unknown, unknowns_of
+from craftsim.tuning.unknowns import FitSpace, Unknown, unknowns_of
 
 _ROUNDS: Final = (1e-2, 1e-3, 1e-5)
 """Fits, each with the noise that the one before has left: the share of its cost by which a last step lowers it."""
@@ -114,11 +114,11 @@ def identify(
         raise InputError(
             "no wheel is ever commanded in this log; 'craftsim excite' makes a drive that tells much"
         )
-    return _Fit(predictor, Search(machines, unknowns_of(machines, loaded)), tell).run()
+    return _Fit(predictor, FitSpace(machines, unknowns_of(machines, loaded)), tell).run()
 
 
 class _Fit:
-    def __init__(self, predictor: Predictor, search: Search, tell: Tell) -> None:
+    def __init__(self, predictor: Predictor, search: FitSpace, tell: Tell) -> None:
         self.predictor, self.search, self.tell = predictor, search, tell
         self.n = len(search.unknowns)
         self.vector = np.zeros(self.n)

@@ -93,7 +93,7 @@ Values = Mapping[str, float]
 """By key."""
 
 
-class Search:
+class FitSpace:
     """The vector that is sought: each unknown less its start, in terms of how far it commonly is from that."""
 
     def __init__(self, machines: Machines, unknowns: Sequence[Unknown]) -> None:

@@ -17,7 +17,7 @@ PROBES: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class MarginSearch:
     """A search, as it goes to a worker."""
 
     rig: Rig
@@ -32,14 +32,14 @@ class Search:
         return Item(key, scenario.action, self.rig.seed, self, context=scenario.name)
 
 
-def find(one: Search) -> Done:
+def find(one: MarginSearch) -> Done:
     """Search a margin."""
     limit, attempts = _find(one)
     extra = asdict(limit) | {"end": limit.end.value}
     return Done(agrees=limit.end is not End.BASE, attempts=attempts, extra=extra)
 
 
-def _find(one: Search) -> tuple[Limit, tuple[Attempt, ...]]:
+def _find(one: MarginSearch) -> tuple[Limit, tuple[Attempt, ...]]:
     rig, axis = one.rig, one.axis
     base = axis.value(rig.setup.randomization)
     values = [base, *(value for value in axis.levels if value > base)]

@@ -24,7 +24,7 @@ from craftsim.validation.campaign import (
 )
 from craftsim.validation.forms import MARGINS
 from craftsim.validation.margins.axes import Axis
-from craftsim.validation.margins.finding import Search, find
+from craftsim.validation.margins.finding import MarginSearch, find
 from craftsim.validation.margins.limit import End, Limit, limit_of
 from craftsim.validation.margins.maps import Map, MapRow, Pair, find_row, maps_of, rows_of, values_of
 from craftsim.validation.margins.scenarios import Scenario
@@ -153,9 +153,9 @@ def run_margins(
     earlier = {} if against is None else _earlier(against, out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     rigs = [Rig(scenario, setup, seed) for scenario in scenarios]
-    searches = [Search(rig, axis, trials) for rig in rigs for axis in axes]
+    searches = [MarginSearch(rig, axis, trials) for rig in rigs for axis in axes]
     rows = [row for rig in rigs for row in rows_of(rig, pair, trials)] if pair else []
-    jobs: list[Search | MapRow] = [*searches, *rows]
+    jobs: list[MarginSearch | MapRow] = [*searches, *rows]
     items = [job.item for job in jobs]
     with progress(len(items)) as on_record:
         records = run_campaign(
@@ -185,12 +185,12 @@ def run_margins(
     return result
 
 
-def work(job: Search | MapRow) -> Done:
+def work(job: MarginSearch | MapRow) -> Done:
     """Do one item of the campaign."""
-    return find(job) if isinstance(job, Search) else find_row(job)
+    return find(job) if isinstance(job, MarginSearch) else find_row(job)
 
 
-def _margin(search: Search, record: TrialRecord, before: Limit | None) -> Margin:
+def _margin(search: MarginSearch, record: TrialRecord, before: Limit | None) -> Margin:
     scenario = search.rig.scenario
     return Margin(scenario.action, scenario.name, search.axis, limit_of(record), before)
 
@@ -204,7 +204,11 @@ def _earlier(folder: Path, out: Path) -> dict[str, Limit]:
 
 
 def _bundles(
-    result: Margins, ended: Sequence[tuple[Search, TrialRecord]], out: Path, workers: int, engine: Engine
+    result: Margins,
+    ended: Sequence[tuple[MarginSearch, TrialRecord]],
+    out: Path,
+    workers: int,
+    engine: Engine,
 ) -> dict[str, str]:
     """Write the replay bundle of what fails first of each action along each axis, unless it is there.
 
@@ -226,7 +230,7 @@ def _bundles(
     return folders
 
 
-def _bundle(job: tuple[Path, Search, TrialRecord]) -> Done:
+def _bundle(job: tuple[Path, MarginSearch, TrialRecord]) -> Done:
     """Write one bundle; it must come out as its record has it."""
     folder, search, record = job
     limit = limit_of(record)

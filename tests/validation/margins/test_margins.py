@@ -10,7 +10,7 @@ from craftsim.checking.settings import setup_of
 from craftsim.validation.contexts.context import Context
 from craftsim.validation.contexts.survey import survey
 from craftsim.validation.margins.axes import axes_of
-from craftsim.validation.margins.finding import Search, find
+from craftsim.validation.margins.finding import MarginSearch, find
 from craftsim.validation.margins.scenarios import CHOSEN, scenarios
 from craftsim.validation.margins.trial import Rig
 
@@ -36,7 +36,7 @@ def test_the_name_of_a_context_gives_the_context():
 
 def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
     rig, (axis,) = Rig(scenarios("lift a block")[0], BASE, 0), axes_of(["friction"])
-    found = find(Search(rig, axis, 7)).extra
+    found = find(MarginSearch(rig, axis, 7)).extra
     assert found["end"] == "edge"
     assert all(not rig.attempt(number, [(axis, found["margin"])]).reason for number in range(7))
     assert rig.attempt(found["trial"], [(axis, found["fails_at"])]).reason == found["reason"]
@@ -44,7 +44,7 @@ def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
 
 def test_an_imperfection_that_changes_nothing_has_no_effect():
     rig = Rig(scenarios("move unloaded")[0], BASE, 0)
-    found = find(Search(rig, axes_of(["hinge-bias"])[0], 7)).extra
+    found = find(MarginSearch(rig, axes_of(["hinge-bias"])[0], 7)).extra
     assert (found["end"], found["tried"]) == ("no effect", 6)
 
 
@@ -87,7 +87,7 @@ def test_a_search_finds_the_same_in_any_process(searched):
     out, _ = searched
     first = json.loads((out / "trials.jsonl").read_text().splitlines()[0])
     (axis,) = axes_of(["friction"])
-    assert find(Search(Rig(scenarios("lift a block")[0], BASE, 2), axis, 1)).extra == first["extra"]
+    assert find(MarginSearch(Rig(scenarios("lift a block")[0], BASE, 2), axis, 1)).extra == first["extra"]
 
 
 def test_a_finished_search_is_compared_with_an_earlier_one(searched, tmp_path, capsys):

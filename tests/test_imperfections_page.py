@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from craftsim.checking.settings import RANDOMIZE, nominal_gains
+from craftsim.models.floor import MOST_TILES
 from craftsim.models.parameters import NOMINAL
 
 PAGE = (Path(__file__).parents[1] / "docs" / "imperfections.md").read_text(encoding="utf-8")
@@ -56,6 +57,10 @@ def test_clearances_and_the_lippage_that_takes_them(what, clearance_m, reach_m):
     assert flown > 1
     cells = [clearance_m, clearance_m, astride, clearance_m / flown]
     assert f"| {what} | " + " | ".join(map(_mm, cells)) + " |" in PAGE
+
+
+def test_the_most_tiles_are_those_of_the_page():
+    assert f"at most {MOST_TILES:,} of them" in PAGE
 
 
 def test_other_clearances():

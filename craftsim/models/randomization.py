@@ -192,10 +192,11 @@ class RandomizedSite:
             [math.sin(tilt) * math.cos(towards), math.sin(tilt) * math.sin(towards), -math.cos(tilt)]
         )
         model.opt.gravity[:] = float(np.linalg.norm(self._nominal.gravity)) * down
-        # Generators of their own: what is drawn of one does not depend on what else is drawn.
-        surface, workshop = rng.spawn(2)
-        self.site.lift_m = lay(model, tiles, surface) if tiles else 0.0
-        if not randomization.making.exact:
+        self.site.lift_m = 0.0
+        if tiles or not randomization.making.exact:
+            # Generators of their own: what is drawn of one does not depend on what else is drawn.
+            surface, workshop = rng.spawn(2)
+            self.site.lift_m = lay(model, tiles, surface) if tiles else 0.0
             make(self.site, randomization.making, workshop)
         self.site.uneven = tiles is not None or randomization.making.wheel_radius_m > 0
         self._follow()

@@ -91,14 +91,15 @@ _WORKSHOP_FLOOR: Final = replace(
     _MILD,
     floor=Floor(lippage_m=0.0008, tile_m=0.3, joint_m=0.003, joint_depth_m=0.001, unevenness_m=0.001),
     drivetrain=Drivetrain(
-        # The data sheet of a gear motor of this size (Pololu 37D, 50:1, 12 V) has 2.06 Nm at standstill and 20.9 rad/s
-        # without load. So does a motor of 2.5 Nm with this slope behind 0.45 Nm of dry friction.
-        torque_slope=0.8,
+        # Assumed: a motor for 67 rad/s without load. A small gear motor has 0.8, which with sag is too little for the
+        # nominal gains' speed (docs/imperfections.md).
+        torque_slope=0.3,
         # Three planetary stages, of which maxon says that none loses more than 3 %.
         gear_loss=0.1,
         # 0.29 degrees; maxon gives 0.15 to 0.5 for planetary gears of low backlash (GP 32 BZ).
         backlash_rad=0.005,
-        # Four of those motors take 22 A at standstill: 1.1 of 12 V at 50 mOhm of battery and wires, which is assumed.
+        # Four motors of 5.5 A at standstill (data sheet of the Pololu 37D, 12 V) take 22 A: 1.1 V at 50 mOhm of battery
+        # and wires, which is assumed.
         sag=0.1,
     ),
     # ISO 2768-1, fine: 0.05 mm up to 6 mm, 0.1 mm up to 30, 0.15 mm up to 120, 0.2 mm up to 400.

@@ -123,9 +123,9 @@ def write_noise(path: Path, found: Identification, log: Log, source: str) -> Sen
     figures: dict[str, float] = {n: told[n] for n in ("encoder_lag_s", "motor_lag_s") if n in told}
     if "delay_s" in told:
         figures |= {"min_delay_s": told["delay_s"], "max_delay_s": told["delay_s"]}
-    if np.isfinite(log.pose).any():
+    if "position" in found.noise:
         figures |= {"position_m": found.noise["position"], "heading_rad": found.noise["heading"]}
-    if np.isfinite(log.board).all(axis=1).any():
+    if {"board", "board force"} <= found.noise.keys():
         figures |= {"board_m": found.noise["board"], "board_force_n": found.noise["board force"]}
     if (tilt := _jitter(log.tilt)) is not None:
         figures["tilt_rad"] = tilt

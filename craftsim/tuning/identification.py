@@ -73,7 +73,7 @@ class Identification:
     estimates: tuple[Identified, ...]
     untold: tuple[Untold, ...]
     noise: dict[str, float]
-    """Standard deviation of what is left, by channel."""
+    """Standard deviation of what is left, by channel that was measured."""
     outliers: int
     """Values that were left out."""
     n_values: int
@@ -141,6 +141,8 @@ class _Fit:
             # What is held is held where it is assumed to be, wherever an earlier fit has taken it.
             self.vector[[k for k, one in enumerate(self.search.unknowns) if one.key in held]] = 0.0
             free = [k for k, one in enumerate(self.search.unknowns) if one.key not in held]
+            if not free:
+                break
             low, high = (bound[free] for bound in self.search.bounds)
 
             def put(numbers: Floats, free: list[int] = free) -> Floats:
@@ -230,7 +232,11 @@ class _Fit:
                 half = float(wide[k] * one.usual * (values[one.key] if one.of_machine else 1.0))
             edge = k in wide and not low[k] + 1e-3 < self.vector[k] < high[k] - 1e-3
             estimates.append(Identified(one, starts[one.key], values[one.key], half, edge))
-        noise = {name: float(self.noise[columns][0]) for name, (_, columns) in CHANNELS.items()}
+        noise = {
+            name: float(self.noise[columns][0])
+            for name, (_, columns) in CHANNELS.items()
+            if self.kept[..., columns].any()
+        }
         machines = self.search.made(values)
         return Identification(
             tuple(estimates), tuple(self.untold), noise, outliers, int(self.kept.sum()), n_segments, machines

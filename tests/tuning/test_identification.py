@@ -100,6 +100,18 @@ def test_a_log_that_tells_nothing_is_refused(log, change, said):
         identify(replace(log, **{k: np.full_like(getattr(log, k), v) for k, v in change.items()}), NOMINAL)
 
 
+def test_a_log_of_a_car_that_hardly_moves_tells_nothing(log):
+    still = log.between(0.0, 3.0)
+    commands = np.zeros_like(still.commands)
+    commands[5, 0] = 1e-9
+    quiet = replace(still, commands=commands, board=np.full_like(still.board, np.nan))
+    quiet.pose[:], quiet.wheel_speeds[:] = still.pose[0], 0.0
+    found = identify(quiet, NOMINAL)
+    assert not any(one.told for one in found.estimates)
+    assert len(found.untold) == len(found.estimates)
+    assert "board" not in found.noise
+
+
 def test_a_log_that_is_too_short_is_refused(log):
     with pytest.raises(InputError, match="shorter than 2 s"):
         identify(log.between(0.0, 1.9), NOMINAL)

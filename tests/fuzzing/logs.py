@@ -1,0 +1,48 @@
+"""Mutated logs, as tables and as ROS 2 bags, read as ``identify`` reads them."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from bags import write_bag
+
+from craftsim.logs.files import read_log
+from craftsim.logs.log import GROUPS, Log
+from craftsim.logs.tables import write_table
+from fuzzing.mutations import mutated_bytes
+
+ROWS = 12
+
+
+@cache
+def _whole(ending: str) -> bytes:
+    from tempfile import TemporaryDirectory
+
+    rng = np.random.default_rng(0)
+    groups = {name: 0.01 * rng.normal(size=(ROWS, len(columns))) for name, columns in GROUPS.items()}
+    log = Log(0.02 * np.arange(ROWS), **groups)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"log{ending}"
+        if ending == ".csv":
+            write_table(path, {0: log})
+        else:
+            write_bag(path, log)
+        return path.read_bytes()
+
+
+def table(rng: np.random.Generator, folder: Path) -> None:
+    """Attack a table: its bytes."""
+    _read(folder / "log.csv", mutated_bytes(_whole(".csv"), rng))
+
+
+def bag(rng: np.random.Generator, folder: Path) -> None:
+    """Attack a bag: its bytes, within its packed chunks or around them."""
+    _read(folder / "log.mcap", mutated_bytes(_whole(".mcap"), rng))
+
+
+def _read(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    read_log(path)
+
+
+TARGETS = {"log": table, "bag": bag}

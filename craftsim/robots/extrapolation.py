@@ -34,20 +34,27 @@ class Extrapolation:
         self._kinematics = Mecanum(car)
         self._droop_rad_s = car.gear_friction_nm / car.wheel_gain_nms_rad
         self._lag = np.zeros(4)
+        self._seen, self._ahead = np.zeros((2, 4))
+        """Sums of the wheels' speeds: over the periods measured since, and over those extrapolated the last time."""
 
-    def note(self, now: CarMeasurement, acted: Command) -> None:
-        """Learn how fast the wheels turn under a command that has acted for a control period."""
+    def note(self, now: CarMeasurement, acted: Command, periods: int = 1) -> None:
+        """Learn how fast the wheels turn under a command that has acted, so many periods after what was noted last."""
+        self._seen += np.array(now.wheel_speeds) * periods
         self._lag += _SHARE * (np.array(now.wheel_speeds) - self._free(acted.wheels) - self._lag)
 
     def after(self, now: CarMeasurement, to_act: Iterable[Command]) -> CarMeasurement:
-        """Return the measurement that follows on ``now`` when some commands have acted, each a control period long."""
+        """Return the measurement that follows on ``now`` when some commands have acted, each a control period long.
+
+        Its wheel speeds are those by which the wheels have gone on since the measurement returned before, so that their
+        sum is what was measured, and what is extrapolated now, and no error of an extrapolation stays.
+        """
         period_s = self._period_s
         x, y, heading, board, hinge = now.x, now.y, now.heading, now.board_m, now.hinge_rad
-        wheels, way = now.wheel_speeds, np.zeros(3)
+        ahead, way = np.zeros(4), np.zeros(3)
         for command in to_act:
-            fl, fr, rl, rr = (self._free(command.wheels) + self._lag).tolist()
-            wheels = fl, fr, rl, rr
-            forward, left, turn = self._kinematics.body_twist(wheels)
+            wheels = self._free(command.wheels) + self._lag
+            ahead += wheels
+            forward, left, turn = self._kinematics.body_twist(wheels.tolist())
             forward, left = forward * math.cos(now.pitch) * period_s, left * math.cos(now.roll) * period_s
             way += forward, left, turn * period_s
             middle = heading + turn * period_s / 2
@@ -57,8 +64,10 @@ class Extrapolation:
             board = min(max(board + command.board * period_s, 0.0), self._car.board_travel_m)
             if hinge is not None:
                 hinge = min(max(hinge + command.hinge * period_s, 0.0), self._slope.hinge_range_rad)
+        fl, fr, rl, rr = (self._seen + (ahead - self._ahead)).tolist()
+        self._seen, self._ahead = np.zeros(4), ahead
         now = now._replace(
-            x=x, y=y, heading=wrap(heading), wheel_speeds=wheels, board_m=board, hinge_rad=hinge
+            x=x, y=y, heading=wrap(heading), wheel_speeds=(fl, fr, rl, rr), board_m=board, hinge_rad=hinge
         )
         return self._with_lines(now, way)
 

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.rotation import wrap
 from craftsim.models.parameters import Machines, SmartcarParameters
@@ -33,21 +34,29 @@ class Extrapolation:
         self._kinematics = Mecanum(car)
         self._droop_rad_s = car.gear_friction_nm / car.wheel_gain_nms_rad
         self._lag = np.zeros(4)
+        self._seen, self._ahead = np.zeros((2, 4))
+        """Sums of the wheels' speeds: over the periods measured since, and over those extrapolated the last time."""
 
-    def note(self, now: CarMeasurement, acted: Command) -> None:
-        """Learn how fast the wheels turn under a command that has acted for a control period."""
+    def note(self, now: CarMeasurement, acted: Command, periods: int = 1) -> None:
+        """Learn how fast the wheels turn under a command that has acted, so many periods after what was noted last."""
+        self._seen += np.array(now.wheel_speeds) * periods
         self._lag += _SHARE * (np.array(now.wheel_speeds) - self._free(acted.wheels) - self._lag)
 
     def after(self, now: CarMeasurement, to_act: Iterable[Command]) -> CarMeasurement:
-        """Return the measurement that follows on ``now`` when some commands have acted, each a control period long."""
+        """Return the measurement that follows on ``now`` when some commands have acted, each a control period long.
+
+        Its wheel speeds are those by which the wheels have gone on since the measurement returned before, so that their
+        sum is what was measured, and what is extrapolated now, and no error of an extrapolation stays.
+        """
         period_s = self._period_s
         x, y, heading, board, hinge = now.x, now.y, now.heading, now.board_m, now.hinge_rad
-        wheels = now.wheel_speeds
+        ahead, way = np.zeros(4), np.zeros(3)
         for command in to_act:
-            fl, fr, rl, rr = (self._free(command.wheels) + self._lag).tolist()
-            wheels = fl, fr, rl, rr
-            forward, left, turn = self._kinematics.body_twist(wheels)
+            wheels = self._free(command.wheels) + self._lag
+            ahead += wheels
+            forward, left, turn = self._kinematics.body_twist(wheels.tolist())
             forward, left = forward * math.cos(now.pitch) * period_s, left * math.cos(now.roll) * period_s
+            way += forward, left, turn * period_s
             middle = heading + turn * period_s / 2
             x += math.cos(middle) * forward - math.sin(middle) * left
             y += math.sin(middle) * forward + math.cos(middle) * left
@@ -55,11 +64,28 @@ class Extrapolation:
             board = min(max(board + command.board * period_s, 0.0), self._car.board_travel_m)
             if hinge is not None:
                 hinge = min(max(hinge + command.hinge * period_s, 0.0), self._slope.hinge_range_rad)
-        return now._replace(
-            x=x, y=y, heading=wrap(heading), wheel_speeds=wheels, board_m=board, hinge_rad=hinge
+        fl, fr, rl, rr = (self._seen + (ahead - self._ahead)).tolist()
+        self._seen, self._ahead = np.zeros(4), ahead
+        now = now._replace(
+            x=x, y=y, heading=wrap(heading), wheel_speeds=(fl, fr, rl, rr), board_m=board, hinge_rad=hinge
         )
+        return self._with_lines(now, way)
 
-    def _free(self, told: PerWheel) -> np.ndarray:
+    def _with_lines(self, now: CarMeasurement, way: NDArray[np.float64]) -> CarMeasurement:
+        """Return a measurement in which the lines above, where cars have sensors for them, are left behind.
+
+        ``way`` is (forward, to the left, turn) in metres and radians.
+        """
+        lines = getattr(now, "lines", None)
+        if lines is None:
+            return now
+        along, across = self._car.board_length_m / 2, self._car.board_width_m / 2
+        forward, left, turn = way.tolist()
+        ahead = left + along * turn, left - along * turn, forward - across * turn, forward + across * turn
+        moved = tuple(line - passed for line, passed in zip(lines, ahead, strict=True))
+        return CarMeasurement(**(now._asdict() | {"lines": moved}))
+
+    def _free(self, told: PerWheel) -> NDArray[np.float64]:
         """Return at what speeds wheels turn freely whose servos are told some, (4,) in rad/s."""
         speeds = np.array(told)
         return np.copysign(np.maximum(0.0, np.abs(speeds) - self._droop_rad_s), speeds)

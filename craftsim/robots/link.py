@@ -255,8 +255,9 @@ class Link:
             leads = (lead_s for lead_s, sent in self._sent if sent.number == message.heard)
             self._takes.extend(lead_s + message.late_s for lead_s in leads)
         acted = self._acting(message.time_s - self.period_s)
+        periods = round((message.time_s - self._newest.time_s) / self.period_s)
         for car, now, command in zip(self._cars, message.cars, acted, strict=True):
-            car.note(now, command)
+            car.note(now, command, periods)
         self._newest = message
 
     def _read(self, data: bytes) -> Message | None:

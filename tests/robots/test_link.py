@@ -42,9 +42,10 @@ def on_site():
 
 
 def test_robots_of_ones_own_class_do_what_a_sites_cars_do(on_site):
-    fleet = set_up(draw(SIZE, OBJECTS, CARS), setup_of(drive="reduced"), watch_contacts=False).executor.fleet
+    setup = setup_of(drive="reduced")
+    fleet = set_up(draw(SIZE, OBJECTS, CARS), setup, watch_contacts=False).executor.fleet
     site, robots = fleet.site, RobotFleet(simulated_robots(fleet), SimulatedClock(fleet))
-    assert perform(Executor(site, fleet=robots)) == on_site[0]
+    assert perform(Executor(site, setup.gains, assumed=setup.assumed, fleet=robots)) == on_site[0]
     np.testing.assert_array_equal(site.data.qpos, on_site[1])
 
 

@@ -98,11 +98,13 @@ def test_an_extrapolation_goes_on_as_the_commands_say():
     found = prediction.after(car(heading=np.pi / 2, slope=0, hinge_rad=1.0), [ahead] * 5)
     way_m = 10.0 * machine.wheel_radius_m * 0.1
     assert (found.x, found.y) == pytest.approx((0.0, way_m))
-    assert found.wheel_speeds == pytest.approx((10.0,) * 4)
+    assert found.wheel_speeds == pytest.approx((50.0,) * 4)  # of five periods at once
+    prediction.note(found._replace(wheel_speeds=(10.0,) * 4), ahead)
+    assert prediction.after(found, [ahead] * 5).wheel_speeds == pytest.approx((10.0,) * 4)
     assert (found.board_m, found.hinge_rad) == pytest.approx((0.005, 0.97))
     up = prediction.after(car(board_m=0.044), [ahead] * 5)
     assert (up.board_m, up.hinge_rad) == (pytest.approx(machine.board_travel_m), None)
-    assert prediction.after(found, []) == found
+    assert Extrapolation(machine, NOMINAL, 0.02).after(found, [])._replace(wheel_speeds=(50.0,) * 4) == found
 
 
 def test_an_extrapolation_learns_how_far_wheels_lag_behind():
@@ -110,7 +112,8 @@ def test_an_extrapolation_learns_how_far_wheels_lag_behind():
     told = Command((5.0,) * 4)
     for _ in range(100):
         prediction.note(car(wheel_speeds=(4.0,) * 4), told)
-    assert prediction.after(car(), [told]).wheel_speeds == pytest.approx((4.0,) * 4, abs=1e-3)
+    prediction.after(car(), [told])
+    assert prediction.after(car(), [told] * 2).wheel_speeds == pytest.approx((4.0,) * 4, abs=1e-3)
 
 
 def test_a_real_clock_keeps_to_its_periods_and_does_not_catch_up():

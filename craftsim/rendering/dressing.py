@@ -8,6 +8,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from craftsim.discrete.colours import Rgb
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.rendering.painting import painted, wood
 
@@ -20,7 +21,8 @@ _MATERIALS: Final = {
 """Specular and shininess."""
 _WOOD: Final = "wood"
 _WOOD_RGB: Final = (222, 178, 118)
-_LOOKS: Final[dict[str, tuple[str, tuple[float, float, float] | None]]] = {
+_Look = tuple[str, Rgb | None]
+_LOOKS: Final[dict[str, _Look]] = {
     "chassis_visual": ("plastic", None),
     "chassis_trim": ("plastic", (0.96, 0.96, 0.97)),
     "board_visual": ("metal", (0.78, 0.79, 0.80)),
@@ -99,10 +101,31 @@ def _give_materials(spec: mujoco.MjSpec) -> None:
     grain = painted(spec, _WOOD, wood(np.random.default_rng(0), _WOOD_RGB))
     grain.specular, grain.shininess = 0.12, 0.2
     for geom in spec.geoms:
-        part, _, name = geom.name.partition("/")
-        look = next((look for start, look in _LOOKS.items() if name.startswith(start)), None)
-        if look is None or geom.group != 2:
+        if (look := _look(geom.name, geom.group)) is None:
             continue
-        geom.material, rgb = ("matt", _WALL_RGB) if part.startswith("wall") else look
+        geom.material, rgb = look
         if rgb is not None:
             geom.rgba = [*rgb, 1.0]
+
+
+def _look(name: str, group: int) -> _Look | None:
+    """Return material and colour of a geom, None for one that keeps its own."""
+    part, _, own = name.partition("/")
+    look = next((look for start, look in _LOOKS.items() if own.startswith(start)), None)
+    if look is None or group != 2:
+        return None
+    return ("matt", _WALL_RGB) if part.startswith("wall") else look
+
+
+def dressed_rgb(name: str, group: int) -> Rgb | None:
+    """Return the colour of a geom in ``paper`` quality where there are no materials; None for one that keeps its own.
+
+    Args:
+        name: of the geom in a world, such as ``car0/board_visual``.
+        group: of the geom; only what is there to be seen is dressed.
+    """
+    material, rgb = _look(name, group) or ("", None)
+    if rgb is None or material != _WOOD:
+        return rgb
+    red, green, blue = (tint * grain / 255 for tint, grain in zip(rgb, _WOOD_RGB, strict=True))
+    return red, green, blue

@@ -15,11 +15,15 @@ import craftsim
 from craftsim import Action, Executor, Grid, LiveView, Site, Trajectory, parallel_env, view
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.errors import InputError
+from craftsim.models.parameters import Machines
+from craftsim.rendering.painting import label_strip_m
 from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.stage import Stage
 from craftsim.rendering.viewer.moment import live, recorded
 from craftsim.rendering.viewer.recorded import RecordedView
-from craftsim.rendering.viewer.shapes import shapes_of
+from craftsim.rendering.viewer.shapes import floor_mesh, shapes_of
 from craftsim.rendering.viewer.transport import Transport
 from craftsim.rendering.viewer.words import car_html, list_html
 
@@ -146,6 +150,41 @@ def test_the_meshes_are_where_mujoco_has_its_own(run: Trajectory):
 def test_a_roller_is_a_part_of_its_wheel(run: Trajectory):
     names = {run.model.body(shape.body).name.split("/")[-1] for shape in shapes_of(run.model)}
     assert names == {"smartcar", "board", "block", *(f"wheel_{wheel}" for wheel in ("fl", "fr", "rl", "rr"))}
+
+
+def test_machines_have_the_colours_of_the_films(run: Trajectory):
+    stage = Stage(run, "paper").model
+    dressed = {stage.geom(g).name: stage.geom_rgba[g] for g in range(stage.ngeom) if stage.geom_matid[g] >= 0}
+    plain = [name for name in dressed if "_visual" in name or "hub" in name]
+    seen = {body: set() for body in range(run.model.nbody)}
+    for shape in shapes_of(run.model):
+        seen[shape.body] |= {tuple(colour) for colour in np.unique(shape.mesh.visual.vertex_colors, axis=0)}
+    tried = 0
+    for name in plain:
+        geom = run.model.geom(name)
+        if stage.geom(name).rgba[:3].min() < 1.0:  # wood is white below its grain
+            assert tuple((255 * dressed[name]).astype(np.uint8)) in seen[int(geom.bodyid[0])]
+            tried += 1
+    assert tried >= 5
+
+
+def test_the_floor_shows_the_area_and_a_strip_with_its_coordinates():
+    mesh = floor_mesh((3, 2, 1))
+    strip = label_strip_m(3, 2)
+    low, high = mesh.bounds[:, :2]
+    assert low == pytest.approx([-strip, -strip])
+    assert high == pytest.approx([3 * CELL_PITCH_M + strip, 2 * CELL_PITCH_M + strip])
+    height, width = np.array(mesh.visual.material.baseColorTexture).shape[:2]
+    assert width / height == pytest.approx((high - low)[0] / (high - low)[1], rel=0.01)
+    assert mesh.face_normals[:, 2] == pytest.approx(1.0)
+
+
+def test_reduced_cars_have_tyres():
+    site = Site(Grid.empty((1, 1, 1), n_cars=1), machines=Machines(drive="reduced"))
+    (body,) = (
+        shape for shape in shapes_of(site.model) if site.model.body(shape.body).name == "car0/smartcar"
+    )
+    assert body.mesh.bounds[0, 2] == pytest.approx(0.0, abs=3e-3), "down to the floor"
 
 
 # The page.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -9,12 +10,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.colours import car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
 from craftsim.models.composition import ground_pose_and_size
+from craftsim.models.parameters import SmartcarParameters
 from craftsim.models.site import Site
+from craftsim.rendering.painting import FLOOR_RGB, number_plate
 from craftsim.rendering.playback import Posed
-from craftsim.rendering.viewer.shapes import shapes_of
+from craftsim.rendering.viewer.shapes import floor_mesh, shapes_of
 
 if TYPE_CHECKING:
     from viser import SceneNodeHandle, ViserServer
@@ -28,6 +32,14 @@ MARK: Final = 0.02
 """Height in levels of the mark of a cell whose content is not that of a whole cell."""
 _LABEL_M: Final = 0.16
 """Height of a car's number above its centre."""
+
+
+_FACE_UP_FORWARD: Final = (0.0, math.sqrt(0.5), -math.sqrt(0.5), 0.0)
+"""The turn after which a picture lies flat with its top ahead along x: viser's own hang as a camera sees them, with y
+down."""
+_PLATE_SHARE: Final = 0.84
+"""Side of a car's number plate, of that of the boss it lies on."""
+_PLATE_PROUD_M: Final = 0.0012
 
 
 def _pick(on_pick: Callable[[int], None], car: int, event: object) -> None:
@@ -89,20 +101,8 @@ class BrowserScene:
         position, half = ground_pose_and_size(size)
         extent = 2 * np.array([half[0], half[1], 0.005])
         below = position - np.array([0, 0, 0.006])
-        self._server.scene.add_box("/ground", (214, 216, 219), extent, position=below, cast_shadow=False)
-        nx, ny, _ = size
-        across = [[(x, 0, 0), (x, ny, 0)] for x in range(nx + 1)]
-        along = [[(0, y, 0), (nx, y, 0)] for y in range(ny + 1)]
-        lines = np.array(across + along) * CELL_PITCH_M + np.array([0, 0, 0.001])
-        self._server.scene.add_line_segments("/grid", lines, (120, 124, 130), thickness=0.006)
-        corners = [(x, -0.9, str(x)) for x in range(nx)] + [(-0.9, y, str(y)) for y in range(ny)]
-        for x, y, text in corners:
-            self._server.scene.add_label(
-                f"/edge/{'y' if x < 0 else 'x'}{text}",
-                text,
-                position=cell_position(x, y, 1),
-                anchor="center-center",
-            )
+        self._server.scene.add_box("/ground", FLOOR_RGB, extent, position=below, cast_shadow=False)
+        self._server.scene.add_mesh_trimesh("/floor", floor_mesh(size), cast_shadow=False)
 
     def _add_machines(self, site: Site, on_pick: Callable[[int], None]) -> None:
         car_of = {int(self._model.dof_bodyid[car.base.dof]): number for number, car in enumerate(site.cars)}
@@ -115,6 +115,8 @@ class BrowserScene:
             if root not in car_of:
                 continue
             car = car_of[root]
+            if name.endswith("/board"):
+                self._add_plate(f"/machines/{name}/plate", car, site.machines.car(car))
             node.on_click(partial(_pick, on_pick, car))
             if shape.body == root:
                 self._server.scene.add_label(
@@ -123,6 +125,20 @@ class BrowserScene:
                     position=(0, 0, _LABEL_M),
                     anchor="bottom-center",
                 )
+
+    def _add_plate(self, name: str, car: int, figures: SmartcarParameters) -> None:
+        """Put a car's number on its board, as in films."""
+        side = _PLATE_SHARE * figures.boss_top_side_m
+        self._server.scene.add_image(
+            name,
+            number_plate(car, car_colour(car)),
+            side,
+            side,
+            format="png",
+            cast_shadow=False,
+            wxyz=_FACE_UP_FORWARD,
+            position=(0, 0, figures.boss_height_m + _PLATE_PROUD_M),
+        )
 
     def _add_marks(self, marks: Mapping[Cell, float]) -> None:
         for number, (cell, levels) in enumerate(marks.items()):

@@ -12,12 +12,24 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.util import concatenate
 
+from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.grid import Cell
+from craftsim.rendering.dressing import dressed_rgb
+from craftsim.rendering.painting import floor, label_strip_m
+
 _SHOWN_GROUPS: Final = 3
 """MuJoCo's viewer and renderer show the groups of geoms below this one; the others are there to collide."""
-_BOX, _ELLIPSOID, _MESH = (
+_BOX, _CYLINDER, _ELLIPSOID, _MESH = (
     int(kind)
-    for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_MESH)
+    for kind in (
+        mujoco.mjtGeom.mjGEOM_BOX,
+        mujoco.mjtGeom.mjGEOM_CYLINDER,
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        mujoco.mjtGeom.mjGEOM_MESH,
+    )
 )
+_PROUD_M: Final = 0.001
+"""So high the floor lies on the bare ground, so that the two do not flicker."""
 _HINGE: Final = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -38,7 +50,7 @@ def shapes_of(model: mujoco.MjModel) -> list[BodyMesh]:
     meshes: dict[int, list[trimesh.Trimesh]] = defaultdict(list)
     for geom in range(model.ngeom):
         kind = int(model.geom_type[geom])
-        if model.geom_group[geom] >= _SHOWN_GROUPS or kind not in (_BOX, _ELLIPSOID, _MESH):
+        if model.geom_group[geom] >= _SHOWN_GROUPS or kind not in (_BOX, _CYLINDER, _ELLIPSOID, _MESH):
             continue
         mesh = _mesh(model, geom, kind)
         body = int(model.geom_bodyid[geom])
@@ -50,6 +62,30 @@ def shapes_of(model: mujoco.MjModel) -> list[BodyMesh]:
     return [
         BodyMesh(body, cast(trimesh.Trimesh, concatenate(found))) for body, found in sorted(meshes.items())
     ]
+
+
+def floor_mesh(size: Cell) -> trimesh.Trimesh:
+    """Return the floor of an area of ``size`` cells with its grid and its coordinates, as films show it.
+
+    A picture in the page would show no shadows, so that things float; a mesh with that picture does.
+    """
+    from PIL import Image
+
+    (length, width), strip = (n * CELL_PITCH_M for n in size[:2]), label_strip_m(*size[:2])
+    low, high = np.array([-strip, -strip]), np.array([length + strip, width + strip])
+    share = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    points = np.column_stack([low + share * (high - low), np.full(4, _PROUD_M)])
+    picture = Image.fromarray(floor(*size[:2]))
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0
+    )
+    return trimesh.Trimesh(
+        points,
+        [(0, 1, 2), (0, 2, 3)],
+        vertex_normals=np.tile((0.0, 0.0, 1.0), (4, 1)),
+        visual=trimesh.visual.TextureVisuals(uv=share, material=material),
+        process=False,
+    )
 
 
 def _is_roller(model: mujoco.MjModel, body: int) -> bool:
@@ -72,15 +108,23 @@ def _mesh(model: mujoco.MjModel, geom: int, kind: int) -> trimesh.Trimesh:
     size = model.geom_size[geom]
     if kind == _MESH:
         mesh = _asset(model, int(model.geom_dataid[geom]))
-    elif kind == _BOX:
-        box = trimesh.creation.box(extents=2 * size)
-        mesh = _faceted(box.triangles.reshape(-1, 3), np.repeat(box.face_normals, 3, axis=0))
+    elif kind in (_BOX, _CYLINDER):
+        solid = (
+            trimesh.creation.box(extents=2 * size)
+            if kind == _BOX
+            else trimesh.creation.cylinder(size[0], 2 * size[1])
+        )
+        mesh = _faceted(solid.triangles.reshape(-1, 3), np.repeat(solid.face_normals, 3, axis=0))
     else:
         ball = trimesh.creation.icosphere(subdivisions=2)
         normals = ball.vertices / size
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         mesh = trimesh.Trimesh(ball.vertices * size, ball.faces, vertex_normals=normals, process=False)
-    colour = (255 * model.geom_rgba[geom]).astype(np.uint8)
+    name, group = model.geom(geom).name, int(model.geom_group[geom])
+    rgba = np.array(model.geom_rgba[geom])
+    if (rgb := dressed_rgb(name, group)) is not None:
+        rgba[:3] = rgb
+    colour = (255 * rgba).astype(np.uint8)
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.tile(colour, (len(mesh.vertices), 1)))
     return mesh
 

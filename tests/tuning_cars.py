@@ -24,6 +24,6 @@ def log_of(hidden, time_s, noise=MILD, seed=0):
     delay_s, lag_s = hidden.get("noise.delay_s", 0.0), hidden.get("noise.motor_lag_s", 0.0)
     noise = replace(noise, min_delay_s=delay_s, max_delay_s=delay_s, motor_lag_s=lag_s)
     machines = Machines(cars=(SmartcarParameters(**car),), drive="reduced")
-    setup = replace(setup_of(machines=machines), noise=noise)
+    setup = setup_of(machines=machines, noise=noise)
     commands = excitation(time_s, Area(), NOMINAL.car(0), 0.02)
     return drive(free_area(Area()), setup, Seed((seed,)), commands)

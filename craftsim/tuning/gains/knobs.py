@@ -28,9 +28,14 @@ _REST: Final = "what counts as rest"
 _GIVING_UP: Final = "when a skill gives up: nothing is won by giving up later or earlier"
 _ASSUMED: Final = "what a car assumes of its odometry: a matter of identification"
 _STACKS: Final = "what a stack bears under a car: it shows on stacks that are taller than those tried here"
+_STUCK: Final = (
+    "what a car does that is stuck or has failed: an uneven floor shows it, and not the flat one here"
+)
 _PARKED: Final = "of parked cars, whose hold no objective measures"
 KEPT: Final[Mapping[str, str]] = {
     "drive.rocking": _STACKS,
+    **{f"drive.{name}": _STUCK for name in ("shake_after", "shake_speed", "shake_rate")},
+    "recovery.tries": _STUCK,
     "drive.position_tolerance": _TOLERANCE,
     "drive.heading_tolerance": _TOLERANCE,
     "drive.position_certainty": _CERTAINTY,

@@ -1,4 +1,4 @@
-"""Make the pages and films of the gallery: ``scripts/gallery.py AUDIT [WORKERS]``.
+"""Make the pages and films of the gallery: ``scripts/gallery.py WORKERS AUDIT ...``.
 
 AUDIT is the folder of an audit of the published rules, whose replay bundles show what is unsound. Each task of the
 paper is built in physics, and each unsound rule is shown in the smallest world in which it fails.
@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.checking.settings import Setup
+from craftsim.checking.world import SEED_0, Seed
 from craftsim.discrete.drawing import LEGEND, world_text
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
@@ -46,25 +48,26 @@ TRIES: Final = 5
 """Bundles of a rule that are tried until one fails by itself, from a fresh start."""
 
 
-def main(audit: Path, workers: int) -> None:
+def main(audits: Sequence[Path], workers: int) -> None:
     """Make everything."""
     FILMS.mkdir(parents=True, exist_ok=True)
-    jobs: list[tuple[str, str, str]] = [("task", task, "") for task in TASK_NAMES]
-    jobs += [("rule", flag, str(audit)) for flag in _rows_by_flag(audit)]
+    flags = _bundles_by_flag(audits)
+    jobs: list[tuple[str, tuple[Path, ...]]] = [(task, ()) for task in TASK_NAMES]
+    jobs += [(flag, tuple(bundles)) for flag, bundles in flags.items()]
     for number, _ in enumerate(spread(_make, jobs, workers)):
         print(f"{number + 1} of {len(jobs)}", flush=True)
     for path in (*GALLERY.iterdir(), *FILMS.iterdir()):
         if path.stat().st_size > BUDGET_BYTES:
             raise SystemExit(f"{path} has {path.stat().st_size} bytes; allowed: {BUDGET_BYTES}")
-    _write_index([flag for flag in _rows_by_flag(audit) if (GALLERY / f"{flag}.md").exists()])
+    _write_index([flag for flag in flags if (GALLERY / f"{flag}.md").exists()])
 
 
-def _make(job: tuple[str, str, str]) -> None:
-    kind, name, audit = job
-    if kind == "task":
-        _make_task(name)
+def _make(job: tuple[str, tuple[Path, ...]]) -> None:
+    name, bundles = job
+    if bundles:
+        _make_rule(name, bundles)
     else:
-        _make_rule(name, Path(audit))
+        _make_task(name)
 
 
 def _make_task(task: str) -> None:
@@ -103,23 +106,30 @@ def _figures(trajectory: Trajectory) -> str:
     )
 
 
-def _rows_by_flag(audit: Path) -> dict[str, list[dict[str, Any]]]:
-    """Return, by the rule flag that corrects them, the rows of an audit that are unsound, with bundles."""
-    figures = json.loads((audit / "report.json").read_text(encoding="utf-8"))["figures"]["audit"]
-    found: dict[str, list[dict[str, Any]]] = {}
+def _bundles_by_flag(audits: Sequence[Path]) -> dict[str, list[Path]]:
+    """Return, by the rule flag that corrects them, the bundles of the rows of audits that are unsound."""
+    rows = [
+        (row, audit)
+        for audit in audits
+        for row in json.loads((audit / "report.json").read_text(encoding="utf-8"))["figures"]["audit"]["rows"]
+    ]
+    found: dict[str, list[Path]] = {}
     # Those first that a single flag corrects: they show that flag and no other.
-    for row in sorted(figures["rows"], key=lambda row: len(row["corrections"])):
+    for row, audit in sorted(rows, key=lambda pair: len(pair[0]["corrections"])):
         if row["verdict"] == "unsound" and row["bundles"]:
             for flag in row["corrections"]:
-                found.setdefault(flag, []).append(row)
+                found.setdefault(flag, []).append(audit / row["bundles"][0])
     return found
 
 
-def _make_rule(flag: str, audit: Path) -> None:
-    smallest = _smallest(flag, audit)
-    if smallest is None:
+def _make_rule(flag: str, bundles: Sequence[Path]) -> None:
+    found = _smallest(bundles[:TRIES])
+    if found is None:
         return
-    recipe = Recipe(blueprint_text(smallest.grid), (Step.single(0, 0, smallest.action),), smallest.setup)
+    smallest, seed, chance = found
+    recipe = Recipe(
+        blueprint_text(smallest.grid), (Step.single(0, 0, smallest.action),), smallest.setup, seed
+    )
     checked, recorder = start(recipe), Recorder()
     recorder.begin(checked)
     attempts = do(checked, recipe.steps[0])
@@ -134,21 +144,32 @@ def _make_rule(flag: str, audit: Path) -> None:
         f"{_upper(sentence(smallest))}. In physics: {attempts[0].result}"
         + (f" ({attempts[0].reason})" if attempts[0].reason else "")
         + ". CraftEnv's rules allow it; `physical` has the rule flag "
-        f"[`{flag}`](../rules.md) against it.\n",
+        f"[`{flag}`](../rules.md) against it."
+        + (
+            " It takes chance: nominal physics does not do it, but physics and noise as drawn in one trial do."
+            if chance
+            else ""
+        )
+        + "\n",
         f"## The smallest world\n\n```text\n{world}\n\n{LEGEND}\n```\n",
     ]
     write_whole(GALLERY / f"{flag}.md", "\n".join(page))
 
 
-def _smallest(flag: str, audit: Path) -> Smallest | None:
-    """Return the smallest world of the first failure of a rule that fails by itself."""
-    for row in _rows_by_flag(audit)[flag][:TRIES]:
-        bundle = read_bundle(audit / row["bundles"][0]).bundle
+def _smallest(bundles: Sequence[Path]) -> tuple[Smallest, Seed, bool] | None:
+    """Return the smallest world of the first failure of a rule that fails by itself.
+
+    Beside it are the seed with which it fails, and whether it needs that one: in nominal physics it does not fail then.
+    """
+    for folder in bundles:
+        bundle = read_bundle(folder).bundle
         for failing in failing_actions(bundle.recipe, bundle.attempts, bundle.most_s):
             try:
-                return shrink(failing)
+                smallest = shrink(failing)
             except DependsError:
                 continue
+            chance = smallest.setup == failing.setup
+            return smallest, failing.seed if chance else SEED_0, chance
     return None
 
 
@@ -167,7 +188,7 @@ def _write_index(flags: list[str]) -> None:
     text = (
         f"{MADE}# Gallery\n\n"
         "Every task of the paper, built in contact physics by the shipped plans, and every rule of CraftEnv that "
-        "`craftsim audit --quick` finds to be unsound, in the smallest world in which it fails. All of it is made "
+        "`craftsim audit` finds to be unsound, in the smallest world in which it fails. All of it is made "
         "by `make gallery`.\n\n"
         f"```{{toctree}}\n:caption: Tasks\n:maxdepth: 1\n\n{tasks}\n```\n\n"
         f"```{{toctree}}\n:caption: Unsound rules\n:maxdepth: 1\n\n" + "\n".join(flags) + "\n```\n"
@@ -176,4 +197,4 @@ def _write_index(flags: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 1)
+    main([Path(word) for word in sys.argv[2:]], int(sys.argv[1]))

@@ -84,7 +84,9 @@ def _disturb(
         now.time_s = real.time_s
         for wheel in range(4):
             old = now.wheel_speeds[wheel]
-            now.wheel_speeds[wheel] = old + encoder_share * (real.wheel_speeds[wheel] - old)
+            now.wheel_speeds[wheel] = real.wheel_speeds[wheel]
+            if encoder_share < 1.0:
+                now.wheel_speeds[wheel] = old + encoder_share * (real.wheel_speeds[wheel] - old)
         now.pitch = real.pitch + noise.tilt_rad * normals[i, 4] + bias.pitch
         now.roll = real.roll + noise.tilt_rad * normals[i, 5] + bias.roll
         now.board_m = real.board_m + noise.board_m * normals[i, 6] + bias.board_m

@@ -91,7 +91,16 @@ def test_the_file_says_where_it_comes_from_and_can_be_read_by_gains(monkeypatch,
     path = write_gains(tmp_path, tuned, "craftsim tune board\n--out 'x'")
     text = path.read_text(encoding="utf-8")
     assert load_gains(path) == tuned.gains
-    assert set(yaml.safe_load(text)) == {"drive", "board", "hinge", "stop", "hold", "localisation", "health"}
+    assert set(yaml.safe_load(text)) == {
+        "drive",
+        "board",
+        "hinge",
+        "stop",
+        "hold",
+        "localisation",
+        "health",
+        "recovery",
+    }
     for part in ("seed 4", 'Command: "craftsim tune board\\n', "mujoco", "before and after", "Start:"):
         assert part in text
 

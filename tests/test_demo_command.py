@@ -84,7 +84,8 @@ def test_the_table_has_a_row_for_each_action(shipped):
 
 def test_without_a_film_the_report_and_the_trajectory_are_written(shipped):
     _, out = shipped
-    assert sorted(path.name for path in out.iterdir()) == ["report.json", "simple_two_story.npz"]
+    written = ["report.json", "simple_two_story.log.csv", "simple_two_story.npz"]
+    assert sorted(path.name for path in out.iterdir()) == written
 
 
 def test_the_report_says_what_ran_and_what_came_out(shipped):

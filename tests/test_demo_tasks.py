@@ -50,8 +50,8 @@ def test_all_tasks_give_one_summary_and_one_report(tmp_path, capsys, monkeypatch
     assert list(figures["tasks"]) == sorted(names)
     assert (figures["agree"], figures["total"], figures["good"]) == (40, 40, 2)
     assert all(task["matches_goal"] for task in figures["tasks"].values())
-    trajectories = [f"{name}.npz" for name in names]
-    assert sorted(path.name for path in tmp_path.iterdir()) == [*trajectories, "report.json"]
+    trajectories = [f"{name}.{ending}" for name in names for ending in ("npz", "log.csv")]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*trajectories, "report.json"])
 
 
 def test_one_failure_among_all_tasks_is_named_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
@@ -123,7 +123,7 @@ def test_each_task_has_its_own_film(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(building, "shipped_plan", lambda name: plan)
     cli.main(["demo", "--task", "all", "--out", str(tmp_path / "out")])
-    films = {f"{name}.{ending}" for name in ("strip", "block") for ending in ("mp4", "npz")}
+    films = {f"{name}.{ending}" for name in ("strip", "block") for ending in ("mp4", "npz", "log.csv")}
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json", *films}
     assert capsys.readouterr().out.count("Film:") == 2
 

@@ -72,18 +72,15 @@ class Extrapolation:
         return self._with_lines(now, way)
 
     def _with_lines(self, now: CarMeasurement, way: NDArray[np.float64]) -> CarMeasurement:
-        """Return a measurement in which the lines above, where cars have sensors for them, are left behind.
+        """Return a measurement in which the lines above are left behind.
 
         ``way`` is (forward, to the left, turn) in metres and radians.
         """
-        lines = getattr(now, "lines", None)
-        if lines is None:
-            return now
         along, across = self._car.board_length_m / 2, self._car.board_width_m / 2
         forward, left, turn = way.tolist()
         ahead = left + along * turn, left - along * turn, forward - across * turn, forward + across * turn
-        moved = tuple(line - passed for line, passed in zip(lines, ahead, strict=True))
-        return CarMeasurement(**(now._asdict() | {"lines": moved}))
+        a, b, c, d = (line - passed for line, passed in zip(now.lines, ahead, strict=True))
+        return now._replace(lines=(a, b, c, d))
 
     def _free(self, told: PerWheel) -> NDArray[np.float64]:
         """Return at what speeds wheels turn freely whose servos are told some, (4,) in rad/s."""

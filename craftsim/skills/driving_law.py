@@ -62,7 +62,8 @@ def _wheels(now: Record, drive: Record, known: Record, error: Triple, elapsed_s:
     profile, period_s = drive.profile, known.period_s
     # The command holds for one period, so the path's motion in the middle of that period is fed forward.
     t = elapsed_s + period_s / 2
-    if elapsed_s > profile.duration_s:
+    # What shaking is to cure no push cures: the integral would only wind up.
+    if profile.duration_s < elapsed_s <= profile.duration_s + gains.shake_after:
         integral.x += gains.integral_gain * error[0] * period_s
         integral.y += gains.integral_gain * error[1] * period_s
         integral.heading += gains.integral_gain * error[2] * period_s

@@ -22,7 +22,7 @@ def excite(
     load: bool = False,
     out: Dir = Path("out/excite"),
 ) -> int:
-    """Drive a car through an identification drive by wheel commands alone, and log what it is told and measures.
+    """Drive a car through an identification drive by wheel commands alone, and log what is commanded and measured.
 
     Out and back in all directions, at several speeds and accelerations, with rests; the board goes up and down once.
     The commands can be replayed on a robot, and 'craftsim identify' takes its log. Exit status 0, 1 when the car left

@@ -104,7 +104,7 @@ def _summary(path: Path, summary: Any) -> Any:
     """Return the summary of a bag that may be read."""
     if summary is None:
         raise InputError(
-            f"{path}: the bag has no summary at its end; was it cut off? 'mcap recover' mends it"
+            f"{path}: the bag has no summary at its end; was it cut off? 'mcap recover' repairs it"
         )
     sizes = [chunk.uncompressed_size for chunk in summary.chunk_indexes]
     if max(sizes, default=0) > _RECORD_BYTES or sum(sizes) > BAG.content_bytes:

@@ -1,4 +1,4 @@
-"""Recording what cars are told and measure while they run."""
+"""Recording commands and measurements of cars while they run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_ROWS: Final = 250_000
 
 
 class LogRecorder:
-    """Takes what all cars measure and are told in every control period, and makes logs of it."""
+    """Takes the measurements and commands of all cars in every control period, and makes logs of it."""
 
     def __init__(self, executor: Executor) -> None:
         """Record the cars of an executor from now on."""

@@ -5,7 +5,7 @@
 - A battery sags in proportion to the torque that the four motors of its car drive with: that line falls, all of it.
 - Of a motor's torque its gear takes ``gear_loss`` while the motor drives, and adds as much while it brakes. At rest the
   gear's dry friction alone holds.
-- In its backlash a gear passes nothing on, friction neither. Its motor then turns as it is told, less what the gear's
+- In its backlash a gear passes nothing on, friction neither. Its motor then turns as commanded, less what the gear's
   friction makes of that, and takes up the play.
 
 Torques and speeds are those as the last physics step began; grip, of the reduced drive, takes up what a motor has left

@@ -1,4 +1,4 @@
-"""What cars are told of their poses: late, beside their places, now and then, and sometimes not at all."""
+"""The localisations that cars get: late, beside their places, now and then, and sometimes not at all."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Localisations:
         """Of a period, by car: of jitter and of the drifts of x, y and heading; of loss, of outliers, of their way."""
 
     def take(self, true: Records, normals: Floats, readings: Records) -> None:
-        """Take in the exact poses of a control period; ``readings`` are told of what arrives.
+        """Take in the exact poses of a control period; ``readings`` take what arrives.
 
         Args:
             true: (n,) READING.

@@ -1,8 +1,8 @@
 """What robots will measure when the next command begins, from what they measured last and the commands in between.
 
 A measurement is old when it comes, and a command takes time to get there. Which commands act in between is known: they
-say when they are to begin. A wheel is taken to turn as its velocity servo is told, less what its gear's friction takes
-and what it was seen to lag behind lately; the board and the hinge to move as they are told; and the body to go where
+say when they are to begin. A wheel is taken to turn as its velocity servo is commanded, less what its gear's friction
+takes and what it was seen to lag behind lately; the board and the hinge to move as commanded; and the body to go where
 its wheels take it (:mod:`craftsim.skills.mecanum`).
 """
 
@@ -83,6 +83,6 @@ class Extrapolation:
         return now._replace(lines=(a, b, c, d))
 
     def _free(self, told: PerWheel) -> NDArray[np.float64]:
-        """Return at what speeds wheels turn freely whose servos are told some, (4,) in rad/s."""
+        """Return at what speeds wheels turn freely whose servos are commanded some, (4,) in rad/s."""
         speeds = np.array(told)
         return np.copysign(np.maximum(0.0, np.abs(speeds) - self._droop_rad_s), speeds)

@@ -109,7 +109,8 @@ def _shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tup
     """
     cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
     left_over = math.hypot(error[0], error[1])
-    if cycles <= 0 or drive.there_periods > 0 or math.floor(cycles) % 4 >= 2:
+    # A car that is there and not yet sure of it has to rest.
+    if cycles <= 0 or left_over < gains.position_tolerance or math.floor(cycles) % 4 >= 2:
         return 0.0, 0.0
     speed = gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
     return -speed * error[1], speed * error[0]

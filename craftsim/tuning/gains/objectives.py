@@ -1,7 +1,7 @@
 """What gains are judged by: objectives, their weighted product, and the choice on a front of several.
 
 All objectives are costs above 0, and ratios of them are what counts: their logarithms are added, each with its weight,
-so that no scale has to be chosen. An action that fails costs all of them: no speed pays for it.
+so that no scale has to be chosen. An action that fails costs all of them: no speed makes up for it.
 """
 
 from __future__ import annotations

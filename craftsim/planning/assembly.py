@@ -1,0 +1,161 @@
+"""In which order a building can be put up: found backwards, by taking the finished one apart.
+
+A step puts a thing to its place, or takes a ramp away that served only for building. It is possible if a car that comes from
+free floor can do it in the world as it is then, by the rules: drive there with its load, set it down, and get out. What
+can come last in a building can be taken from it first; whoever takes one thing after the other until nothing is left has
+the order, backwards. Where nothing can be taken a ramp is missing, and one is put there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Grid, Kind, beside
+from craftsim.discrete.rules.sets import Rules
+from craftsim.planning.things import Thing, put, take, with_car
+from craftsim.planning.ways import FAR, Nodes, Ways, is_free
+
+State = frozenset[Thing]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A thing put to its place, or taken away."""
+
+    thing: Thing
+    taken: bool = False
+
+    def after(self, state: State) -> State:
+        """Return what stands after it."""
+        return state - {self.thing} if self.taken else state | {self.thing}
+
+
+@dataclass(frozen=True)
+class Order:
+    """The steps of a building, and which of them must wait for which."""
+
+    steps: tuple[Step, ...]
+    needs: tuple[frozenset[int], ...] = field(default=())
+    """For each step the earlier ones that must have been made."""
+
+
+class Assembly:
+    """What is possible in a building under way; ``base`` is the world with its walls alone."""
+
+    def __init__(self, base: Grid, rules: Rules) -> None:
+        self.base, self.rules = base, rules
+        self._ways = lru_cache(512)(self._make_ways)
+        self._grids = lru_cache(512)(self._make_grid)
+
+    def grid(self, state: State) -> Grid:
+        """Return the world in which some things stand."""
+        return self._grids(state)
+
+    def _make_grid(self, state: State) -> Grid:
+        grid = self.base.copy()
+        put(grid, sorted(state, key=lambda thing: thing.kind == Kind.FSLOPE))
+        grid.derive_marks()
+        return grid
+
+    def _make_ways(self, state: State, load: Kind) -> tuple[Ways, Nodes]:
+        grid = self.grid(state)
+        ways = Ways(grid, self.rules, load)
+        return ways, ways.from_nodes(_outside(grid, ways))
+
+    def possible(self, state: State, step: Step) -> bool:
+        """Return whether a step can be made by a car that comes from free floor and goes back there."""
+        if step.taken:
+            return self._can_take(state, step.thing)
+        return self._can_put(state, step.thing)
+
+    def _can_put(self, state: State, thing: Thing) -> bool:
+        grid = self.grid(state)
+        ways, distances = self._ways(state, thing.load)
+        slope = thing.load == Kind.FSLOPE
+        yaws = [yaw for yaw in range(4) if not slope or yaw == (thing.yaw + 2) % 4]
+        yaws = [yaw for yaw in yaws if distances[ways.node(thing.cell, yaw)] < FAR]
+        if not yaws:
+            return False
+        if not has_room(grid, self.rules, thing):
+            return False
+        return self._gets_out(state | {thing}, [ways.node(thing.cell, yaw) for yaw in yaws])
+
+    def _can_take(self, state: State, thing: Thing) -> bool:
+        grid = self.grid(state)
+        ways, distances = self._ways(state, Kind.AIR)
+        slope = thing.load == Kind.FSLOPE
+        yaws = [yaw for yaw in range(4) if not slope or yaw == (thing.yaw + 2) % 4]
+        yaws = [yaw for yaw in yaws if distances[ways.node(thing.cell, yaw)] < FAR]
+        if not yaws:
+            return False
+        rest = state - {thing}
+        if thing.kind == Kind.BODY:
+            if not self.rules.legal(with_car(grid, thing.cell, yaws[0]), 0, Action.FOLD):
+                return False
+            grid = self.grid(rest | {thing._replace(kind=Kind.FSLOPE)})
+        if not self.rules.legal(with_car(grid, thing.cell, yaws[0]), 0, Action.LIFT):
+            return False
+        return self._gets_out(rest, [ways.node(thing.cell, yaw) for yaw in yaws], thing.load)
+
+    def _gets_out(self, state: State, nodes: list[int], load: Kind = Kind.AIR) -> bool:
+        ways, _ = self._ways(state, load)
+        distances = ways.from_nodes(nodes)
+        return bool((distances[_outside(self.grid(state), ways)] < FAR).any())
+
+
+def _outside(grid: Grid, ways: Ways) -> list[int]:
+    """Return all states on the largest free piece of floor."""
+    free = (grid.kind[:, :, 1] == Kind.AIR).astype(np.uint8)
+    n_pieces, pieces = cv2.connectedComponents(free, connectivity=4)
+    if n_pieces < 2:
+        return []
+    largest = 1 + int(np.argmax(np.bincount(pieces.ravel(), minlength=n_pieces)[1:]))
+    return [ways.node((x, y, 1), yaw) for x, y in np.argwhere(pieces == largest).tolist() for yaw in range(4)]
+
+
+def has_room(grid: Grid, rules: Rules, thing: Thing) -> bool:
+    """Return whether a thing can stand in its place: it is free, in the area and borne, and the rules let a car act there."""
+    cells = thing.cells if thing.kind == Kind.BODY else thing.cells[:1]
+    for cell in cells:
+        inside = all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))
+        if not inside or not is_free(grid, cell):
+            return False
+        if grid.kind_at((cell[0], cell[1], cell[2] + 1)) not in (Kind.AIR, Kind.GEAR):
+            return False
+    if thing.load != Kind.FSLOPE:
+        return True
+    yaw = (thing.yaw + 2) % 4
+    if not rules.legal(with_car(grid, thing.cell, yaw, Kind.FSLOPE), 0, Action.DROP):
+        return False
+    if thing.kind == Kind.FSLOPE:
+        return True
+    folded = grid.copy()
+    put(folded, [thing._replace(kind=Kind.FSLOPE)])
+    folded.derive_marks()
+    return rules.legal(with_car(folded, thing.cell, yaw), 0, Action.UNFOLD)
+
+
+def ramp_places(grid: Grid, rules: Rules) -> Iterator[Thing]:
+    """Yield where an unfolded slope has room and leads up to a block, the lowest first."""
+    for z in range(1, grid.size[2] + 1):
+        for x, y in np.argwhere(grid.kind[:, :, z] == Kind.BLOCK).tolist():
+            if grid.kind_at((x, y, z + 1)) not in (Kind.AIR, Kind.BLOCK, Kind.FLAG):
+                continue
+            for yaw in range(4):
+                ramp = Thing(Kind.BODY, beside((x, y, z), yaw), yaw)
+                if has_room(grid, rules, ramp):
+                    yield ramp
+
+
+def taken_out(grid: Grid, things: list[Thing]) -> Grid:
+    """Return a copy of a world without some things."""
+    rest = grid.copy()
+    take(rest, things)
+    rest.derive_marks()
+    return rest

@@ -1,0 +1,64 @@
+"""How long a plan takes, and how long any plan must take."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.durations import nominal_durations, situation
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.schedule import Schedule
+from craftsim.planning.assembly import State
+from craftsim.planning.things import Thing, things_in
+
+
+def durations_of(schedule: Schedule) -> NDArray[np.float64]:
+    """Return how long each step of a schedule takes in seconds, shape (n,)."""
+    table = nominal_durations()
+    return np.array(
+        [
+            table[step.action, int(situation(step.before.cars[step.car], step.after.cars[step.car]))]
+            for step in schedule.steps
+        ],
+        np.float64,
+    )
+
+
+def makespan_of(schedule: Schedule, durations: NDArray[np.float64]) -> float:
+    """Return when the last step ends if each begins as soon as those that it waits for have ended."""
+    ends: list[float] = []
+    for step, duration in zip(schedule.steps, durations, strict=True):
+        ends.append(max((ends[i] for i in step.waits_for), default=0.0) + float(duration))
+    return max(ends, default=0.0)
+
+
+def makespan_bound(start: Grid, building: State) -> float:
+    """Return a time in seconds that every plan for a building takes at least.
+
+    Each thing that does not stand must be taken up, carried at least the distance in the plane, and set down; the cars
+    share that work, and nobody can carry one thing faster than alone.
+    """
+    table = nominal_durations()
+    lift, drop, unfold = table[Action.LIFT, 0], table[Action.DROP, 1], table[Action.UNFOLD, 0]
+    move = table[Action.MOVE_FORWARD, 1]
+    there = list(things_in(start))
+    work = []
+    for thing in building:
+        if any((other.kind, other.cell) == (thing.kind, thing.cell) for other in there):
+            continue
+        work.append(
+            min((_least(other, thing, move) for other in there if other.load == thing.load), default=0.0)
+        )
+        if thing.kind == Kind.BODY:
+            work[-1] += 0.0 if any(o.kind == Kind.BODY for o in there) else unfold
+        elif thing.kind == Kind.FLAG:
+            work[-1] += lift
+            continue
+        if work[-1] > unfold or thing.kind != Kind.BODY:
+            work[-1] += lift + drop
+    return float(max([sum(work) / max(start.n_cars, 1), *work], default=0.0))
+
+
+def _least(source: Thing, target: Thing, move: float) -> float:
+    return float(move * sum(abs(a - b) for a, b in zip(source.cell[:2], target.cell[:2], strict=True)))

@@ -1,0 +1,265 @@
+"""Cars at work: each takes over one job after the other, whose whole course is planned before it is taken over.
+
+A job's path avoids what all jobs before it do. Then everything is played again by the rules: where somebody's action has
+become forbidden the new path avoids that place at that time, or the job begins later; after all others have ended it disturbs nobody. What a
+car does after its job, out of the others' way, is given up for its next one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.rules.sets import Rules
+from craftsim.planning.assembly import taken_out
+from craftsim.planning.paths import WAIT, PathFinder
+from craftsim.planning.things import Thing
+from craftsim.planning.timeline import NOTHING_DONE, Timeline
+from craftsim.planning.ways import FAR, Nodes, Ways, cell_of_node
+
+FLAP_TICKS: Final = 10
+"""FOLD and UNFOLD take so many ticks longer than other actions."""
+_DETOURS: Final = 24
+"""So often a path is searched again with one more place to avoid."""
+_DELAYS: Final = 6
+"""So often a job is tried later before all others are let end first."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A thing brought from where it stands, or from the car that carries it, to where it is to stand."""
+
+    source: Thing | None
+    """None: the car carries it."""
+    target: Thing
+    hold: bool = False
+    """Whether the car keeps it there, and waits."""
+
+    @property
+    def stays(self) -> bool:
+        """Whether a slope is only folded or unfolded, where it stands."""
+        if self.source is None or self.source.kind == self.target.kind:
+            return False
+        return (self.source.cell, self.source.yaw) == (self.target.cell, self.target.yaw)
+
+
+class Crew:
+    """The cars of a plan that grows."""
+
+    def __init__(self, grid: Grid, rules: Rules) -> None:
+        self.rules, self.size, self.n_cars = rules, grid.size, grid.n_cars
+        self.timeline = Timeline(grid, rules)
+        self.ready = [0] * grid.n_cars
+        """The tick in which each car's last job ends; what it does after that is given up for the next."""
+        length, width, height = grid.size
+        self._finder = PathFinder(length * width * (height + 2) * 4)
+
+    @property
+    def end(self) -> Grid:
+        """The world when everything planned so far is done."""
+        return self.timeline.worlds.grid(self.timeline.end)
+
+    def node(self, car: int, tick: int) -> int:
+        """Return a car's state before a tick."""
+        x, y, z, yaw = self.timeline.worlds.stack.cars[tick, car, :4].tolist()
+        length, width, height = self.size
+        return int(((x * width + y) * (height + 2) + z) * 4 + yaw)
+
+    def load(self, car: int) -> Kind:
+        """Return what a car carries once its last job has ended."""
+        return Kind(int(self.timeline.worlds.stack.cars[self.ready[car], car, CarField.LOAD]))
+
+    def take_over(self, car: int, job: Job, parking: Callable[[Ways, Grid], list[int]]) -> bool:
+        """Plan a job of a car as early as it can be; return whether there was a way.
+
+        ``parking`` returns the states in which a car may stay when the job is done.
+        """
+        saved, ready = self.timeline.actions.copy(), self.ready[car]
+        not_before = 0
+        for attempt in range(_DELAYS + 1):
+            if attempt == _DELAYS:
+                not_before = self.timeline.end
+            self.timeline.write(car, ready, [])
+            conflict = self._plan(car, job, not_before, parking)
+            if conflict is None:
+                return True
+            self._restore(saved, car, ready)
+            if conflict < 0:
+                return False
+            not_before = max(conflict, not_before) + 1
+        return False
+
+    def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
+        """Let a car that waits go to the nearest cell that is not to be kept free; return whether it could."""
+        saved, ready = self.timeline.actions.copy(), self.ready[car]
+        self.timeline.write(car, ready, [])
+        ways, grid = self._ways(car, Kind.AIR)
+        goals = [
+            node
+            for node in np.flatnonzero(ways.from_nodes([self.node(car, ready)]) < FAR).tolist()
+            if (cell := cell_of_node(self.size, node)[0]) not in keep_free
+            and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK)
+            and not _car_in(grid, car, cell)
+        ]
+        moved = bool(goals) and self._go(car, ready, Kind.AIR, ways.to_nodes(goals), -1, 0) is not None
+        if moved:
+            self.ready[car] = self._last_of(car)
+        if not moved or self.timeline.replay(0) is not None:
+            self._restore(saved, car, ready)
+            return False
+        return True
+
+    def blockers(self, car: int, distances: Nodes) -> list[int]:
+        """Return the cars that stay on the straight way of a car to its goals."""
+        ways, grid = self._ways(car, self.load(car))
+        node = self.node(car, self.ready[car])
+        cells = set[Cell]()
+        while 0 < distances[node] < FAR:
+            steps = [int(there) for there in ways.steps[node] if there >= 0]
+            node = min(steps, key=lambda there: int(distances[there]))
+            cells.add(cell_of_node(self.size, node)[0])
+        return [
+            other for other in range(self.n_cars) if other != car and tuple(grid.cars[other, :3]) in cells
+        ]
+
+    def _restore(self, actions: np.ndarray, car: int, ready: int) -> None:
+        self.timeline.actions[:] = NOTHING_DONE
+        self.timeline.actions[: len(actions)] = actions
+        self.timeline.shorten()
+        self.timeline.replay(0)
+        self.ready[car] = ready
+
+    def _last_of(self, car: int) -> int:
+        acting = np.flatnonzero(self.timeline.actions[:, car] != NOTHING_DONE)
+        return int(acting[-1]) + 1 if len(acting) else 0
+
+    def _ways(self, car: int, load: Kind) -> tuple[Ways, Grid]:
+        """Return the ways of a car in the world at the end, and that world."""
+        grid = self.end
+        return Ways(grid, self.rules, load), grid
+
+    def _plan(
+        self, car: int, job: Job, not_before: int, parking: Callable[[Ways, Grid], list[int]]
+    ) -> int | None:
+        """Plan a job; return None if all is well, the tick of a conflict, or -1 if there is no way."""
+        tick = self.ready[car]
+        if job.stays:
+            tick = self._turn_over(car, job, tick, not_before)
+        else:
+            tick = self._carry(car, job, tick, not_before)
+        if tick < 0:
+            return -1
+        self.ready[car] = tick
+        self.timeline.replay(0)
+        ways, grid = self._ways(car, Kind.AIR)
+        goals = [] if job.hold else parking(ways, grid)
+        if goals:
+            self._go(car, tick, Kind.AIR, ways.to_nodes(goals), -1, 0)
+        bad = self.timeline.replay(0)
+        return None if bad is None else bad[0]
+
+    def _turn_over(self, car: int, job: Job, tick: int, not_before: int) -> int:
+        """Fold or unfold a slope where it stands; return the tick after, or -1."""
+        ways, _ = self._ways(car, Kind.AIR)
+        action = Action.UNFOLD if job.target.kind == Kind.BODY else Action.FOLD
+        node = ways.node(job.target.cell, (job.target.yaw + 2) % 4)
+        after = self._go(car, tick, Kind.AIR, ways.to_nodes([node]), action, not_before)
+        if after is None:
+            return -1
+        self.timeline.actions[after - 1, car] = WAIT
+        return self._swing(car, after - 1, action)
+
+    def _carry(self, car: int, job: Job, tick: int, not_before: int) -> int:
+        """Bring a thing to its place; return the tick after, or -1."""
+        if job.source is not None:
+            tick = self._fetch(car, job.source, job.target, tick, not_before)
+            if tick < 0:
+                return -1
+        load = job.target.load
+        ways, _ = self._ways(car, load)
+        yaws = [(job.target.yaw + 2) % 4] if load == Kind.FSLOPE else range(4)
+        goals = [ways.node(job.target.cell, yaw) for yaw in yaws]
+        not_before = 0 if job.source is not None else not_before
+        last = -1 if job.hold else int(Action.DROP)
+        after = self._go(car, tick, load, ways.to_nodes(goals), last, not_before)
+        if after is None or job.hold:
+            return -1 if after is None else after
+        return self._swing(car, after, Action.UNFOLD) if job.target.kind == Kind.BODY else after
+
+    def _fetch(self, car: int, source: Thing, target: Thing, tick: int, not_before: int) -> int:
+        """Drive to a thing and take it up; return the tick after, or -1."""
+        ways, _ = self._ways(car, Kind.AIR)
+        nodes = self._pick_up(ways, source, target, self.node(car, tick))
+        first = Action.FOLD if source.kind == Kind.BODY else Action.LIFT
+        after = self._go(car, tick, Kind.AIR, ways.to_nodes(nodes), first, not_before) if nodes else None
+        if after is None:
+            return -1
+        if source.kind == Kind.BODY:
+            # FOLD has been written for the moment at which it can begin; it ends much later.
+            self.timeline.actions[after - 1, car] = WAIT
+            after = self._swing(car, after - 1, Action.FOLD)
+            self._append(car, after, [Action.LIFT])
+            after += 1
+        return after
+
+    def _swing(self, car: int, tick: int, action: Action) -> int:
+        self._append(car, tick, [*[WAIT] * FLAP_TICKS, action])
+        return tick + FLAP_TICKS + 1
+
+    def _append(self, car: int, tick: int, actions: list[int]) -> None:
+        self.timeline.write(car, tick, actions)
+        self.timeline.replay(max(0, tick - 1))
+
+    def _pick_up(self, ways: Ways, source: Thing, target: Thing, start: int) -> list[int]:
+        """Return the states in which to take up a thing so that the way there and on to its place is short."""
+        load = target.load
+        loaded = loaded_ways(self.end, self.rules, source)
+        there = ways.from_nodes([start])
+        yaws = [(source.yaw + 2) % 4] if load == Kind.FSLOPE else range(4)
+        goal_yaws = [(target.yaw + 2) % 4] if load == Kind.FSLOPE else range(4)
+        onward = loaded.to_nodes([loaded.node(target.cell, yaw) for yaw in goal_yaws])
+        nodes = [ways.node(source.cell, yaw) for yaw in yaws]
+        costs = {n: int(there[n]) + int(onward[n]) for n in nodes if there[n] < FAR and onward[n] < FAR}
+        return [node for node, cost in costs.items() if cost == min(costs.values())]
+
+    def _go(
+        self, car: int, tick: int, load: Kind, distances: Nodes, last: int, not_before: int
+    ) -> int | None:
+        """Write a path to the goals and the last action; return the tick after it, or None if there is no way."""
+        avoid: list[tuple[int, Cell]] = []
+        for _ in range(_DETOURS):
+            self.timeline.write(car, tick, [])
+            self.timeline.replay(max(0, tick - 1))
+            worlds = self.timeline.without(car, tick)
+            end = max(self.timeline.end, tick)
+            path = self._finder.find(
+                *(worlds, car, self.node(car, tick), tick, end, load, distances),
+                *(last, not_before, avoid),
+            )
+            if path is None:
+                return None
+            actions = [*path, last] if last >= 0 else path
+            self.timeline.write(car, tick, actions)
+            bad = self.timeline.replay(max(0, tick - 1))
+            after = tick + len(actions)
+            if bad is None or bad[0] >= after:
+                return after
+            cars = self.timeline.worlds.stack.cars
+            for at in (bad[0], bad[0] + 1):
+                x, y, z = cars[at, car, :3].tolist()
+                avoid.append((at, (x, y, z)))
+        return None
+
+
+def loaded_ways(grid: Grid, rules: Rules, source: Thing) -> Ways:
+    """Return the ways of a car that has taken up a thing."""
+    return Ways(taken_out(grid, [source]), rules, source.load)
+
+
+def _car_in(grid: Grid, car: int, cell: Cell) -> bool:
+    return any(other != car and tuple(grid.cars[other, :3]) == cell for other in range(grid.n_cars))

@@ -1,0 +1,121 @@
+"""What is to be reached: buildings of things without names, or anything that can be said of a world."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.kinds import NAMES
+from craftsim.discrete.tasks.measures import FlagAtGoal, OnePlatform
+from craftsim.discrete.tasks.task import Task
+from craftsim.errors import InputError
+from craftsim.planning.assembly import State
+from craftsim.planning.things import Thing, things_in
+
+
+class NoPlanError(InputError):
+    """There is no plan, or none was found; the message says why."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A goal of a plan."""
+
+    reached: Callable[[Grid], bool]
+    """Whether a world will do."""
+    building: State | None = None
+    """The things that must stand; None where there is no drawing."""
+    platform: int = 0
+    """How many blocks are to form one platform, wherever; 0 if none are."""
+
+
+def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> Goal:
+    """Return the goal that a design, a task or a function of a world stands for."""
+    if isinstance(goal, Task):
+        if not goal.has_goal:
+            raise NoPlanError(
+                f"task '{goal.name}' has no goal; give it a design, or a flag and where it goes"
+            )
+        measure = goal.success_measure
+        if goal.design is not None:
+            return make_goal(goal.design)
+        if isinstance(measure, FlagAtGoal):
+            flag = Thing(Kind.FLAG, measure.nearness.goal)
+            return Goal(goal.succeeded, frozenset({flag}))
+        if isinstance(measure, OnePlatform):
+            return Goal(goal.succeeded, platform=measure.n_blocks)
+        return Goal(goal.succeeded)
+    if isinstance(goal, Design):
+        things = frozenset(
+            Thing(target.kind, target.cell, max(goal.yaw(target), 0))
+            for target in goal.targets
+            if target.kind != Kind.FOOT
+        )
+        return Goal(goal.satisfied, things)
+    return Goal(lambda grid: bool(goal(grid)))
+
+
+def check_supplies(start: Grid, building: State) -> None:
+    """Raise NoPlanError where a building cannot be: too few things, outside the area, in the air or in each other."""
+    have = Counter(thing.load for thing in things_in(start))
+    have.update(Kind(int(load)) for load in start.cars[:, CarField.LOAD] if load)
+    want = Counter(thing.load for thing in building)
+    for kind, count in sorted(want.items()):
+        if count > have[kind]:
+            what = {Kind.BLOCK: "blocks", Kind.FLAG: "flags", Kind.FSLOPE: "slopes"}[kind]
+            raise NoPlanError(f"no plan: not enough {what}; the design has {count}, the start {have[kind]}")
+    taken: dict[Cell, Thing] = {}
+    for thing in sorted(building):
+        for cell in thing.cells:
+            if not all(0 <= c < n for c, n in zip(cell, start.kind.shape, strict=True)):
+                raise NoPlanError(f"no plan: {cell} is outside the area of {start.size} cells")
+            if start.kind_at(cell) == Kind.WALL:
+                raise NoPlanError(f"no plan: {cell} is to hold {NAMES[thing.kind]}, but there is a wall")
+            if cell in taken and thing.kind != Kind.FSLOPE:
+                raise NoPlanError(f"no plan: {cell} is to hold two things")
+            taken[cell] = thing
+    for cell, thing in taken.items():
+        below = (cell[0], cell[1], cell[2] - 1)
+        if cell[2] > 1 and (below not in taken or taken[below].kind != Kind.BLOCK):
+            if thing.kind != Kind.FSLOPE or cell == thing.cell:
+                raise NoPlanError(f"no plan: what is to be at {cell} has nothing below it that bears it")
+
+
+def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[State]:
+    """Yield buildings of so many blocks side by side on the floor, around those that stand; without end."""
+    length, width, _ = start.size
+    blocks = [thing.cell for thing in things_in(start) if thing.kind == Kind.BLOCK and thing.cell[2] == 1]
+    there = set(blocks)
+    while True:
+        seed = blocks[int(rng.integers(len(blocks)))] if blocks else (length // 2, width // 2, 1)
+        centre = np.mean(blocks or [seed], axis=0)
+        pull, keep = rng.uniform(0, 1.5), rng.uniform(0, 4)
+        chosen = {seed}
+        while len(chosen) < n_blocks:
+            edge = sorted(
+                {
+                    cell
+                    for other in chosen
+                    for yaw in range(4)
+                    if (cell := beside(other, yaw)) not in chosen
+                    and 0 <= cell[0] < length
+                    and 0 <= cell[1] < width
+                    and start.kind_at(cell) != Kind.WALL
+                }
+            )
+            if not edge:
+                break
+            scores = [
+                keep * (cell in there)
+                - pull * float(np.abs(np.array(cell[:2]) - centre[:2]).sum()) / 2
+                + rng.random()
+                for cell in edge
+            ]
+            chosen.add(edge[int(np.argmax(scores))])
+        if len(chosen) == n_blocks:
+            yield frozenset(Thing(Kind.BLOCK, cell) for cell in chosen)

@@ -1,0 +1,179 @@
+"""The path of one car through a world in which others act: A* over its states and ticks.
+
+A step counts as possible in a tick if the rules allow it both before and after what the others do in that tick, so that
+the order in which they act does not matter.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.cells import F_X, F_Y, F_Z, FSLOPE, Pose, World, world_at
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.grid import Cell, Kind
+from craftsim.discrete.planning.search import SUCCESSORS, after, node_of
+from craftsim.discrete.rules.table import legal
+from craftsim.planning.ways import FAR, HALF_TURN, N_STEPS, Nodes, slope_state
+
+WAIT: Final = -1
+_MAX_TICKS: Final = 320
+"""A path is no longer than this."""
+
+
+class PathFinder:
+    """Searches paths in worlds of one size; its scratch arrays are kept."""
+
+    def __init__(self, n_nodes: int) -> None:
+        self._n_nodes = n_nodes
+        self._parents = np.empty(0, np.int32)
+        self._steps = np.empty(0, np.int8)
+        self._seen = np.zeros(0, np.int32)
+        self._next = np.empty(0, np.int32)
+        self._heads = np.empty(2 * _MAX_TICKS + 2, np.int32)
+        self._number = 0
+
+    def find(
+        self,
+        worlds: World,
+        car: int,
+        start: int,
+        tick: int,
+        end: int,
+        load: Kind,
+        distances: Nodes,
+        last: int,
+        not_before: int,
+        avoid: list[tuple[int, Cell]],
+    ) -> list[int] | None:
+        """Return the actions, WAIT among them, that bring a car to a goal, or None.
+
+        Args:
+            worlds: those before each tick, without this car; after ``end`` nothing changes.
+            car: its number.
+            start: its state.
+            tick: in which it begins.
+            end: the first tick in which the others do nothing any more.
+            load: that it carries.
+            distances: (nodes,) to the goals, where they are 0; states with FAR are not looked at.
+            last: the action that must be legal there in the tick after; -1 for none.
+            not_before: the first tick in which that may be.
+            avoid: ticks before which the car must not be in a cell.
+        """
+        nearest = int(distances[start])
+        if nearest >= FAR:
+            return None
+        span = min(_MAX_TICKS, max(end, not_before) - tick + nearest + 24)
+        if len(self._parents) < span * self._n_nodes:
+            n_states = span * self._n_nodes
+            self._parents, self._steps = np.empty(n_states, np.int32), np.empty(n_states, np.int8)
+            self._seen, self._next = np.zeros(n_states, np.int32), np.empty(n_states, np.int32)
+        self._number += 1
+        self._heads[:] = -1
+        kept = [(at, *cell) for at, cell in avoid]
+        state = _find(
+            *(worlds, car, start, tick, end, int(load), distances, last, not_before),
+            np.array(kept, np.int64).reshape(-1, 4),
+            *(span, self._number, self._parents, self._steps, self._seen, self._next, self._heads),
+        )
+        if state < 0:
+            return None
+        actions = []
+        while self._parents[state] >= 0:
+            actions.append(int(self._steps[state]))
+            state = self._parents[state]
+        return actions[::-1]
+
+
+@compiled
+def _occupied(w: World, me: int, x: int, y: int, z: int) -> bool:
+    """Return whether another car is in a cell."""
+    for other in range(w.cars.shape[0]):
+        if other != me and w.cars[other, F_X] == x and w.cars[other, F_Y] == y and w.cars[other, F_Z] == z:
+            return True
+    return False
+
+
+@compiled
+def _avoided(avoid: NDArray[np.int64], tick: int, x: int, y: int, z: int) -> bool:
+    for k in range(avoid.shape[0]):
+        if avoid[k, 0] == tick and avoid[k, 1] == x and avoid[k, 2] == y and avoid[k, 3] == z:
+            return True
+    return False
+
+
+@compiled
+def _find(
+    worlds: World,
+    me: int,
+    start: int,
+    first: int,
+    end: int,
+    load: int,
+    distances: Nodes,
+    last: int,
+    not_before: int,
+    avoid: NDArray[np.int64],
+    span: int,
+    number: int,
+    parents: Nodes,
+    steps: NDArray[np.int8],
+    seen: Nodes,
+    following: Nodes,
+    heads: Nodes,
+) -> int:
+    """Return the last state of a path, or -1; a state is a node in a tick. Buckets hold states of equal rank."""
+    n_nodes = distances.shape[0]
+    width, layers = worlds.kind.shape[2], worlds.kind.shape[3] + 1
+    parents[start] = -1
+    seen[start] = number
+    following[start] = -1
+    rank = distances[start]
+    heads[rank] = start
+    while rank < heads.shape[0]:
+        state = heads[rank]
+        if state < 0:
+            rank += 1
+            continue
+        heads[rank] = following[state]
+        since, node = state // n_nodes, state % n_nodes
+        tick = first + since
+        yaw, rest = node & 3, node >> 2
+        z, rest = rest % layers, rest // layers
+        x, y = rest // width, rest % width
+        now, then = world_at(worlds, min(tick, end)), world_at(worlds, min(tick + 1, end))
+        load_yaw = (yaw + HALF_TURN) & 3 if load == FSLOPE else 0
+        car = Pose(x, y, z, yaw, load, load_yaw, slope_state(now, x, y, z))
+        arrived = distances[node] == 0 and tick >= not_before
+        if arrived and last < 0:
+            return int(state)
+        if since + 1 >= span:
+            continue
+        # The action at the goal comes first, then staying, then the steps.
+        for i in range(-2, N_STEPS):
+            if i == -2 and not (arrived and last >= 0):
+                continue
+            action = last if i == -2 else (WAIT if i == -1 else SUCCESSORS[i])
+            if i != -1 and not (legal(now, me, car, action) and legal(then, me, car, action)):
+                continue
+            if i == -2:
+                return int(state)
+            new = car if i == -1 else after(now, car, action)
+            new_node = node if i == -1 else node_of(now, new)
+            if distances[new_node] >= FAR or _occupied(then, me, new.x, new.y, new.z):
+                continue
+            if _avoided(avoid, tick + 1, new.x, new.y, new.z):
+                continue
+            new_state = (since + 1) * n_nodes + new_node
+            new_rank = since + 1 + distances[new_node]
+            if seen[new_state] == number or new_rank >= heads.shape[0]:
+                continue
+            seen[new_state] = number
+            parents[new_state] = state
+            steps[new_state] = action
+            following[new_state] = heads[new_rank]
+            heads[new_rank] = new_state
+            rank = min(rank, new_rank)
+    return -1

@@ -1,0 +1,235 @@
+"""Plans from designs: the best of many attempts, each of which differs in what it decides by chance."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.schedule import Schedule, make_schedule
+from craftsim.discrete.tasks.task import Task
+from craftsim.errors import InputError
+from craftsim.planning.assembly import Assembly, Order, State
+from craftsim.planning.bounds import durations_of, makespan_bound, makespan_of
+from craftsim.planning.building import Building, Style
+from craftsim.planning.goals import Goal, NoPlanError, check_supplies, make_goal, platforms
+from craftsim.planning.ordering import find_order, with_needs
+from craftsim.planning.things import Thing, things_in, without_things
+
+Objective = Literal["makespan", "work"]
+Ticks = tuple[tuple[tuple[int, Action], ...], ...]
+
+DEFAULT_ROUNDS: Final = 400
+DEFAULT_TIME_S: Final = 10.0
+_ORDERS: Final = 24
+"""So many orders of assembly are kept to choose from."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A plan, legal under the rules in the order of its actions."""
+
+    ticks: Ticks
+    """For each tick the (car, action) pairs in acting order."""
+    schedule: Schedule
+    """Which action waits for which."""
+    makespan_s: float
+    """When the last action ends, by the table of durations, if each waits only for those that it needs."""
+    work_s: float
+    """The sum of the durations of all actions."""
+    bound_s: float
+    """No plan has a smaller makespan; 0 where that is not known."""
+    rounds: int
+    """How many attempts were made."""
+
+    def cost(self, objective: Objective) -> tuple[float, float]:
+        """Return what is to be small, the objective first."""
+        both = self.makespan_s, self.work_s
+        return both if objective == "makespan" else both[::-1]
+
+
+def plan_building(
+    start: Grid,
+    goal: Design | Task | Callable[[Grid], float | bool],
+    rules: Rules | None = None,
+    *,
+    objective: Objective = "makespan",
+    rounds: int = DEFAULT_ROUNDS,
+    time_s: float = DEFAULT_TIME_S,
+    seed: int = 0,
+    report: Callable[[int, Planned | None], None] | None = None,
+) -> Planned:
+    """Return a plan that builds a design from a start, the best of many attempts.
+
+    Args:
+        start: any world that the rules know; cars may carry something.
+        goal: a design, a task with a goal, or a function of a world.
+        rules: ``physical`` unless told otherwise.
+        objective: what is to be small, the time until all is done or the sum of all actions' durations.
+        rounds: attempts; with the same seed and rounds the plan is the same unless time runs out.
+        time_s: no attempt begins after so many seconds, once there is a plan.
+        seed: of all that is decided by chance.
+        report: called after each attempt with its number and the best plan so far; if it raises KeyboardInterrupt
+            that plan is returned.
+
+    Raises NoPlanError, which says why.
+    """
+    rules = rules or Rules("physical")
+    wanted = make_goal(goal)
+    if wanted.reached(start):
+        schedule = Schedule((), (), start)
+        return Planned((), schedule, 0.0, 0.0, 0.0, 0)
+    if not start.n_cars:
+        raise NoPlanError("no plan: there are no cars")
+    if objective not in ("makespan", "work"):
+        raise InputError(f"unknown objective '{objective}'; there are makespan and work")
+    search = _Search(start, wanted, rules, objective, np.random.default_rng(seed))
+    return search.run(rounds, time_s, report or (lambda number, best: None))
+
+
+class _Search:
+    """The attempts at one plan."""
+
+    def __init__(
+        self, start: Grid, goal: Goal, rules: Rules, objective: Objective, rng: np.random.Generator
+    ) -> None:
+        self.start, self.goal, self.rules, self.objective, self.rng = start, goal, rules, objective, rng
+        self.assembly = Assembly(without_things(start), rules)
+        self.standing = frozenset(
+            thing._replace(yaw=thing.yaw if thing.load == Kind.FSLOPE else 0) for thing in things_in(start)
+        )
+        self.n_slopes = sum(thing.load == Kind.FSLOPE for thing in self.standing) + int(
+            (start.cars[:, 4] == Kind.FSLOPE).sum()
+        )
+        self._buildings = self._goals()
+        self._orders: list[tuple[Order, State, State]] = []
+        self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
+        self.best: Planned | None = None
+
+    def run(self, rounds: int, time_s: float, report: Callable[[int, Planned | None], None]) -> Planned:
+        """Make attempts until rounds or time have run out."""
+        begun = time.monotonic()
+        number = 0
+        try:
+            for number in range(1, rounds + 1):
+                self._attempt(number)
+                report(number, self.best)
+                late = time.monotonic() - begun
+                if late > time_s and (self.best is not None or late > 6 * time_s):
+                    break
+                if self.best is not None and self.best.makespan_s <= self._bound + 1e-9:
+                    break
+        except KeyboardInterrupt:
+            if self.best is None:
+                raise
+        if self.best is None:
+            raise NoPlanError(self._why(number))
+        return self.best
+
+    def _goals(self) -> Iterator[State]:
+        """Yield buildings that reach the goal."""
+        if self.goal.platform:
+            yield from platforms(self.start, self.goal.platform, self.rng)
+        while self.goal.building is not None:
+            yield self.goal.building
+
+    def _draw_order(self) -> tuple[Order, State] | None:
+        """Return an order of assembly and what of it stands, a new one while there are few."""
+        n_kept = len(self._orders)
+        if n_kept and (n_kept >= _ORDERS or self.rng.random() < 0.5):
+            order, fixed, _ = self._orders[int(self.rng.integers(n_kept))]
+            return order, fixed
+        building = next(self._buildings, None)
+        if building is None:
+            raise NoPlanError(
+                "no plan: this goal has no drawing, and the world is too large to be searched through"
+            )
+        check_supplies(self.start, building)
+        fixed = building & self.standing
+        for kept in dict.fromkeys([fixed, frozenset[Thing]()]):
+            order = find_order(self.assembly, building, kept, self.n_slopes, self.rng)
+            if order is not None:
+                found = with_needs(self.assembly, order, kept)
+                self._orders.append((found, kept, building))
+                return found, kept
+        return None
+
+    def _attempt(self, number: int) -> None:
+        drawn = self._draw_order()
+        if drawn is None:
+            return
+        order, fixed = drawn
+        rng = self.rng
+        style = Style(
+            noise=0.0 if number == 1 else float(rng.choice([0.0, 0.1, 0.3, 0.6])),
+            n_cars=int(rng.integers(1, self.start.n_cars + 1)) if self.objective == "work" else 1_000,
+            together=self.objective == "makespan",
+            early=0.0 if number == 1 else float(rng.choice([0.0, 0.2, 0.6])),
+            haste=0.0 if number == 1 else float(rng.choice([0.0, 1.0])),
+            hold=number > 1 and bool(rng.random() < 0.6),
+        )
+        building = Building(self.start, self.assembly, order, fixed, style, rng)
+        if not building.run():
+            return
+        planned = self._finish(building.crew.timeline.ticks(), number)
+        if planned is not None and (
+            self.best is None or planned.cost(self.objective) < self.best.cost(self.objective)
+        ):
+            self.best = planned
+
+    def _finish(self, ticks: Ticks, number: int) -> Planned | None:
+        """Leave out what is not needed at the end, and look whether the rules agree."""
+        ticks = self._trimmed(ticks)
+        schedule = make_schedule(self.start, ticks, self.rules)
+        if schedule.forbidden or not self.goal.reached(schedule.final):
+            return None
+        durations = durations_of(schedule)
+        makespan = makespan_of(schedule, durations)
+        return Planned(ticks, schedule, makespan, float(sum(durations)), self._bound, number)
+
+    def _reaches(self, ticks: list[list[tuple[int, Action]]]) -> bool:
+        grid = self.start
+        for joint in ticks:
+            if joint:
+                grid, applied = self.rules.tick(grid, joint)
+                if not applied.all():
+                    return False
+        return self.goal.reached(grid)
+
+    def _trimmed(self, ticks: Ticks) -> Ticks:
+        """Take the last actions of each car away as long as the goal is reached without them."""
+        kept = [list(joint) for joint in ticks]
+        for car in range(self.start.n_cars):
+            for joint in reversed(kept):
+                mine = [act for act in joint if act[0] == car]
+                if not mine:
+                    continue
+                joint.remove(mine[0])
+                if not self._reaches(kept):
+                    joint.append(mine[0])
+                    joint.sort()
+                    break
+        while kept and not kept[-1]:
+            kept.pop()
+        return tuple(tuple(joint) for joint in kept)
+
+    def _why(self, rounds: int) -> str:
+        if not self._orders:
+            upper = [thing for thing in self.goal.building or () if thing.cell[2] > 1]
+            if upper and not self.n_slopes:
+                return f"no plan: {upper[0].cell} is above the floor, and there is no slope to drive up"
+            return (
+                "no plan: no order was found in which everything can be put to its place: some place cannot be reached by "
+                "a car with its load, whatever is built first; try more slopes, or more free floor around"
+            )
+        return (
+            f"no plan found in {rounds} attempts, though there is an order to build in: cars or things cannot be reached, or have "
+            "no room to get by; try fewer cars, a larger area or another seed"
+        )

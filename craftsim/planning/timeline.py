@@ -1,0 +1,162 @@
+"""What every car does in every tick, and the world before each: the plan as it grows, held to the rules throughout."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.cells import (
+    AIR,
+    F_LOAD,
+    F_LOAD_YAW,
+    F_SLOPE,
+    F_X,
+    F_Y,
+    F_Z,
+    World,
+    derive_marks,
+    world_at,
+)
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.rules.sets import Rules, act
+
+NOTHING_DONE: Final = -1
+_NOWHERE: Final = -9
+"""Coordinate of a car that is left out: far from all cells, so that no rule sees it."""
+_FIRST_TICKS: Final = 64
+
+
+class Worlds:
+    """The worlds before tick 0, 1, 2, ...; those of a plan that grows."""
+
+    def __init__(self, grid: Grid, rules: Rules) -> None:
+        self.flags = rules.flags
+        parts = grid.kind, grid.yaw, grid.top, grid.back, grid.cars
+        self._arrays = [np.repeat(part[None], _FIRST_TICKS, axis=0) for part in parts]
+
+    @property
+    def stack(self) -> World:
+        """All of them; arrays have a leading dimension over ticks."""
+        return World(*self._arrays, self.flags)
+
+    def reserve(self, n_ticks: int) -> None:
+        """Make room for the world before a tick."""
+        while len(self._arrays[0]) <= n_ticks:
+            self._arrays = [np.concatenate([part, part]) for part in self._arrays]
+
+    def copy_from(self, other: Worlds, tick: int) -> None:
+        """Take over the world before a tick."""
+        for mine, its in zip(self._arrays, other._arrays, strict=True):
+            mine[tick] = its[tick]
+
+    def grid(self, tick: int) -> Grid:
+        """Return the world before a tick."""
+        kind, yaw, top, back, cars = (part[tick].copy() for part in self._arrays)
+        return Grid(kind, yaw, cars, top, back)
+
+
+class Timeline:
+    """The actions of all cars by tick, (T, n), and the worlds that follow from them by the rules."""
+
+    def __init__(self, grid: Grid, rules: Rules) -> None:
+        self.n_cars = grid.n_cars
+        self.actions = np.full((_FIRST_TICKS, grid.n_cars), NOTHING_DONE, np.int8)
+        self.worlds = Worlds(grid, rules)
+        self._others = Worlds(grid, rules)
+        self.end = 0
+        """The first tick in which nothing is done any more."""
+
+    def reserve(self, n_ticks: int) -> None:
+        """Make room for actions in the ticks before this one."""
+        while len(self.actions) <= n_ticks:
+            self.actions = np.concatenate([self.actions, np.full_like(self.actions, NOTHING_DONE)])
+        self.worlds.reserve(n_ticks + 1)
+        self._others.reserve(n_ticks + 1)
+
+    def shorten(self) -> None:
+        """Set the end anew after actions were taken out."""
+        acting = np.flatnonzero((self.actions != NOTHING_DONE).any(1))
+        self.end = int(acting[-1]) + 1 if len(acting) else 0
+
+    def write(self, car: int, tick: int, actions: list[int]) -> None:
+        """Let a car do these actions from a tick on, and nothing after them."""
+        self.reserve(max(self.end, tick + len(actions)))
+        self.actions[tick:, car] = NOTHING_DONE
+        self.actions[tick : tick + len(actions), car] = actions
+        self.end = max(self.end, tick + len(actions))
+        self.shorten()
+
+    def replay(self, tick: int) -> tuple[int, int] | None:
+        """Work out the worlds after a tick; return the first (tick, car) whose action is forbidden, or None."""
+        bad = int(_replay(self.worlds.stack, self.actions, tick, self.end))
+        return None if bad < 0 else divmod(bad, self.n_cars)
+
+    def without(self, car: int, tick: int) -> World:
+        """Return the worlds as they are from a tick on if a car does not exist any more; valid until the next call."""
+        self._others.copy_from(self.worlds, tick)
+        stack = self._others.stack
+        _leave_out(stack.cars[tick], car)
+        _replay_without(stack, self.actions, tick, self.end, car)
+        return stack
+
+    def ticks(self) -> tuple[tuple[tuple[int, Action], ...], ...]:
+        """Return the plan: for each tick the (car, action) pairs in acting order."""
+        return tuple(
+            tuple((car, Action(action)) for car, action in enumerate(joint) if action != NOTHING_DONE)
+            for joint in self.actions[: self.end].tolist()
+        )
+
+
+@compiled
+def _copy(worlds: World, tick: int) -> None:
+    """Begin the world after a tick as the one before it."""
+    _, length, width, layers = worlds.kind.shape
+    for x in range(length):
+        for y in range(width):
+            for z in range(layers):
+                worlds.kind[tick + 1, x, y, z] = worlds.kind[tick, x, y, z]
+                worlds.yaw[tick + 1, x, y, z] = worlds.yaw[tick, x, y, z]
+                worlds.top[tick + 1, x, y, z] = worlds.top[tick, x, y, z]
+                worlds.back[tick + 1, x, y, z] = worlds.back[tick, x, y, z]
+    for car in range(worlds.cars.shape[1]):
+        for field in range(worlds.cars.shape[2]):
+            worlds.cars[tick + 1, car, field] = worlds.cars[tick, car, field]
+
+
+@compiled
+def _replay(worlds: World, actions: NDArray[np.int8], first: int, end: int) -> int:
+    bad = -1
+    for tick in range(first, end):
+        _copy(worlds, tick)
+        w = world_at(worlds, tick + 1)
+        for car in range(actions.shape[1]):
+            if actions[tick, car] >= 0 and not act(w, car, actions[tick, car]) and bad < 0:
+                bad = tick * actions.shape[1] + car
+        if w.flags.derived_marks:
+            derive_marks(w)
+    return bad
+
+
+@compiled
+def _replay_without(worlds: World, actions: NDArray[np.int8], first: int, end: int, left_out: int) -> None:
+    for tick in range(first, end):
+        _copy(worlds, tick)
+        w = world_at(worlds, tick + 1)
+        for car in range(actions.shape[1]):
+            if car != left_out and actions[tick, car] >= 0:
+                act(w, car, actions[tick, car])
+        if w.flags.derived_marks:
+            derive_marks(w)
+
+
+@compiled
+def _leave_out(cars: NDArray[np.int64], car: int) -> None:
+    for field in (F_X, F_Y, F_Z):
+        cars[car, field] = _NOWHERE
+    cars[car, F_LOAD] = AIR
+    cars[car, F_LOAD_YAW] = 0
+    cars[car, F_SLOPE] = 0

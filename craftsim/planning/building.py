@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -11,12 +13,14 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
 from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.assembly import Assembly, Order, State, Step, has_room, taken_out
-from craftsim.planning.crew import FLAP_TICKS, Crew, Job
-from craftsim.planning.things import Thing, things_in, with_car
+from craftsim.planning.crew import FLAP_TICKS, Crew, Job, cells_on_way
+from craftsim.planning.things import Thing, put, things_in, with_car
 from craftsim.planning.ways import FAR, Nodes, Ways, is_free
 
 _FAILURES: Final = 40
 """So many jobs in vain end an attempt."""
+_PLACES: Final = 24
+"""So many places where something could be put aside are looked at."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,7 @@ class Building:
             step = self.order.steps[k]
             target = step.thing
             if step.taken:
-                aside = self._aside(grid, target)
+                aside = self._aside(grid, target, lambda moved: True)
                 if aside is None:
                     continue
                 target = aside
@@ -117,7 +121,7 @@ class Building:
                 loaded[load] = Ways(grid, self.assembly.rules, load)
             onward = loaded[load].to_nodes(_nodes_at(loaded[load], target))
             for source in [step.thing] if step.taken else sources.get(load, []):
-                far = _nearest(onward, walking, source, around=True)
+                far = _onward(onward, walking, grid, source)
                 if far >= FAR or not has_room(taken_out(grid, [source]), self.assembly.rules, target):
                     continue
                 swings = (source.kind == Kind.BODY) + (target.kind == Kind.BODY)
@@ -180,7 +184,7 @@ class Building:
                 sent |= self.crew.move_aside(other, cells)
         return sent and self.crew.take_over(car, job, self._parking(car))
 
-    def _parking(self, car: int):
+    def _parking(self, car: int) -> Callable[[Ways, Grid], list[int]]:
         def places(ways: Ways, grid: Grid) -> list[int]:
             taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
             free = [
@@ -192,35 +196,38 @@ class Building:
 
         return places
 
-    def _aside(self, grid: Grid, thing: Thing) -> Thing | None:
-        """Return where a thing could stand out of the way: the nearest such place."""
-        kind = thing.load
-        ways = Ways(taken_out(grid, [thing]), self.assembly.rules, kind)
+    def _aside(self, grid: Grid, thing: Thing, fits: Callable[[Grid], bool]) -> Thing | None:
+        """Return where a thing could stand out of the way: the nearest such place with which a world will do."""
+        load = thing.load
         rest = taken_out(grid, [thing])
-        yaws = [(thing.yaw + 2) % 4] if kind == Kind.FSLOPE else range(4)
-        distances = ways.from_nodes([ways.node(thing.cell, yaw) for yaw in yaws])
-        best: tuple[int, Thing] | None = None
+        ways = Ways(rest, self.assembly.rules, load)
+        distances = ways.from_nodes(_nodes_at(ways, thing))
+        places = []
         for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
-            for yaw in range(4) if kind == Kind.FSLOPE else [0]:
-                there = Thing(kind, (x, y, 1), yaw)
-                if not set(there.cells).isdisjoint(self._keep_free) or not all(
-                    0 <= c < n for c, n in zip(there.cells[-1], rest.kind.shape, strict=True)
-                ):
-                    continue
-                if not all(is_free(rest, cell) for cell in there.cells):
-                    continue
+            for yaw in range(4) if load == Kind.FSLOPE else [0]:
+                there = Thing(load, (x, y, 1), yaw)
                 far = min(int(distances[node]) for node in _nodes_at(ways, there))
-                if far < FAR and (best is None or far < best[0]):
-                    best = far, there
-        return best and best[1]
+                free = set(there.cells).isdisjoint(self._keep_free)
+                if free and far < FAR and there.cell != thing.cell and has_room(rest, self.assembly.rules, there):
+                    places.append((far, there))
+        for _, there in sorted(places)[:_PLACES]:
+            moved = rest.copy()
+            put(moved, [there])
+            moved.derive_marks()
+            if fits(moved):
+                return there
+        return None
 
     def _clear(self) -> bool:
         """Move something that bars the next step out of the way; return whether that was possible."""
         grid = self.crew.end
         loose = [thing for things in self._sources(grid).values() for thing in things]
         for k in self._pending():
-            for thing in self._barring(grid, loose, k):
-                aside = self._aside(grid, thing)
+            barring = self._barring(grid, loose, k)
+            for thing in barring:
+                others = [other for other in barring if other != thing]
+                target = self.order.steps[k].thing
+                aside = self._aside(grid, thing, partial(self._reaches, gone=others, target=target))
                 if aside is None:
                     continue
                 free = [car for car in self._cars if self.crew.load(car) == Kind.AIR]
@@ -269,7 +276,7 @@ class Building:
         if not left:
             return bool((distances < FAR).sum() > 4)
         return any(
-            _nearest(distances, ways, thing, around=True) < FAR and _nearest(reached, ways, thing) < FAR
+            _onward(distances, ways, rest, thing) < FAR and _nearest(reached, ways, thing) < FAR
             for thing in left
         ) or any(thing.load == target.load for thing in gone)
 
@@ -280,31 +287,30 @@ def _nodes_at(ways: Ways, thing: Thing) -> list[int]:
     return [ways.node(thing.cell, yaw) for yaw in yaws]
 
 
-def _nearest(distances: Nodes, ways: Ways, thing: Thing, around: bool = False) -> int:
-    """Return the distance of the states below a thing; ``around``: or of those one step further."""
-    nodes = _nodes_at(ways, thing)
-    far = min(int(distances[node]) for node in nodes)
-    if around:
-        x, y, z = thing.cell
-        for direction in range(4):
-            cell = beside((x, y, z), direction)
-            if 0 <= cell[0] < ways.size[0] and 0 <= cell[1] < ways.size[1]:
-                yaws = [(thing.yaw + 2) % 4] if thing.load == Kind.FSLOPE else range(4)
-                far = min(far, 1 + min(int(distances[ways.node(cell, yaw)]) for yaw in yaws))
+def _nearest(distances: Nodes, ways: Ways, thing: Thing) -> int:
+    """Return the distance of the states below a thing."""
+    return min(int(distances[node]) for node in _nodes_at(ways, thing))
+
+
+def _onward(distances: Nodes, ways: Ways, grid: Grid, thing: Thing) -> int:
+    """Return the distance from a thing that has been taken up: from there, or from the next cell that is free."""
+    far = _nearest(distances, ways, thing)
+    for direction in range(4):
+        cell = beside(thing.cell, direction)
+        if all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True)) and grid.kind[cell] in (
+            Kind.AIR,
+            Kind.GEAR,
+        ):
+            far = min(far, 1 + _nearest(distances, ways, thing._replace(cell=cell)))
     return far
 
 
 def _on_way(grid: Grid, ways: Ways, job: Job, n_cars: int) -> list[int]:
     """Return the cars that stand on the straight way of a load."""
-    from craftsim.planning.ways import cell_of_node
-
     assert job.source is not None
     distances = ways.to_nodes(_nodes_at(ways, job.target))
     node = min(_nodes_at(ways, job.source), key=lambda node: int(distances[node]))
-    cells: set[Cell] = {job.target.cell}
-    while 0 < distances[node] < FAR:
-        node = min((int(n) for n in ways.steps[node] if n >= 0), key=lambda n: int(distances[n]))
-        cells.add(cell_of_node(ways.size, node)[0])
+    cells = cells_on_way(ways, node, distances) | {job.target.cell}
     return [car for car in range(n_cars) if tuple(grid.cars[car, :3]) in cells]
 
 

@@ -23,6 +23,10 @@ _PLACES: Final = 24
 """So many places where something could be put aside are looked at."""
 
 
+Chances = tuple[tuple[int, int], ...]
+"""(turn, seed): what is decided by chance from a turn on comes from that seed; the first turn is 0."""
+
+
 @dataclass(frozen=True)
 class Style:
     """What makes one attempt differ from another."""
@@ -51,10 +55,12 @@ class Building:
         order: Order,
         fixed: State,
         style: Style,
-        rng: np.random.Generator,
+        chances: Chances,
     ) -> None:
         self.crew = Crew(start, assembly.rules)
-        self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
+        self.assembly, self.order, self.style, self.chances = assembly, order, style, chances
+        self.rng = np.random.default_rng(chances[0][1])
+        self.n_turns = 0
         self._done: set[int] = set()
         self._standing = set(fixed)
         self._goal_cells = {cell for step in order.steps for cell in step.thing.cells} | {
@@ -66,12 +72,16 @@ class Building:
             if thing.kind == Kind.BODY
         }
         n_cars = min(start.n_cars, style.n_cars)
-        self._cars = sorted(rng.permutation(start.n_cars)[:n_cars].tolist())
+        self._cars = sorted(self.rng.permutation(start.n_cars)[:n_cars].tolist())
 
     def run(self) -> bool:
         """Make the plan; return whether it came to its end."""
         failures = 0
         while len(self._done) < len(self.order.steps):
+            for turn, seed in self.chances[1:]:
+                if turn == self.n_turns:
+                    self.rng = np.random.default_rng(seed)
+            self.n_turns += 1
             made = bool(self.style.early) and self.rng.random() < self.style.early and self._clear()
             options = [] if made else self._options()
             for _, car, k, job in options[:6]:

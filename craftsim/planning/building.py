@@ -19,6 +19,10 @@ from craftsim.planning.ways import FAR, Nodes, Ways, is_free
 
 _FAILURES: Final = 40
 """So many jobs in vain end an attempt."""
+_TRIES: Final = 6
+"""So many jobs are tried in a turn."""
+_AHEAD: Final = 3
+"""So many more steps than there are cars are looked at in a turn."""
 _PLACES: Final = 24
 """So many places where something could be put aside are looked at."""
 
@@ -71,6 +75,9 @@ class Building:
             for thing in [*(step.thing for step in order.steps), *fixed]
             if thing.kind == Kind.BODY
         }
+        self._around = {
+            (x + dx, y + dy, 1) for x, y, _ in self._keep_free for dx in range(-2, 3) for dy in range(-2, 3)
+        }
         n_cars = min(start.n_cars, style.n_cars)
         self._cars = sorted(self.rng.permutation(start.n_cars)[:n_cars].tolist())
 
@@ -84,12 +91,20 @@ class Building:
             self.n_turns += 1
             made = bool(self.style.early) and self.rng.random() < self.style.early and self._clear()
             options = [] if made else self._options()
-            for _, car, k, job in options[:6]:
+            tries = 0
+            safe: dict[int, bool] = {}
+            for _, car, k, job in options:
+                if k not in safe:
+                    safe[k] = self._bars_nothing(k)
+                if not safe[k]:
+                    continue
+                tries += 1
+                if tries > _TRIES:
+                    break
                 if self._take_over(car, job):
                     made = True
-                    if k is not None:
-                        self._done.add(k)
-                        self._note(self.order.steps[k])
+                    self._done.add(k)
+                    self._note(self.order.steps[k])
                     break
             if not made and not self._clear():
                 return False
@@ -104,17 +119,33 @@ class Building:
         else:
             self._standing.add(step.thing)
 
-    def _pending(self) -> list[int]:
-        """Return the steps that can be made next."""
-        return [k for k, needs in enumerate(self.order.needs) if k not in self._done and needs <= self._done][
-            : 2 * len(self._cars) + 4
-        ]
+    def _left(self) -> list[int]:
+        """Return the first steps that have not been made, in order."""
+        left = [k for k in range(len(self.order.steps)) if k not in self._done]
+        return left[: len(self._cars) + _AHEAD]
 
-    def _options(self) -> list[tuple[float, int, int | None, Job]]:
+    def _pending(self) -> list[int]:
+        """Return the steps that could be made next."""
+        state = frozenset(self._standing)
+        return [k for k in self._left() if self.assembly.possible(state, self.order.steps[k])]
+
+    def _bars_nothing(self, k: int) -> bool:
+        """Return whether those steps that come before one in the order can still be made after it."""
+        state = self.order.steps[k].after(frozenset(self._standing))
+        for earlier in self._left():
+            if earlier >= k:
+                break
+            step = self.order.steps[earlier]
+            if not self.assembly.possible(state, step):
+                return False
+            state = step.after(state)
+        return True
+
+    def _options(self) -> list[tuple[float, int, int, Job]]:
         """Return what can be done next: cost, car, step and job, the cheapest first."""
         grid = self.crew.end
         walking = Ways(grid, self.assembly.rules)
-        costs: list[tuple[float, int, int | None, Job]] = []
+        costs: list[tuple[float, int, int, Job]] = []
         to_cells = {car: self._distances(walking, car) for car in self._cars}
         sources = self._sources(grid)
         loaded: dict[Kind, Ways] = {}
@@ -178,31 +209,41 @@ class Building:
         """Let a car take over a job; cars that wait in its way are sent aside once."""
         if self.crew.take_over(car, job, self._parking(car)):
             return True
-        cells = set(self._goal_cells)
-        sent = False
+        way = self._way(car, job)
         grid = self.crew.end
-        ways = Ways(grid, self.assembly.rules)
-        goal = job.source.cell if job.source is not None else job.target.cell
-        distances = ways.to_nodes([ways.node(goal, yaw) for yaw in range(4)])
-        others = self.crew.blockers(car, distances)
-        if job.source is not None:
-            carrying = Ways(taken_out(grid, [job.source]), self.assembly.rules, job.source.load)
-            others += _on_way(grid, carrying, job, self.crew.n_cars)
-        for other in dict.fromkeys(others):
-            if other != car and self.crew.load(other) == Kind.AIR:
-                cells |= {job.target.cell, goal}
-                sent |= self.crew.move_aside(other, cells)
+        sent = False
+        for other in range(self.crew.n_cars):
+            here = tuple(grid.cars[other, :3].tolist())
+            if other != car and here in way and self.crew.load(other) == Kind.AIR:
+                sent |= self.crew.move_aside(other, way | self._goal_cells)
         return sent and self.crew.take_over(car, job, self._parking(car))
 
+    def _way(self, car: int, job: Job) -> set[Cell]:
+        """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
+        grid, rules = self.crew.end, self.assembly.rules
+        node = self.crew.node(car, self.crew.ready[car])
+        cells = {job.target.cell}
+        if job.source is not None:
+            ways = Ways(grid, rules)
+            cells |= cells_on_way(ways, node, ways.to_nodes(_nodes_at(ways, job.source)))
+            grid = taken_out(grid, [job.source])
+        ways = Ways(grid, rules, job.target.load)
+        distances = ways.to_nodes(_nodes_at(ways, job.target))
+        if job.source is not None:
+            node = min(_nodes_at(ways, job.source), key=lambda node: int(distances[node]))
+        return cells | cells_on_way(ways, node, distances)
+
     def _parking(self, car: int) -> Callable[[Ways, Grid], list[int]]:
+        """Return what says where a car may wait: on free floor, best two cells away from what is being built."""
+
         def places(ways: Ways, grid: Grid) -> list[int]:
             taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
-            free = [
-                (x, y, 1)
-                for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()
-                if (x, y, 1) not in taken and (x, y, 1) not in self._keep_free
-            ]
-            return [ways.node(cell, yaw) for cell in free for yaw in range(4)]
+            free = {(x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()} - taken
+            for kept in (self._around, self._keep_free):
+                cells = sorted(free - kept)
+                if cells:
+                    return [ways.node(cell, yaw) for cell in cells for yaw in range(4)]
+            return []
 
         return places
 
@@ -313,15 +354,6 @@ def _onward(distances: Nodes, ways: Ways, grid: Grid, thing: Thing) -> int:
         ):
             far = min(far, 1 + _nearest(distances, ways, thing._replace(cell=cell)))
     return far
-
-
-def _on_way(grid: Grid, ways: Ways, job: Job, n_cars: int) -> list[int]:
-    """Return the cars that stand on the straight way of a load."""
-    assert job.source is not None
-    distances = ways.to_nodes(_nodes_at(ways, job.target))
-    node = min(_nodes_at(ways, job.source), key=lambda node: int(distances[node]))
-    cells = cells_on_way(ways, node, distances) | {job.target.cell}
-    return [car for car in range(n_cars) if tuple(grid.cars[car, :3]) in cells]
 
 
 def _manhattan(a: Cell, b: Cell) -> int:

@@ -114,12 +114,6 @@ class Crew:
             return False
         return True
 
-    def blockers(self, car: int, distances: Nodes) -> list[int]:
-        """Return the cars that stay on the straight way of a car to its goals."""
-        ways, grid = self._ways(car, self.load(car))
-        cells = cells_on_way(ways, self.node(car, self.ready[car]), distances)
-        return [other for other in range(self.n_cars) if other != car and tuple(grid.cars[other, :3]) in cells]
-
     def _restore(self, actions: np.ndarray, car: int, ready: int) -> None:
         self.timeline.actions[:] = NOTHING_DONE
         self.timeline.actions[: len(actions)] = actions

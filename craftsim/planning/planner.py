@@ -20,7 +20,7 @@ from craftsim.planning.assembly import Assembly, Order, State
 from craftsim.planning.bounds import durations_of, makespan_bound, makespan_of
 from craftsim.planning.building import Building, Chances, Style
 from craftsim.planning.goals import Goal, NoPlanError, check_supplies, make_goal, platforms
-from craftsim.planning.ordering import find_order, with_needs
+from craftsim.planning.ordering import find_order
 from craftsim.planning.things import Thing, things_in, without_things
 
 Objective = Literal["makespan", "work"]
@@ -113,7 +113,7 @@ class _Search:
             (start.cars[:, 4] == Kind.FSLOPE).sum()
         )
         self._buildings = self._goals()
-        self._orders: list[tuple[Order, State, State]] = []
+        self._orders: list[tuple[Order, State]] = []
         self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
         self.best: Planned | None = None
         self._best_recipe: Recipe | None = None
@@ -150,8 +150,7 @@ class _Search:
         """Return an order of assembly and what of it stands, a new one while there are few."""
         n_kept = len(self._orders)
         if n_kept and (n_kept >= _ORDERS or self.rng.random() < 0.5):
-            order, fixed, _ = self._orders[int(self.rng.integers(n_kept))]
-            return order, fixed
+            return self._orders[int(self.rng.integers(n_kept))]
         building = next(self._buildings, None)
         if building is None:
             raise NoPlanError(
@@ -162,9 +161,8 @@ class _Search:
         for kept in dict.fromkeys([fixed, frozenset[Thing]()]):
             order = find_order(self.assembly, building, kept, self.n_slopes, self.rng)
             if order is not None:
-                found = with_needs(self.assembly, order, kept)
-                self._orders.append((found, kept, building))
-                return found, kept
+                self._orders.append((order, kept))
+                return order, kept
         return None
 
     def _attempt(self, number: int) -> None:

@@ -82,16 +82,17 @@ class Crew:
         saved, ready = self.timeline.actions.copy(), self.ready[car]
         not_before = 0
         for attempt in range(_DELAYS + 1):
-            if attempt == _DELAYS:
-                not_before = self.timeline.end
+            last = attempt == _DELAYS or not_before >= self.timeline.end > 0
             self.timeline.write(car, ready, [])
             conflict = self._plan(car, job, not_before, parking)
             if conflict is None:
                 return True
             self._restore(saved, car, ready)
-            if conflict < 0:
-                return False
-            not_before = max(conflict, not_before) + 1
+            if last:
+                break
+            # Where there is no way now there may be one when all others have ended.
+            late = conflict < 0 or attempt == _DELAYS - 1
+            not_before = self.timeline.end if late else max(conflict, not_before) + 1
         return False
 
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:

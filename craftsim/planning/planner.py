@@ -28,9 +28,9 @@ Ticks = tuple[tuple[tuple[int, Action], ...], ...]
 
 DEFAULT_ROUNDS: Final = 400
 DEFAULT_TIME_S: Final = 10.0
-_ORDERS: Final = 24
+_ORDERS: Final = 100
 """So many orders of assembly are kept to choose from."""
-_REFINED: Final = 0.6
+_REFINED: Final = 0.4
 """Share of attempts that begin as the best one did."""
 
 Recipe = tuple[Order, State, Style, Chances]

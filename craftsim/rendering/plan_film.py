@@ -87,7 +87,7 @@ class PlanFilm:
                 running[steps[starts[begun]].car] = starts[begun]
                 begun += 1
             running = {car: index for car, index in running.items() if self._times[index, 1] > moment}
-            yield moment, grid, running
+            yield moment, grid, running.copy()
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames, each of shape (height, width, 3), uint8, RGB."""

@@ -61,7 +61,7 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
         took = f"{len(schedule.steps)} actions, makespan {makespan(times):.1f} s"
         figure.suptitle(line_of(f"{title}: {took}"), fontsize=9, weight="bold")
         axes = figure.add_subplot()
-        verbs = _draw_bars(axes, schedule, times)
+        verbs, loaded = _draw_bars(axes, schedule, times)
         _draw_waits(axes, schedule, times)
         axes.set_yticks(range(n_cars), [f"car {car}" for car in range(n_cars)])
         axes.set_ylim(n_cars - 0.5, -0.5)
@@ -70,15 +70,16 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("time at nominal physics (s)")
         handles = [Patch(facecolor=VERB_COLOURS[verb], label=verb) for verb in VERB_COLOURS if verb in verbs]
-        handles.append(Patch(facecolor="1", hatch=_HATCH, edgecolor="0.3", label="loaded"))
+        if loaded:
+            handles.append(Patch(facecolor="1", hatch=_HATCH, edgecolor="0.3", label="loaded"))
         figure.legend(handles=handles, loc="outside lower center", **legend)
         with whole(path) as partial:
             figure.savefig(partial, format=path.suffix[1:], dpi=_DPI, metadata=FORMATS[path.suffix])
     return path
 
 
-def _draw_bars(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> set[str]:
-    """Draw the actions; return which verbs there are."""
+def _draw_bars(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> tuple[set[str], bool]:
+    """Draw the actions; return which verbs there are, and whether any car is loaded."""
     bars: dict[tuple[int, str, bool], list[tuple[float, float]]] = defaultdict(list)
     for step, (start, end) in zip(schedule.steps, times.tolist(), strict=True):
         loaded = Kind.AIR not in (
@@ -87,9 +88,9 @@ def _draw_bars(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> se
         )
         bars[step.car, ACTIONS[step.action].duration, loaded].append((start, end - start))
     for (car, verb, loaded), spans in bars.items():
-        look = {"hatch": _HATCH, "edgecolor": "0.3"} if loaded else {"edgecolor": "1"}
+        look: dict[str, Any] = {"hatch": _HATCH, "edgecolor": "0.3"} if loaded else {"edgecolor": "1"}
         axes.broken_barh(spans, (car - _BAR / 2, _BAR), facecolor=VERB_COLOURS[verb], linewidth=0.4, **look)
-    return {verb for _, verb, _ in bars}
+    return {verb for _, verb, _ in bars}, any(loaded for _, _, loaded in bars)
 
 
 def _draw_waits(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> None:

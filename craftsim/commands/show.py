@@ -13,6 +13,7 @@ from craftsim.storage.limits import SEED
 
 if TYPE_CHECKING:
     from craftsim.discrete.files.design import Design
+    from craftsim.discrete.files.plan import Plan
     from craftsim.discrete.grid import Grid
 
 _NAMED: Final = 12
@@ -45,6 +46,7 @@ def show(
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.files.design import read_design
+    from craftsim.discrete.files.plan import read_plan
     from craftsim.discrete.tasks import TASK_NAMES, make_task, shipped_blueprint
 
     shipped = str(blueprint) in TASK_NAMES
@@ -56,6 +58,7 @@ def show(
     if design is not None:
         design.check_fits(drawing.size)
     grid = drawing.grid(np.random.default_rng(seed))
+    read = None if plan is None else read_plan(plan, grid.n_cars)
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
     say(LEGEND)
     length, width, height = drawing.size
@@ -70,22 +73,21 @@ def show(
 
         file = output_directory(out) / f"{path.stem}.png"
         say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(design))}")
-    return 0 if plan is None else _show_plan(plan, grid, design, out)
+    return 0 if read is None else _show_plan(read, grid, design, out)
 
 
-def _show_plan(plan: Path, grid: Grid, design: Design | None, out: Path | None) -> int:
+def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:
     """Say how long a plan takes and what of it is forbidden, draw and film it; return the exit status."""
     from craftsim.commands.progress import counting
     from craftsim.commands.terminal import Terminal
-    from craftsim.discrete.files.plan import read_plan
     from craftsim.discrete.rules import Rules
     from craftsim.discrete.schedule import make_schedule
     from craftsim.discrete.timetable import makespan, timetable
 
-    rules, read = Rules("physical"), read_plan(plan, grid.n_cars)
-    schedule = make_schedule(grid, read.ticks, rules, after=read.after)
-    took, name = makespan(timetable(schedule)), read.path.stem
-    say(f"plan {name}: {len(schedule.acts)} actions in {len(read.ticks)} ticks, makespan {took:.1f} s")
+    rules = Rules("physical")
+    schedule = make_schedule(grid, plan.ticks, rules, after=plan.after)
+    took, name = makespan(timetable(schedule)), plan.path.stem
+    say(f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {took:.1f} s")
     for step in schedule.forbidden[:_NAMED]:
         say(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}")
     if more := len(schedule.forbidden[_NAMED:]):

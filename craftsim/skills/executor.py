@@ -147,10 +147,22 @@ class Executor:
         assert car not in self._skills, f"car {car} is busy"
         if not self._skills:
             self.fleet.attend()
+            self._feel()
         setup = self._setups[car].carefully() if self.floor_is_uneven else self._setups[car]
         setup = setup if terrain is None else setup.on(terrain)
         self._tries[car], skill = Tries.begin(action, setup, self._view(car))
         self._start(car, skill)
+
+    def _feel(self) -> None:
+        """Let the cars rest as long as they lean and are not sure of it."""
+        uneven = self.gains.uneven
+        for _ in range(round(uneven.tilt_time / self.site.config.control_period_s)):
+            readings, grounds = self.readings(), self._grounds
+            lean = np.hypot(readings["pitch"], readings["roll"])
+            leaning = (grounds["n_read"] == 0) & (uneven.tilt < lean) & (lean < self.gains.hold.level)
+            if self.floor_is_uneven or self.fleet.lost or not (leaning | (grounds["doubtful"] > 0)).any():
+                return
+            self.advance()
 
     def _start(self, car: int, skill: Skill) -> None:
         skill.start(self._view(car))

@@ -87,9 +87,9 @@ class DriveGains:
 
 @dataclass(frozen=True)
 class UnevenGains:
-    """Limits of driving where cars feel that their floor is uneven (:mod:`craftsim.skills.ground`); those of
-    :class:`DriveGains` hold as well. A car without springs hops there, and its lowered board clears by a millimetre what
-    it passes under."""
+    """Limits of driving where cars feel that their floor is uneven (:mod:`craftsim.skills.ground`), besides those of
+    :class:`DriveGains`. A car without springs hops there, and its lowered board clears by a millimetre what it passes
+    under."""
 
     tilt: float
     """rad: a floor is uneven if a car leans by more than this on what should be level..."""
@@ -212,7 +212,7 @@ class Gains:
         >>> import craftsim
         >>> gains = craftsim.load_gains()
         >>> gains.source, gains.drive.max_speed > 0
-        ('nominal', True)
+        ('robust', True)
     """
 
     drive: DriveGains
@@ -224,7 +224,7 @@ class Gains:
     localisation: LocalisationGains
     health: HealthGains
     recovery: RecoveryGains
-    source: str = field(default="nominal", compare=False)
+    source: str = field(default="robust", compare=False)
 
     @property
     def digest(self) -> str:
@@ -286,10 +286,8 @@ def load_gains(path: Path | str | None = None) -> Gains:
         'fast'
     """
     nominal = _nominal()
-    if path is None:
+    if path is None or str(path) == "robust":
         return Gains(**{name: kind(**nominal[name]) for name, kind in SECTIONS.items()})
-    if str(path) == "robust":
-        return replace(load_gains(), source="robust")
     if str(path) == "fast":
         with as_file(files("craftsim.data").joinpath("gains/fast.yaml")) as shipped:
             return replace(load_gains(shipped), source="fast")
@@ -317,11 +315,11 @@ def load_gains(path: Path | str | None = None) -> Gains:
                 source.fail(line, f"{name}.{key} must be a positive number, not {value:g}")
             check_reach(f"{path}:{line}: {name}.{key}", value, nominal[name][key])
         merged[name] = kind(**(nominal[name] | {key: value for key, (value, _) in own.items()}))
-    return Gains(**merged, source=str(path) if sections else "nominal")
+    return Gains(**merged, source=str(path) if sections else "robust")
 
 
 @cache
 def _nominal() -> dict[str, dict[str, float]]:
-    shipped = files("craftsim.data").joinpath("gains/nominal.yaml").read_text(encoding="utf-8")
+    shipped = files("craftsim.data").joinpath("gains/robust.yaml").read_text(encoding="utf-8")
     nominal: dict[str, dict[str, float]] = yaml.safe_load(shipped)
     return nominal

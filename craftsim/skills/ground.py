@@ -21,7 +21,14 @@ _SURE: Final = 3.0
 """There is no doubt beyond so many standard errors of the mean."""
 
 GROUND: Final = np.dtype(
-    [("pitch", "f8"), ("roll", "f8"), ("variance", "f8"), ("n_read", "i8"), ("doubtful", "i8"), ("uneven", "i8")],
+    [
+        ("pitch", "f8"),
+        ("roll", "f8"),
+        ("variance", "f8"),
+        ("n_read", "i8"),
+        ("doubtful", "i8"),
+        ("uneven", "i8"),
+    ],
     align=True,
 )
 """Of one car: mean pitch and roll in radians and the variance of both together, of how many readings; whether the mean
@@ -40,7 +47,7 @@ def feel_ground(ground: Record, now: Record, task: Record, known: Record) -> Non
     ground.roll += share * roll
     ground.variance += share * ((1 - share) * (pitch * pitch + roll * roll) - ground.variance)
     beyond = math.hypot(ground.pitch, ground.roll) - known.uneven.tilt
-    # Of n readings the mean has 1 / n of their variance, and a fading one that takes in each with a share s has s / (2 - s).
+    # The mean of n readings has 1 / n of their variance, a fading one of shares s has s / (2 - s).
     error = math.sqrt(ground.variance * max(share / (2 - share), 1.0 / ground.n_read))
     if ground.n_read >= _FEWEST and beyond > _SURE * error:
         ground.uneven = 1

@@ -1,8 +1,8 @@
 """Second tries: a car whose action failed for a reason that may pass goes back to where it began, and tries again.
 
 What it goes back by: a move or a turn by driving to the pose that it began at, lifting by lowering the board, folding
-by unfolding, and the other way round. Back and at the next try it drives as carefully as under or beside something on an
-uneven floor.
+by unfolding, and the other way round. Back and at the next try it drives as carefully as under or beside something on
+an uneven floor.
 """
 
 from __future__ import annotations

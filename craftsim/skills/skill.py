@@ -65,7 +65,6 @@ class SkillSetup:
         object.__setattr__(setup, "terrain", terrain)
         return setup
 
-
     def carefully(self) -> SkillSetup:
         """Return the same for driving as slowly as on an uneven floor."""
         return replace(self, gains=careful(self.gains))

@@ -49,6 +49,6 @@ def test_a_car_that_is_there_or_has_only_just_ended_its_path_does_not(after_s):
     assert not _shaken([0.0, after_s / 2, after_s]).any()
 
 
-def test_a_car_with_nominal_gains_never_does():
-    allowance = load_gains().drive.settle_allowance
+def test_a_car_with_fast_gains_never_does():
+    allowance = load_gains("fast").drive.settle_allowance
     assert not _shaken(np.linspace(0, allowance, 200), "fast").any()

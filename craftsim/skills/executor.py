@@ -167,6 +167,7 @@ class Executor:
     def _start(self, car: int, skill: Skill) -> None:
         skill.start(self._view(car))
         self._skills[car] = skill
+        self._constants[car] = skill.setup.constants[0]
         if isinstance(skill, CompiledSkill) and skill.runs_compiled:
             skill.move_to(self._tasks[car : car + 1], self._past[car : car + 1])
         else:

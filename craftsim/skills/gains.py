@@ -87,7 +87,7 @@ class DriveGains:
 
 @dataclass(frozen=True)
 class UnevenGains:
-    """Limits of driving where cars feel that their floor is uneven (:mod:`craftsim.skills.ground`), besides those of
+    """Driving where cars feel that their floor is uneven (:mod:`craftsim.skills.ground`): limits besides those of
     :class:`DriveGains`. A car without springs hops there, and its lowered board clears by a millimetre what it passes
     under."""
 
@@ -105,6 +105,8 @@ class UnevenGains:
     max_tight_acceleration: float
     max_turn_speed: float
     max_turn_acceleration: float
+    shake_after: float
+    """s: on two wheels of a diagonal a car without springs does not get to its goal, unless it is shaken soon."""
 
 
 @dataclass(frozen=True)
@@ -257,14 +259,14 @@ SECTIONS: Final[dict[str, type]] = {
 PRESETS: Final = ("robust", "fast")
 """Gains that ship with craftsim, by name: the nominal ones, which slow down where the floor is uneven, and those that
 take it for flat."""
-_OF_UNEVEN: Final = tuple(f.name for f in fields(UnevenGains) if f.name.startswith("max_"))
+_CAREFUL: Final = {f.name for f in fields(UnevenGains)} & {f.name for f in fields(DriveGains)}
 
 
 @lru_cache(maxsize=64)
 def careful(gains: Gains) -> Gains:
-    """Return gains that keep to the limits of an uneven floor everywhere."""
+    """Return gains that drive as on an uneven floor everywhere."""
     drive, uneven = gains.drive, gains.uneven
-    limits = {name: min(getattr(drive, name), getattr(uneven, name)) for name in _OF_UNEVEN}
+    limits = {name: min(getattr(drive, name), getattr(uneven, name)) for name in _CAREFUL}
     return replace(gains, drive=replace(drive, **limits))
 
 

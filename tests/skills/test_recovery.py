@@ -13,7 +13,7 @@ from craftsim.skills.gains import RecoveryGains, load_gains
 from craftsim.skills.outcome import Reason
 
 FAST = load_gains("fast")
-CAREFUL = replace(FAST.uneven, max_tight_speed=0.3, max_tight_acceleration=0.8)
+CAREFUL = replace(FAST.uneven, max_tight_speed=0.3, max_tight_acceleration=0.8, shake_after=10.0)
 TWICE = replace(FAST, uneven=CAREFUL, recovery=RecoveryGains(2.0))
 GONE_M = 20.0
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
-from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.assembly import Assembly, Order, State, Step, has_room, taken_out
 from craftsim.planning.crew import FLAP_TICKS, Crew, Job
 from craftsim.planning.things import Thing, things_in, with_car

@@ -9,7 +9,7 @@ the order, backwards. Where nothing can be taken a ramp is missing, and one is p
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -38,11 +38,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Order:
-    """The steps of a building, and which of them must wait for which."""
+    """The steps of a building, in an order in which all of them can be made."""
 
     steps: tuple[Step, ...]
-    needs: tuple[frozenset[int], ...] = field(default=())
-    """For each step the earlier ones that must have been made."""
 
 
 class Assembly:

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
+from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.assembly import Assembly, Order, State, Step, has_room, taken_out
-from craftsim.planning.crew import FLAP_TICKS, Crew, Job
-from craftsim.planning.things import Thing, things_in, with_car
+from craftsim.planning.crew import FLAP_TICKS, Crew, Job, cells_on_way
+from craftsim.planning.things import Thing, put, things_in, with_car
 from craftsim.planning.ways import FAR, Nodes, Ways, is_free
 
 _FAILURES: Final = 40
 """So many jobs in vain end an attempt."""
+_TRIES: Final = 6
+"""So many jobs are tried in a turn."""
+_AHEAD: Final = 3
+"""So many more steps than there are cars are looked at in a turn."""
+_PLACES: Final = 24
+"""So many places where something could be put aside are looked at."""
+
+
+Chances = tuple[tuple[int, int], ...]
+"""(turn, seed): what is decided by chance from a turn on comes from that seed; the first turn is 0."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +59,12 @@ class Building:
         order: Order,
         fixed: State,
         style: Style,
-        rng: np.random.Generator,
+        chances: Chances,
     ) -> None:
         self.crew = Crew(start, assembly.rules)
-        self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
+        self.assembly, self.order, self.style, self.chances = assembly, order, style, chances
+        self.rng = np.random.default_rng(chances[0][1])
+        self.n_turns = 0
         self._done: set[int] = set()
         self._standing = set(fixed)
         self._goal_cells = {cell for step in order.steps for cell in step.thing.cells} | {
@@ -60,21 +75,36 @@ class Building:
             for thing in [*(step.thing for step in order.steps), *fixed]
             if thing.kind == Kind.BODY
         }
+        self._around = {
+            (x + dx, y + dy, 1) for x, y, _ in self._keep_free for dx in range(-2, 3) for dy in range(-2, 3)
+        }
         n_cars = min(start.n_cars, style.n_cars)
-        self._cars = sorted(rng.permutation(start.n_cars)[:n_cars].tolist())
+        self._cars = sorted(self.rng.permutation(start.n_cars)[:n_cars].tolist())
 
     def run(self) -> bool:
         """Make the plan; return whether it came to its end."""
         failures = 0
         while len(self._done) < len(self.order.steps):
+            for turn, seed in self.chances[1:]:
+                if turn == self.n_turns:
+                    self.rng = np.random.default_rng(seed)
+            self.n_turns += 1
             made = bool(self.style.early) and self.rng.random() < self.style.early and self._clear()
             options = [] if made else self._options()
-            for _, car, k, job in options[:6]:
+            tries = 0
+            safe: dict[int, bool] = {}
+            for _, car, k, job in options:
+                if k not in safe:
+                    safe[k] = self._bars_nothing(k)
+                if not safe[k]:
+                    continue
+                tries += 1
+                if tries > _TRIES:
+                    break
                 if self._take_over(car, job):
                     made = True
-                    if k is not None:
-                        self._done.add(k)
-                        self._note(self.order.steps[k])
+                    self._done.add(k)
+                    self._note(self.order.steps[k])
                     break
             if not made and not self._clear():
                 return False
@@ -89,17 +119,33 @@ class Building:
         else:
             self._standing.add(step.thing)
 
-    def _pending(self) -> list[int]:
-        """Return the steps that can be made next."""
-        return [k for k, needs in enumerate(self.order.needs) if k not in self._done and needs <= self._done][
-            : 2 * len(self._cars) + 4
-        ]
+    def _left(self) -> list[int]:
+        """Return the first steps that have not been made, in order."""
+        left = [k for k in range(len(self.order.steps)) if k not in self._done]
+        return left[: len(self._cars) + _AHEAD]
 
-    def _options(self) -> list[tuple[float, int, int | None, Job]]:
+    def _pending(self) -> list[int]:
+        """Return the steps that could be made next."""
+        state = frozenset(self._standing)
+        return [k for k in self._left() if self.assembly.possible(state, self.order.steps[k])]
+
+    def _bars_nothing(self, k: int) -> bool:
+        """Return whether those steps that come before one in the order can still be made after it."""
+        state = self.order.steps[k].after(frozenset(self._standing))
+        for earlier in self._left():
+            if earlier >= k:
+                break
+            step = self.order.steps[earlier]
+            if not self.assembly.possible(state, step):
+                return False
+            state = step.after(state)
+        return True
+
+    def _options(self) -> list[tuple[float, int, int, Job]]:
         """Return what can be done next: cost, car, step and job, the cheapest first."""
         grid = self.crew.end
         walking = Ways(grid, self.assembly.rules)
-        costs: list[tuple[float, int, int | None, Job]] = []
+        costs: list[tuple[float, int, int, Job]] = []
         to_cells = {car: self._distances(walking, car) for car in self._cars}
         sources = self._sources(grid)
         loaded: dict[Kind, Ways] = {}
@@ -107,7 +153,7 @@ class Building:
             step = self.order.steps[k]
             target = step.thing
             if step.taken:
-                aside = self._aside(grid, target)
+                aside = self._aside(grid, target, lambda moved: True)
                 if aside is None:
                     continue
                 target = aside
@@ -116,7 +162,7 @@ class Building:
                 loaded[load] = Ways(grid, self.assembly.rules, load)
             onward = loaded[load].to_nodes(_nodes_at(loaded[load], target))
             for source in [step.thing] if step.taken else sources.get(load, []):
-                far = _nearest(onward, walking, source, around=True)
+                far = _onward(onward, walking, grid, source)
                 if far >= FAR or not has_room(taken_out(grid, [source]), self.assembly.rules, target):
                     continue
                 swings = (source.kind == Kind.BODY) + (target.kind == Kind.BODY)
@@ -163,63 +209,76 @@ class Building:
         """Let a car take over a job; cars that wait in its way are sent aside once."""
         if self.crew.take_over(car, job, self._parking(car)):
             return True
-        cells = set(self._goal_cells)
-        sent = False
+        way = self._way(car, job)
         grid = self.crew.end
-        ways = Ways(grid, self.assembly.rules)
-        goal = job.source.cell if job.source is not None else job.target.cell
-        distances = ways.to_nodes([ways.node(goal, yaw) for yaw in range(4)])
-        others = self.crew.blockers(car, distances)
-        if job.source is not None:
-            carrying = Ways(taken_out(grid, [job.source]), self.assembly.rules, job.source.load)
-            others += _on_way(grid, carrying, job, self.crew.n_cars)
-        for other in dict.fromkeys(others):
-            if other != car and self.crew.load(other) == Kind.AIR:
-                cells |= {job.target.cell, goal}
-                sent |= self.crew.move_aside(other, cells)
+        sent = False
+        for other in range(self.crew.n_cars):
+            here = tuple(grid.cars[other, :3].tolist())
+            if other != car and here in way and self.crew.load(other) == Kind.AIR:
+                sent |= self.crew.move_aside(other, way | self._goal_cells)
         return sent and self.crew.take_over(car, job, self._parking(car))
 
-    def _parking(self, car: int):
+    def _way(self, car: int, job: Job) -> set[Cell]:
+        """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
+        grid, rules = self.crew.end, self.assembly.rules
+        node = self.crew.node(car, self.crew.ready[car])
+        cells = {job.target.cell}
+        if job.source is not None:
+            ways = Ways(grid, rules)
+            cells |= cells_on_way(ways, node, ways.to_nodes(_nodes_at(ways, job.source)))
+            grid = taken_out(grid, [job.source])
+        ways = Ways(grid, rules, job.target.load)
+        distances = ways.to_nodes(_nodes_at(ways, job.target))
+        if job.source is not None:
+            node = min(_nodes_at(ways, job.source), key=lambda node: int(distances[node]))
+        return cells | cells_on_way(ways, node, distances)
+
+    def _parking(self, car: int) -> Callable[[Ways, Grid], list[int]]:
+        """Return what says where a car may wait: on free floor, best two cells away from what is being built."""
+
         def places(ways: Ways, grid: Grid) -> list[int]:
             taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
-            free = [
-                (x, y, 1)
-                for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()
-                if (x, y, 1) not in taken and (x, y, 1) not in self._keep_free
-            ]
-            return [ways.node(cell, yaw) for cell in free for yaw in range(4)]
+            free = {(x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()} - taken
+            for kept in (self._around, self._keep_free):
+                cells = sorted(free - kept)
+                if cells:
+                    return [ways.node(cell, yaw) for cell in cells for yaw in range(4)]
+            return []
 
         return places
 
-    def _aside(self, grid: Grid, thing: Thing) -> Thing | None:
-        """Return where a thing could stand out of the way: the nearest such place."""
-        kind = thing.load
-        ways = Ways(taken_out(grid, [thing]), self.assembly.rules, kind)
+    def _aside(self, grid: Grid, thing: Thing, fits: Callable[[Grid], bool]) -> Thing | None:
+        """Return where a thing could stand out of the way: the nearest such place with which a world will do."""
+        load = thing.load
         rest = taken_out(grid, [thing])
-        yaws = [(thing.yaw + 2) % 4] if kind == Kind.FSLOPE else range(4)
-        distances = ways.from_nodes([ways.node(thing.cell, yaw) for yaw in yaws])
-        best: tuple[int, Thing] | None = None
+        ways = Ways(rest, self.assembly.rules, load)
+        distances = ways.from_nodes(_nodes_at(ways, thing))
+        places = []
         for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
-            for yaw in range(4) if kind == Kind.FSLOPE else [0]:
-                there = Thing(kind, (x, y, 1), yaw)
-                if not set(there.cells).isdisjoint(self._keep_free) or not all(
-                    0 <= c < n for c, n in zip(there.cells[-1], rest.kind.shape, strict=True)
-                ):
-                    continue
-                if not all(is_free(rest, cell) for cell in there.cells):
-                    continue
+            for yaw in range(4) if load == Kind.FSLOPE else [0]:
+                there = Thing(load, (x, y, 1), yaw)
                 far = min(int(distances[node]) for node in _nodes_at(ways, there))
-                if far < FAR and (best is None or far < best[0]):
-                    best = far, there
-        return best and best[1]
+                free = set(there.cells).isdisjoint(self._keep_free)
+                if free and far < FAR and there.cell != thing.cell and has_room(rest, self.assembly.rules, there):
+                    places.append((far, there))
+        for _, there in sorted(places)[:_PLACES]:
+            moved = rest.copy()
+            put(moved, [there])
+            moved.derive_marks()
+            if fits(moved):
+                return there
+        return None
 
     def _clear(self) -> bool:
         """Move something that bars the next step out of the way; return whether that was possible."""
         grid = self.crew.end
         loose = [thing for things in self._sources(grid).values() for thing in things]
         for k in self._pending():
-            for thing in self._barring(grid, loose, k):
-                aside = self._aside(grid, thing)
+            barring = self._barring(grid, loose, k)
+            for thing in barring:
+                others = [other for other in barring if other != thing]
+                target = self.order.steps[k].thing
+                aside = self._aside(grid, thing, partial(self._reaches, gone=others, target=target))
                 if aside is None:
                     continue
                 free = [car for car in self._cars if self.crew.load(car) == Kind.AIR]
@@ -268,7 +327,7 @@ class Building:
         if not left:
             return bool((distances < FAR).sum() > 4)
         return any(
-            _nearest(distances, ways, thing, around=True) < FAR and _nearest(reached, ways, thing) < FAR
+            _onward(distances, ways, rest, thing) < FAR and _nearest(reached, ways, thing) < FAR
             for thing in left
         ) or any(thing.load == target.load for thing in gone)
 
@@ -279,32 +338,22 @@ def _nodes_at(ways: Ways, thing: Thing) -> list[int]:
     return [ways.node(thing.cell, yaw) for yaw in yaws]
 
 
-def _nearest(distances: Nodes, ways: Ways, thing: Thing, around: bool = False) -> int:
-    """Return the distance of the states below a thing; ``around``: or of those one step further."""
-    nodes = _nodes_at(ways, thing)
-    far = min(int(distances[node]) for node in nodes)
-    if around:
-        x, y, z = thing.cell
-        for direction in range(4):
-            cell = beside((x, y, z), direction)
-            if 0 <= cell[0] < ways.size[0] and 0 <= cell[1] < ways.size[1]:
-                yaws = [(thing.yaw + 2) % 4] if thing.load == Kind.FSLOPE else range(4)
-                far = min(far, 1 + min(int(distances[ways.node(cell, yaw)]) for yaw in yaws))
+def _nearest(distances: Nodes, ways: Ways, thing: Thing) -> int:
+    """Return the distance of the states below a thing."""
+    return min(int(distances[node]) for node in _nodes_at(ways, thing))
+
+
+def _onward(distances: Nodes, ways: Ways, grid: Grid, thing: Thing) -> int:
+    """Return the distance from a thing that has been taken up: from there, or from the next cell that is free."""
+    far = _nearest(distances, ways, thing)
+    for direction in range(4):
+        cell = beside(thing.cell, direction)
+        if all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True)) and grid.kind[cell] in (
+            Kind.AIR,
+            Kind.GEAR,
+        ):
+            far = min(far, 1 + _nearest(distances, ways, thing._replace(cell=cell)))
     return far
-
-
-def _on_way(grid: Grid, ways: Ways, job: Job, n_cars: int) -> list[int]:
-    """Return the cars that stand on the straight way of a load."""
-    from craftsim.planning.ways import cell_of_node
-
-    assert job.source is not None
-    distances = ways.to_nodes(_nodes_at(ways, job.target))
-    node = min(_nodes_at(ways, job.source), key=lambda node: int(distances[node]))
-    cells: set[Cell] = {job.target.cell}
-    while 0 < distances[node] < FAR:
-        node = min((int(n) for n in ways.steps[node] if n >= 0), key=lambda n: int(distances[n]))
-        cells.add(cell_of_node(ways.size, node)[0])
-    return [car for car in range(n_cars) if tuple(grid.cars[car, :3]) in cells]
 
 
 def _manhattan(a: Cell, b: Cell) -> int:

@@ -114,19 +114,6 @@ class Crew:
             return False
         return True
 
-    def blockers(self, car: int, distances: Nodes) -> list[int]:
-        """Return the cars that stay on the straight way of a car to its goals."""
-        ways, grid = self._ways(car, self.load(car))
-        node = self.node(car, self.ready[car])
-        cells = set[Cell]()
-        while 0 < distances[node] < FAR:
-            steps = [int(there) for there in ways.steps[node] if there >= 0]
-            node = min(steps, key=lambda there: int(distances[there]))
-            cells.add(cell_of_node(self.size, node)[0])
-        return [
-            other for other in range(self.n_cars) if other != car and tuple(grid.cars[other, :3]) in cells
-        ]
-
     def _restore(self, actions: np.ndarray, car: int, ready: int) -> None:
         self.timeline.actions[:] = NOTHING_DONE
         self.timeline.actions[: len(actions)] = actions
@@ -254,6 +241,18 @@ class Crew:
                 x, y, z = cars[at, car, :3].tolist()
                 avoid.append((at, (x, y, z)))
         return None
+
+
+def cells_on_way(ways: Ways, node: int, distances: Nodes) -> set[Cell]:
+    """Return the cells of the straight way from a state to the goals."""
+    cells = set[Cell]()
+    while 0 < distances[node] < FAR:
+        closer = [int(there) for there in ways.steps[node] if there >= 0 and distances[there] < distances[node]]
+        if not closer:
+            break
+        node = closer[0]
+        cells.add(cell_of_node(ways.size, node)[0])
+    return cells
 
 
 def loaded_ways(grid: Grid, rules: Rules, source: Thing) -> Ways:

@@ -1,4 +1,4 @@
-"""The search for an order of assembly, backwards from the finished building, and which steps need which."""
+"""The search for an order of assembly, backwards from the finished building."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ _TRIES = 200
 """Steps backwards that a search may take beyond six for each thing..."""
 _SEARCHES = 12
 """...before it begins anew, in another order, so many times."""
-_NEAR = 16
-"""So many earlier steps are examined for whether a step needs them; all before these it waits for."""
 
 
 def find_order(
@@ -126,26 +124,3 @@ def _ramps(
         step = Step(places[i], taken=True)
         if assembly.possible(before, step):
             yield step, any(assembly.possible(before - {thing}, Step(thing)) for thing in upper)
-
-
-def with_needs(assembly: Assembly, order: Order, fixed: State) -> Order:
-    """Return an order with what each step needs: those that make it possible, and those that it would bar."""
-    needs: list[frozenset[int]] = []
-    states = [fixed]
-    for k, step in enumerate(order.steps):
-        first = max(0, k - _NEAR)
-        found = set(range(first))
-        for i in range(first, k):
-            earlier = order.steps[i]
-            if earlier.thing == step.thing or not assembly.possible(step.after(states[i]), earlier):
-                found |= {i} | needs[i]
-        for i in reversed(range(first, k)):
-            made = states[first]
-            for j in sorted(found - set(range(first))):
-                made = order.steps[j].after(made)
-            if assembly.possible(made, step):
-                break
-            found |= {i} | needs[i]
-        needs.append(frozenset(found))
-        states.append(step.after(states[-1]))
-    return Order(order.steps, tuple(needs))

@@ -18,9 +18,9 @@ from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import Assembly, Order, State
 from craftsim.planning.bounds import durations_of, makespan_bound, makespan_of
-from craftsim.planning.building import Building, Style
+from craftsim.planning.building import Building, Chances, Style
 from craftsim.planning.goals import Goal, NoPlanError, check_supplies, make_goal, platforms
-from craftsim.planning.ordering import find_order, with_needs
+from craftsim.planning.ordering import find_order
 from craftsim.planning.things import Thing, things_in, without_things
 
 Objective = Literal["makespan", "work"]
@@ -30,6 +30,10 @@ DEFAULT_ROUNDS: Final = 400
 DEFAULT_TIME_S: Final = 10.0
 _ORDERS: Final = 24
 """So many orders of assembly are kept to choose from."""
+_REFINED: Final = 0.6
+"""Share of attempts that begin as the best one did."""
+
+Recipe = tuple[Order, State, Style, Chances]
 
 
 @dataclass(frozen=True)
@@ -109,9 +113,11 @@ class _Search:
             (start.cars[:, 4] == Kind.FSLOPE).sum()
         )
         self._buildings = self._goals()
-        self._orders: list[tuple[Order, State, State]] = []
+        self._orders: list[tuple[Order, State]] = []
         self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
         self.best: Planned | None = None
+        self._best_recipe: Recipe | None = None
+        self._best_turns = 0
 
     def run(self, rounds: int, time_s: float, report: Callable[[int, Planned | None], None]) -> Planned:
         """Make attempts until rounds or time have run out."""
@@ -144,8 +150,7 @@ class _Search:
         """Return an order of assembly and what of it stands, a new one while there are few."""
         n_kept = len(self._orders)
         if n_kept and (n_kept >= _ORDERS or self.rng.random() < 0.5):
-            order, fixed, _ = self._orders[int(self.rng.integers(n_kept))]
-            return order, fixed
+            return self._orders[int(self.rng.integers(n_kept))]
         building = next(self._buildings, None)
         if building is None:
             raise NoPlanError(
@@ -156,18 +161,40 @@ class _Search:
         for kept in dict.fromkeys([fixed, frozenset[Thing]()]):
             order = find_order(self.assembly, building, kept, self.n_slopes, self.rng)
             if order is not None:
-                found = with_needs(self.assembly, order, kept)
-                self._orders.append((found, kept, building))
-                return found, kept
+                self._orders.append((order, kept))
+                return order, kept
         return None
 
     def _attempt(self, number: int) -> None:
-        drawn = self._draw_order()
-        if drawn is None:
+        recipe = self._recipe(number)
+        if recipe is None:
             return
-        order, fixed = drawn
+        building = Building(self.start, self.assembly, *recipe)
+        if not building.run():
+            return
+        planned = self._finish(building.crew.timeline.ticks(), number)
+        if planned is not None and (
+            self.best is None or planned.cost(self.objective) < self.best.cost(self.objective)
+        ):
+            self.best, self._best_recipe, self._best_turns = planned, recipe, building.n_turns
+
+    def _recipe(self, number: int) -> Recipe | None:
+        """Return what decides an attempt: new, or the best one's with other chances from some turn on."""
         rng = self.rng
-        style = Style(
+        seed = int(rng.integers(1 << 62))
+        if self._best_recipe is not None and rng.random() < _REFINED:
+            order, fixed, style, chances = self._best_recipe
+            turn = int(rng.integers(1, max(2, self._best_turns)))
+            if rng.random() < 0.3:
+                style = self._style(number)
+            return order, fixed, style, (*(part for part in chances if part[0] < turn), (turn, seed))
+        drawn = self._draw_order()
+        return drawn and (*drawn, self._style(number), ((0, seed),))
+
+    def _style(self, number: int) -> Style:
+        """Return how an attempt is made; the first is straightforward."""
+        rng = self.rng
+        return Style(
             noise=0.0 if number == 1 else float(rng.choice([0.0, 0.1, 0.3, 0.6])),
             n_cars=int(rng.integers(1, self.start.n_cars + 1)) if self.objective == "work" else 1_000,
             together=self.objective == "makespan",
@@ -175,14 +202,6 @@ class _Search:
             haste=0.0 if number == 1 else float(rng.choice([0.0, 1.0])),
             hold=number > 1 and bool(rng.random() < 0.6),
         )
-        building = Building(self.start, self.assembly, order, fixed, style, rng)
-        if not building.run():
-            return
-        planned = self._finish(building.crew.timeline.ticks(), number)
-        if planned is not None and (
-            self.best is None or planned.cost(self.objective) < self.best.cost(self.objective)
-        ):
-            self.best = planned
 
     def _finish(self, ticks: Ticks, number: int) -> Planned | None:
         """Leave out what is not needed at the end, and look whether the rules agree."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Final
@@ -62,6 +62,16 @@ class Without:
     def in_real_numbers(self, ticks: Ticks) -> list[list[tuple[int, Action]]]:
         """Return a plan for this world as one for the real one."""
         return [[(self.cars[car], action) for car, action in joint] for joint in ticks]
+
+
+def stuck_with(checked: CheckedSite, out: Iterable[int]) -> Iterator[str]:
+    """Yield the names of cars out of action, and of what they carry or stand under."""
+    for car in out:
+        yield f"car {car}"
+        cells = _cells(checked, car)
+        for index, placed in enumerate(checked.reading.objects):
+            if placed.carrier == car or placed.cell in cells:
+                yield checked.poses.name(index)
 
 
 def _cells(checked: CheckedSite, car: int) -> set[Cell]:

@@ -25,7 +25,7 @@ from craftsim.planning import NoPlanError, Planned, plan_building
 from craftsim.skills.executor import Observer
 from craftsim.skills.planted import Disturbance, DisturbedFleet
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
-from craftsim.validation.runs.obstacles import Without
+from craftsim.validation.runs.obstacles import Without, stuck_with
 
 Disturb = Literal["shove", "fold", "dead-car"]
 Ticks = Sequence[Sequence[tuple[int, Action]]]
@@ -189,8 +189,8 @@ class _Work:
         for car, n in self.failures.items():
             if n and any(text.startswith(f"car {car} ") for text in problems):
                 self.out.add(car)
-        rest = [text for text in problems if not any(text.startswith(f"car {car} ") for car in self.out)]
-        return "; ".join(rest)
+        excused = [f"{name} " for name in stuck_with(self.checked, self.out)]
+        return "; ".join(text for text in problems if not text.startswith(tuple(excused)))
 
     def _fold(self) -> None:
         """Let a car fold a slope that was just unfolded, which is in no plan."""

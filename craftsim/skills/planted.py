@@ -24,9 +24,9 @@ from craftsim.skills.fleet import SiteFleet
 
 PlantedKind = Literal["shove", "dead-car"]
 
-SHOVE_S: Final = 2.0
+SHOVE_S: Final = 1.0
 """How long a shove over one cell takes."""
-CLEAR_M: Final = 1.3 * CELL_PITCH_M
+CLEAR_M: Final = 1.8 * CELL_PITCH_M
 """A block is shoved only while no car's centre is nearer to its way, so that it is pushed over the floor alone."""
 _STIFFNESS_HZ: Final = 4.0
 """Of the hand that shoves: what it holds would swing so fast."""

@@ -171,7 +171,7 @@ class _Work:
 
     def _do(self, ticks: Ticks, schedule: Schedule) -> bool:
         """Do some ticks; return whether the world reads as they should leave it."""
-        step = Step.joint(self.n_ticks, *ticks)
+        step = Step.joint(self.n_ticks, *ticks, order="until-wrong")
         self.recipe = self.recipe.then(step)
         self.found.append(do(self.checked, step))
         self.n_ticks += len(ticks)

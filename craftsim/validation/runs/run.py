@@ -24,6 +24,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
+from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import StartError
 from craftsim.logs.log import Log
 from craftsim.logs.recorder import LogRecorder
@@ -36,7 +37,7 @@ from craftsim.validation.play.coverage import covered
 from craftsim.validation.play.play import Play, play
 from craftsim.validation.play.worlds import RandomWorlds
 from craftsim.validation.replays.bundle import write_bundle
-from craftsim.validation.runs.policies import Policy, make_policy
+from craftsim.validation.runs.policies import PLANNER, Policy, make_policy
 from craftsim.validation.runs.rebuilding import Rebuilding, rebuild
 from craftsim.validation.runs.steps import PlanOrder, steps_of
 
@@ -246,8 +247,11 @@ def _rolled_out(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
 
 def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: Watch) -> bool:
     """Play an episode; return whether it ends in success."""
-    policy = make_policy(run.policy, drawn.policy, drawn.task) if isinstance(run.policy, str) else run.policy
     env = ParallelConstruction(drawn.task, Options("grid", rule_set=run.terms.setup.rules), backend)
+    policy = run.policy
+    if isinstance(policy, str):
+        planner = policy == PLANNER
+        policy = PlannerPolicy(env) if planner else make_policy(policy, drawn.policy, drawn.task)
     observations, _ = env.reset(seed=drawn.world)
     if backend is not None:
         backend.checked.executor.observers.extend(run.terms.observers)

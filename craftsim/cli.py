@@ -24,6 +24,8 @@ BROKEN_PIPE: Final = 141
 COMMANDS: Final[dict[str, str]] = {
     "demo": "Build the paper's tasks in physics, and check every action.",
     "validate": "Run plans, actions or policies in physics, and judge each action.",
+    "plan": "Find a plan for a building: order, cars and every move.",
+    "build": "Plan, build in physics, and plan again where it went wrong.",
     "audit": "Try in physics what the rules allow, and what they forbid.",
     "tune": "Tune the gains of skills by objectives, judged on seeds held out.",
     "margins": "Search by how much imperfections may grow until actions fail.",

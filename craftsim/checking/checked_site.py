@@ -17,6 +17,7 @@ from craftsim.checking.unexpected import handled, under, unexpected_contacts
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Poses, Reading, read_grid
+from craftsim.discrete.reading import PLACE_TOLERANCE_M
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Constraints, Order, Schedule, ScheduledAction, make_schedule
 from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, own_differences
@@ -138,9 +139,10 @@ class CheckedSite:
         whose own part reads as predicted agrees, unless nobody's part is wrong and something else is: that is then
         held against all.
         """
-        return self._perform(make_schedule(self.grid, ticks, self.rules, order, after=after))
+        schedule = make_schedule(self.grid, ticks, self.rules, order, after=after)
+        return self._perform(schedule, halts=order == "until-wrong")
 
-    def _perform(self, schedule: Schedule, legal: bool = True) -> tuple[Attempt, ...]:
+    def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
         before, steps, capped = self.grid, schedule.steps, self.site.capped_steps
         waiting = dict(enumerate(steps))
         running: dict[int, _Running] = {}
@@ -150,7 +152,8 @@ class CheckedSite:
             self.log.begin()
         while True:
             done = {index for index, found in evidence.items() if found.outcome and found.outcome.succeeded}
-            for index, step in list(waiting.items()):
+            halted = halts and any(_is_wrong(found) for found in evidence.values())
+            for index, step in [] if halted else list(waiting.items()):
                 if step.waits_for <= done and step.car not in running:
                     running[step.car] = self._begin(index, waiting.pop(index), running)
             self.on_change({car: one.step for car, one in running.items()})
@@ -315,3 +318,8 @@ class CheckedSite:
         if nobodys or world.finding in (Finding.UNSAFE, Finding.NUMERICS, Finding.DIVERGED):
             return world
         return Verdict(Finding.WRONG_PLACE, one.differences or (str(one.outcome),))
+
+
+def _is_wrong(found: Evidence) -> bool:
+    """Return whether the world is not as an action should leave it, for any car that goes on in it."""
+    return not found.applied or found.bystander_displacement_m > PLACE_TOLERANCE_M

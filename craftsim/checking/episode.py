@@ -12,6 +12,22 @@ from craftsim.checking.recipe import Recipe
 
 
 @dataclass(frozen=True)
+class Ending:
+    """How a building that was planned, and planned again, came to its end; made of what JSON knows."""
+
+    ended: str
+    """``built``, ``gave up`` or ``not readable``."""
+    why: str
+    """Why it is not built; empty when it is."""
+    replans: int
+    """How often it was planned again."""
+    planned_s: float
+    """Makespan of the first plan by the table of durations."""
+    disturbed: str
+    """What was done to the world on purpose, in words; empty where nothing was."""
+
+
+@dataclass(frozen=True)
 class Episode:
     """An episode in physics."""
 
@@ -27,6 +43,8 @@ class Episode:
     """Simulated time."""
     problems: tuple[str, ...]
     """Why the world at the end cannot be read as a grid; empty when it can."""
+    ending: Ending | None = None
+    """Where plans were made on the way."""
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:

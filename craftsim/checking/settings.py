@@ -19,6 +19,7 @@ from craftsim.models.parameters import NOMINAL, Drive, Machines
 from craftsim.models.randomization import NONE, DomainRandomization
 from craftsim.models.randomization_files import load_noise, load_randomization
 from craftsim.skills.gains import Gains, load_gains
+from craftsim.skills.planted import Disturbance
 
 nominal_gains = cache(load_gains)
 
@@ -60,6 +61,8 @@ class Setup:
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     gains: Gains = field(default_factory=nominal_gains)
     machines: Machines = NOMINAL
+    disturbance: Disturbance | None = None
+    """What happens to cars or blocks that nobody planned."""
 
     @property
     def digests(self) -> dict[str, str]:

@@ -20,6 +20,7 @@ from craftsim.models.sensing import Sensors
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.fleet import Fleet
+from craftsim.skills.planted import DisturbedFleet
 
 MAX_WORDS: Final = 64
 """Numbers in a seed."""
@@ -96,15 +97,18 @@ def set_up(
 
     Raises StartError where something would stand in something else.
     """
-    physics, sensors = (np.random.default_rng(s) for s in seed.sequence().spawn(2))
+    physics, sensors, hits = (np.random.default_rng(s) for s in seed.sequence().spawn(3))
     world = reuse or compile_world(grid, setup, goals)
     if setup.randomization.nominal:
         world.restore()
     else:
         world.draw(setup.randomization, physics)
-    return judge_on(
-        world.site, setup, Sensors(world.site, setup.randomization.sensors, sensors), watch_contacts
-    )
+    measured = Sensors(world.site, setup.randomization.sensors, sensors)
+    fleet = None
+    if setup.disturbance is not None:
+        motors = Motors(world.site, setup.randomization.sensors.motor_lag_s)
+        fleet = DisturbedFleet(world.site, measured, motors, setup.disturbance, hits)
+    return judge_on(world.site, setup, measured, watch_contacts, fleet)
 
 
 def check_start(site: Site) -> None:

@@ -11,7 +11,7 @@ import tyro
 from craftsim.commands.options import File
 from craftsim.commands.text import say
 from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
-from craftsim.storage.limits import SEED
+from craftsim.storage.limits import PLAN_ROUNDS, SEED
 
 if TYPE_CHECKING:
     from craftsim.planning import Planned
@@ -20,11 +20,11 @@ _ENDING: Final = ".plan"
 
 
 def plan(
-    start: tyro.conf.Positional[Path],
+    start: Annotated[str, tyro.conf.Positional],
     goal: File = None,
     objective: Objective = "makespan",
     time_s: Annotated[float, tyro.conf.arg(name="time")] = DEFAULT_TIME_S,
-    rounds: int = DEFAULT_ROUNDS,
+    rounds: Annotated[int, PLAN_ROUNDS] = DEFAULT_ROUNDS,
     seed: Annotated[int, SEED] = 0,
     video: bool = False,
     out: Path = Path("out/plan"),
@@ -48,10 +48,10 @@ def plan(
     import numpy as np
 
     from craftsim.discrete.files.plan import write_plan
-    from craftsim.discrete.tasks.task import task_for
     from craftsim.planning import plan_building
+    from craftsim.validation.builds import read_goal
 
-    task = task_for(start, goal)
+    task = read_goal(start, goal)
     grid = task.draw(np.random.default_rng(seed))
     begun = time.monotonic()
     best = np.inf

@@ -46,7 +46,8 @@ def validate(
             all six tasks unless given.
         plan: plan file to carry out, 'tick car ACTION' a line.
         actions: file with one 'car ACTION' a line, tried one after the other.
-        policy: 'play' (random play by the rules that prefers the rare), 'random', 'planner' (the shipped plan),
+        policy: 'play' (random play by the rules that prefers the rare), 'random', 'planner' (the shipped plan,
+            or where there is none a plan made then, and again where physics disagrees),
             'module:function', or a file that 'craftsim train' wrote; several are compared with each other. The planner
             unless given, in random worlds 'play'.
         order: how plans are carried out: one action after the other; tick after tick, the cars of one at the same

@@ -19,9 +19,10 @@ from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.rules.table import footprint
 from craftsim.discrete.terrain import inclines_of, is_tight
 
-Order = Literal["sequential", "concurrent", "at-once"]
-"""How the actions of a plan follow each other: one by one; as early as the dependencies allow; or, to see what goes
-wrong, all of a tick together and tick after tick."""
+Order = Literal["sequential", "concurrent", "until-wrong", "at-once"]
+"""How the actions of a plan follow each other: one by one; as early as the dependencies allow; the same until something
+is not as predicted, after which nothing begins any more; or, to see what goes wrong, all of a tick together and tick
+after tick."""
 
 Constraints = Mapping[tuple[int, int], Collection[tuple[int, int]]]
 """Order constraints of a plan: after which earlier actions of other cars an action starts, each a (tick, car)."""
@@ -134,5 +135,5 @@ def _predecessors(
             return range(len(steps) - 1, len(steps)) if steps else ()
         case "at-once":
             return (i for i, step in enumerate(steps) if step.tick < tick)
-        case "concurrent":
+        case "concurrent" | "until-wrong":
             return (i for i, s in enumerate(steps) if s.car == car or s.footprint.conflicts(needs))

@@ -248,7 +248,9 @@ def cells_on_way(ways: Ways, node: int, distances: Nodes) -> set[Cell]:
     """Return the cells of the straight way from a state to the goals."""
     cells = set[Cell]()
     while 0 < distances[node] < FAR:
-        closer = [int(there) for there in ways.steps[node] if there >= 0 and distances[there] < distances[node]]
+        closer = [
+            int(there) for there in ways.steps[node] if there >= 0 and distances[there] < distances[node]
+        ]
         if not closer:
             break
         node = closer[0]

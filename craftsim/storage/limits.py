@@ -153,6 +153,8 @@ TIMEOUT_S: Final = Range(0.01, 7 * 24 * 3600)
 CARS: Final = Range(0, 256)
 BLOCKS: Final = Range(0, 131_072)
 EPISODE_TICKS: Final = Range(1, 100_000)
+REPLANS: Final = Range(0, 1000)
+PLAN_ROUNDS: Final = Range(1, 1_000_000)
 BATCH: Final = Range(1, 100_000)
 """Worlds that are stepped side by side on the grid."""
 BENCH_S: Final = Range(0.001, 3600)

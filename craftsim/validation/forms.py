@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -44,6 +44,18 @@ class _RunExtra:
     does_not_stand: str = ""
 
 
+@dataclass(frozen=True, kw_only=True)
+class _BuildExtra(_RunExtra):
+    """What a building with re-planning leaves besides."""
+
+    __pydantic_config__ = STRICT
+    ended: Literal["built", "gave up", "not readable"]
+    why: str
+    replans: _Count
+    planned_s: float
+    disturbed: str
+
+
 @dataclass(frozen=True)
 class _TrialExtra:
     """What a trial of an audit leaves besides."""
@@ -54,6 +66,8 @@ class _TrialExtra:
 
 RUNS: Final = Form(_Judged, _RunExtra)
 """Of a validation."""
+BUILDS: Final = Form(_Judged, _BuildExtra)
+"""Of buildings with re-planning."""
 TRIALS: Final = Form(_Judged, _TrialExtra)
 """Of an audit."""
 MARGINS: Final = Form(_Judged, Limit | RowFound)

@@ -25,12 +25,10 @@ from craftsim.models.site import Site
 from craftsim.storage.writing import writable
 from craftsim.validation.campaign import Item
 from craftsim.validation.play.worlds import MAX_CARS, RandomWorlds
-from craftsim.validation.runs.policies import RANDOM, Policy, check_policy, policy_digest
+from craftsim.validation.runs.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
 from craftsim.validation.runs.run import Run, Terms
 from craftsim.validation.runs.steps import PlanOrder, steps_of
 
-PLANNER: Final = "planner"
-"""The policy that carries out the shipped plans."""
 PLAY: Final = "play"
 """Stands for random play by the rules that prefers the rare: a plan that each run draws for its world."""
 SHIPPED: Final = "shipped"
@@ -157,12 +155,14 @@ def policy_pilot(
             check_policy(place, task, rules, timeout_s)
         return Pilot(writable(policy), policy_digest(place), policy=place)
     for subject in subjects:
-        if subject.world not in TASK_NAMES:
+        if isinstance(subject.world, RandomWorlds) or not as_task(subject.world).has_goal:
             raise InputError(
-                f"there is no shipped plan for {subject.name}; give one with --plan, or a --policy"
+                f"there is no shipped plan for {subject.name}, and no goal to plan for; "
+                "give a plan with --plan, or a --policy"
             )
-    plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars).ticks, order) for s in subjects}
-    return Pilot(PLANNER, SHIPPED, plans)
+    shipped = [subject for subject in subjects if subject.world in TASK_NAMES]
+    plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars).ticks, order) for s in shipped}
+    return Pilot(PLANNER, SHIPPED, plans, PLANNER)
 
 
 def items_of(

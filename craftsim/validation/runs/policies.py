@@ -34,6 +34,8 @@ Policy = Callable[[Observations], dict[str, int]]
 """Gives each agent one of the 15 primitive actions; may depend on nothing but the observations."""
 
 RANDOM: Final = "random"
+PLANNER: Final = "planner"
+"""The policy that carries out the shipped plan, and elsewhere plans, and plans again."""
 
 _CONTRACT: Final = (
     "a policy takes observations by agent and returns a dictionary with a whole number from 0 to 14 for each"
@@ -142,7 +144,7 @@ def policy_digest(name: str) -> str:
 
 def _function(name: str) -> Policy:
     module, colon, function = name.partition(":")
-    known = f"'{RANDOM}', 'planner', 'module:function', or the path of a trained policy"
+    known = f"'{RANDOM}', '{PLANNER}', 'module:function', or the path of a trained policy"
     if not colon:
         raise InputError(f"no policy '{name}': there is no such file; allowed: {known}")
     if not all(part.isidentifier() for part in (*module.split("."), function)):

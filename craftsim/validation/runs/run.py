@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +24,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
+from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import StartError
 from craftsim.logs.log import Log
 from craftsim.logs.recorder import LogRecorder
@@ -36,7 +37,8 @@ from craftsim.validation.play.coverage import covered
 from craftsim.validation.play.play import Play, play
 from craftsim.validation.play.worlds import RandomWorlds
 from craftsim.validation.replays.bundle import write_bundle
-from craftsim.validation.runs.policies import Policy, make_policy
+from craftsim.validation.runs.policies import PLANNER, Policy, make_policy
+from craftsim.validation.runs.rebuilding import Rebuilding, rebuild
 from craftsim.validation.runs.steps import PlanOrder, steps_of
 
 BUNDLES: Final = "bundles"
@@ -75,6 +77,8 @@ class Run:
     terms: Terms
     play: PlanOrder | None = None
     """How random play is carried out; None where there is none."""
+    rebuilding: Rebuilding | None = None
+    """How it is planned, and planned again; None where it is not."""
 
     @property
     def file_name(self) -> str:
@@ -134,6 +138,8 @@ def do_run(run: Run) -> Done:
     }
     if episode.reached is not None:
         extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
+    if episode.ending is not None:
+        extra |= asdict(episode.ending)
     if drawn.played is not None:
         extra["coverage"] = covered(drawn.played, episode.attempts)
         _save_world(run, drawn.grid, drawn.played)
@@ -179,6 +185,12 @@ def _record(run: Run, drawn: _Drawn, watch: Watch) -> Recording:
 def _run(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
     if run.play is not None and drawn.played is not None:
         return _follow(run, drawn, steps_of(drawn.played.ticks, run.play), watch)
+    if run.rebuilding is not None:
+        terms, seeds = run.terms, (drawn.physics, drawn.policy)
+        return rebuild(
+            *(drawn.task, drawn.grid, seeds, terms.setup, run.rebuilding, watch),
+            *(terms.set_up, terms.observers),
+        )
     if run.steps is not None:
         return _follow(run, drawn, run.steps, watch)
     return _rolled_out(run, drawn, watch)
@@ -235,8 +247,11 @@ def _rolled_out(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
 
 def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: Watch) -> bool:
     """Play an episode; return whether it ends in success."""
-    policy = make_policy(run.policy, drawn.policy, drawn.task) if isinstance(run.policy, str) else run.policy
     env = ParallelConstruction(drawn.task, Options("grid", rule_set=run.terms.setup.rules), backend)
+    policy = run.policy
+    if isinstance(policy, str):
+        planner = policy == PLANNER
+        policy = PlannerPolicy(env) if planner else make_policy(policy, drawn.policy, drawn.task)
     observations, _ = env.reset(seed=drawn.world)
     if backend is not None:
         backend.checked.executor.observers.extend(run.terms.observers)

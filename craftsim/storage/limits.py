@@ -55,6 +55,8 @@ JSON_VALUES: Final = 200_000
 """Values in a JSON document that is read whole, about: commas are counted."""
 YAML_VALUES: Final = 40_000
 """Values in a YAML file, lists and mappings included; so many a world may also make when it is written out."""
+DESIGN_CELLS: Final = 4000
+"""Of a design: as many as a goal file can list."""
 YAML_DEPTH: Final = 8
 """Levels of lists and mappings in a YAML file."""
 
@@ -152,6 +154,8 @@ PORTS: Final = Range(0, 65_535)
 TIMEOUT_S: Final = Range(0.01, 7 * 24 * 3600)
 CARS: Final = Range(0, 256)
 BLOCKS: Final = Range(0, 131_072)
+DESIGN_SIDE: Final = Range(1, 128)
+"""Sizes of a design, in cells."""
 EPISODE_TICKS: Final = Range(1, 100_000)
 BATCH: Final = Range(1, 100_000)
 """Worlds that are stepped side by side on the grid."""

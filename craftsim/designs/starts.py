@@ -1,0 +1,207 @@
+"""Starts for designs: the blocks and slopes that a building takes, spread over the floor around its place, and cars."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.designs.spreading import Column, Floor
+from craftsim.discrete.files.blueprint import MAX_CELLS, MAX_SIDE
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid_checks import check_size
+from craftsim.errors import InputError
+from craftsim.storage.limits import DESIGN_CELLS
+
+MARGIN: Final = 3
+"""Free cells around a building, unless said otherwise: a ramp takes two, and a car comes from the third."""
+_TRIES: Final = 8
+_SHARE: Final = 0.4
+"""Of the free floor that things take at most where the size is to be found."""
+
+
+@dataclass(frozen=True)
+class Stock:
+    """How many things a start has."""
+
+    blocks: int
+    slopes: int
+    cars: int
+
+    @classmethod
+    def of(cls, design: Design, n_cars: int, spare_blocks: int = 0, spare_slopes: int = 0) -> Stock:
+        """Return what a design takes, and more."""
+        slopes = len(design.of_kind(Kind.BODY)) + len(design.of_kind(Kind.FSLOPE))
+        return cls(len(design.of_kind(Kind.BLOCK)) + spare_blocks, slopes + spare_slopes, n_cars)
+
+    @property
+    def cells(self) -> int:
+        """Cells of the floor that it takes."""
+        return self.blocks + 2 * self.slopes + self.cars
+
+
+@dataclass(frozen=True, eq=False)
+class DesignStart:
+    """A world in which a design can be built."""
+
+    grid: Grid
+    design: Design
+    """Where it is to stand in the world."""
+
+
+def make_start(
+    design: Design,
+    n_cars: int,
+    rng: np.random.Generator,
+    size: Cell | None = None,
+    margin: int = MARGIN,
+    spare_blocks: int = 0,
+    spare_slopes: int | None = None,
+    barrier: bool = False,
+) -> DesignStart:
+    """Return a world that has what a design takes, with the design in its middle.
+
+    Blocks, folded slopes and cars are drawn at random on the floor beside the design's columns. The floor that they
+    leave is in one piece, each of them touches it, and behind each slope, where a car backs in, is a free cell.
+
+    Args:
+        design: what is to be built.
+        n_cars: number of cars.
+        rng: draws the places.
+        size: (L, W, H) of the area; the smallest that has room at ease unless given, a level higher than the design.
+        margin: free cells around the design at least.
+        spare_blocks: blocks beyond those of the design, to be built from and taken away again.
+        spare_slopes: folded slopes beyond those of the design; one for each upper level that the design has no slope
+            to unless given.
+        barrier: whether walls stand from side to side of the area, across the middle of the design.
+
+    Raises InputError, with what would do, where there is no room.
+    """
+    extent = design.size
+    stock = Stock.of(
+        design, n_cars, spare_blocks, _needed(design) if spare_slopes is None else spare_slopes
+    )
+    if size is None:
+        size = _roomy(extent, margin, stock)
+    check_size(size, n_cars)
+    least = (extent[0] + 2 * margin, extent[1] + 2 * margin, extent[2])
+    if any(side < needed for side, needed in zip(size, least, strict=True)):
+        raise InputError(
+            f"{design.path}: the area of {size} cells is too small for a design of {extent}; "
+            f"allowed: at least {least} with a margin of {margin}"
+        )
+    placed = design.moved((size[0] - extent[0]) // 2, (size[1] - extent[1]) // 2)
+    walls = _barrier(placed, size) if barrier else ()
+    return DesignStart(spread(placed, size, stock, rng, walls=walls), placed)
+
+
+def spread(
+    design: Design,
+    size: Cell,
+    stock: Stock,
+    rng: np.random.Generator,
+    clear: Collection[Column] = (),
+    walls: Collection[Cell] = (),
+) -> Grid:
+    """Return a world with things spread beside a design's columns and those that are to be clear.
+
+    Raises InputError where there is no room.
+    """
+    if stock.blocks + stock.slopes > DESIGN_CELLS:
+        raise InputError(
+            f"{design.path}: {stock.blocks} blocks and {stock.slopes} slopes; allowed: {DESIGN_CELLS} together"
+        )
+    free = np.ones(size[:2], np.bool_)
+    for column in [*(target.cell[:2] for target in design.targets), *clear, *(wall[:2] for wall in walls)]:
+        free[column] = False
+    for _ in range(_TRIES):
+        grid = Grid.empty(size, stock.cars)
+        for cell in walls:
+            grid.kind[cell] = Kind.WALL
+        if _put(grid, Floor(_outside(free)), stock, rng):
+            grid.derive_marks()
+            return grid
+    raise InputError(
+        f"{design.path}: no room for {stock.blocks} blocks, {stock.slopes} slopes and {stock.cars} cars beside the "
+        f"design in an area of {size} cells; try a larger one, or fewer of them"
+    )
+
+
+def _outside(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the largest piece of a free floor: what a court of the design holds could not come out any more."""
+    from scipy.ndimage import label
+
+    pieces, n = label(free)
+    if n == 0:
+        return free
+    largest = 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
+    outside: NDArray[np.bool_] = pieces == largest
+    return outside
+
+
+def _put(grid: Grid, floor: Floor, stock: Stock, rng: np.random.Generator) -> bool:
+    """Put things on a floor; return whether all found room."""
+    if stock.slopes:
+        places = floor.turning_places()
+        if not len(places):
+            return False
+        x, y = places[rng.integers(len(places))].tolist()
+        for dx in (-1, 0, 1):
+            for dy in (-1, 0, 1):
+                floor.keep((x + dx, y + dy))
+    slopes, blocks = stock.slopes, stock.blocks
+    while slopes + blocks:
+        before = slopes + blocks
+        for index in rng.permutation(4 * floor.free.size).tolist():
+            cell = (*divmod(index // 4, floor.free.shape[1]), 1)
+            if slopes:
+                slopes -= _put_slope(grid, floor, cell, index % 4)
+            elif blocks and floor.take(cell[:2]):
+                grid.kind[cell] = Kind.BLOCK
+                blocks -= 1
+        if slopes + blocks == before:
+            return False
+    places = rng.permutation(np.argwhere(floor.free))
+    if len(places) < stock.cars:
+        return False
+    for car, (x, y) in zip(grid.cars, places.tolist(), strict=False):
+        car[CarField.X], car[CarField.Y], car[CarField.YAW] = x, y, rng.integers(4)
+    return True
+
+
+def _put_slope(grid: Grid, floor: Floor, cell: Cell, yaw: int) -> bool:
+    """Put a folded slope where there is room for it, its gear and the car that backs into it."""
+    gear, behind = beside(cell, yaw), beside(cell, yaw + 2)
+    inside = all(0 <= x < n for one in (gear, behind) for x, n in zip(one[:2], floor.free.shape, strict=True))
+    if not inside or not floor.free[behind[:2]] or not floor.take(cell[:2], gear[:2]):
+        return False
+    floor.keep(behind[:2])
+    grid.kind[cell], grid.yaw[cell] = Kind.FSLOPE, yaw
+    grid.kind[gear], grid.yaw[gear] = Kind.GEAR, yaw
+    return True
+
+
+def _needed(design: Design) -> int:
+    """Return on how many upper levels a design has blocks, but no slope of its own to them."""
+    ramps = {cell[2] + 1 for cell in design.of_kind(Kind.BODY)}
+    return len({cell[2] for cell in design.of_kind(Kind.BLOCK) if cell[2] > 1} - ramps)
+
+
+def _roomy(extent: Cell, margin: int, stock: Stock) -> Cell:
+    """Return the size of the smallest area with a margin in which things do not take too much of the floor."""
+    length, width = extent[0] + 2 * margin, extent[1] + 2 * margin
+    while stock.cells > _SHARE * (length * width - extent[0] * extent[1]) and max(length, width) < MAX_SIDE:
+        length, width = length + 1, width + 1
+    height = min(extent[2] + 1, MAX_CELLS // (length * width))
+    return length, width, max(height, extent[2])
+
+
+def _barrier(design: Design, size: Cell) -> list[Cell]:
+    """Return walls from side to side, but for the design's columns, halfway along the design."""
+    columns = {target.cell[:2] for target in design.targets}
+    x = (min(x for x, _ in columns) + max(x for x, _ in columns)) // 2
+    return [(x, y, 1) for y in range(size[1]) if (x, y) not in columns]

@@ -45,6 +45,14 @@ class Floor:
         shifted = [self._free[1 + dx : 1 + dx + length, 1 + dy : 1 + dy + width] for dx, dy in _AROUND]
         return np.argwhere(self.free & np.all(shifted, axis=0))
 
+    def neighbours(self) -> NDArray[np.int64]:
+        """Return (L, W): how many of the four cells beside each are free."""
+        length, width = self.free.shape
+        return sum(
+            (self._free[1 + dx : 1 + dx + length, 1 + dy : 1 + dy + width] for dx, dy in DIRECTIONS.tolist()),
+            np.zeros(self.free.shape, np.int64),
+        )
+
     def take(self, *columns: Column) -> bool:
         """Take cells for one thing, the first of which a car must get at; return whether it could be, else take none."""
         taken: list[Column] = []

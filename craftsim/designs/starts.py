@@ -104,10 +104,20 @@ def spread(
     size: Cell,
     stock: Stock,
     rng: np.random.Generator,
+    taken: Collection[Column] = (),
     clear: Collection[Column] = (),
     walls: Collection[Cell] = (),
 ) -> Grid:
-    """Return a world with things spread beside a design's columns and those that are to be clear.
+    """Return a world with things spread on the floor beside a design's columns.
+
+    Args:
+        design: what is to be built, in its place.
+        size: (L, W, H) of the area.
+        stock: how many things.
+        rng: draws the places.
+        taken: columns that are left to other parts of the building, such as ramps that serve for building alone.
+        clear: columns of the free floor that nothing is put on.
+        walls: cells of walls.
 
     Raises InputError where there is no room.
     """
@@ -116,13 +126,16 @@ def spread(
             f"{design.path}: {stock.blocks} blocks and {stock.slopes} slopes; allowed: {DESIGN_CELLS} together"
         )
     free = np.ones(size[:2], np.bool_)
-    for column in [*(target.cell[:2] for target in design.targets), *clear, *(wall[:2] for wall in walls)]:
+    for column in [*(target.cell[:2] for target in design.targets), *taken, *(wall[:2] for wall in walls)]:
         free[column] = False
-    for _ in range(_TRIES):
-        grid = Grid.empty(size, stock.cars)
+    for i in range(_TRIES):
+        grid, floor = Grid.empty(size, stock.cars), Floor(_outside(free))
         for cell in walls:
             grid.kind[cell] = Kind.WALL
-        if _put(grid, Floor(_outside(free)), stock, rng):
+        for column in clear:
+            floor.keep(column)
+        # At random as long as there is room for it, then close together.
+        if _put(grid, floor, stock, rng, dense=i >= _TRIES // 2):
             grid.derive_marks()
             return grid
     raise InputError(
@@ -143,7 +156,7 @@ def _outside(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return outside
 
 
-def _put(grid: Grid, floor: Floor, stock: Stock, rng: np.random.Generator) -> bool:
+def _put(grid: Grid, floor: Floor, stock: Stock, rng: np.random.Generator, dense: bool) -> bool:
     """Put things on a floor; return whether all found room."""
     if stock.slopes:
         places = floor.turning_places()
@@ -156,7 +169,10 @@ def _put(grid: Grid, floor: Floor, stock: Stock, rng: np.random.Generator) -> bo
     slopes, blocks = stock.slopes, stock.blocks
     while slopes + blocks:
         before = slopes + blocks
-        for index in rng.permutation(4 * floor.free.size).tolist():
+        order = rng.permutation(4 * floor.free.size)
+        if dense:
+            order = order[np.argsort(floor.neighbours().ravel()[order // 4], kind="stable")]
+        for index in order.tolist():
             cell = (*divmod(index // 4, floor.free.shape[1]), 1)
             if slopes:
                 slopes -= _put_slope(grid, floor, cell, index % 4)

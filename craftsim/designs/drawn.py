@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from craftsim.designs.growth import Growth, Ramp
+from craftsim.designs.growth import MAX_LEVELS, Growth, Mask, Ramp
 from craftsim.designs.starts import DesignStart, Stock, spread
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import Cell
+from craftsim.discrete.geometry import DIRECTIONS
+from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.errors import InputError
 from craftsim.storage.limits import SHARE
 
@@ -62,7 +64,7 @@ def size_of(difficulty: float, rng: np.random.Generator) -> Size:
         ramps -= 1
     sides = [(x, y) for x in range(6, _SIDE + 1) for y in range(6, _SIDE + 1) if _cells(blocks, ramps) <= _SHARE * x * y]
     length, width = min(sides or [(_SIDE, _SIDE)], key=lambda side: (side[0] * side[1], rng.random()))
-    return Size((length, width, 3), blocks, levels, ramps, about(2, 6, 1.0))
+    return Size((length, width, MAX_LEVELS), blocks, levels, ramps, about(2, 6, 1.0))
 
 
 def _cells(blocks: int, ramps: int) -> float:
@@ -110,11 +112,39 @@ def _try(size: Size, n_cars: int, rng: np.random.Generator) -> DrawnStart | None
     stock = Stock.of(design, n_cars, spare_slopes=len(growth.ramps) - len(kept))
     taken = {column for ramp in growth.ramps for column in ramp.columns[:2]}
     clear = {ramp.column(2) for ramp in growth.ramps if ramp.body[2] == 1}
+    clear |= {(x, y) for x, y, z in growth.lanes if z == 1} | growth.approaches(rng)
     try:
         grid = spread(design, size.area, stock, rng, taken, clear)
     except InputError:
         return None
+    if not _slopes_get_there(growth.steps, grid):
+        return None
     return DrawnStart(grid, design, tuple(growth.steps), len(kept))
+
+
+def _slopes_get_there(steps: Sequence[Cell | Ramp], grid: Grid) -> bool:
+    """Return whether each slope of a start can be carried to each ramp, in the order of steps, past all other things."""
+    growth = Growth.on(*grid.size[:2])
+    things: Mask = grid.kind[:, :, 1] != Kind.AIR
+    slopes = [(x, y, int(grid.yaw[x, y, 1])) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.FSLOPE).tolist()]
+    for step in steps:
+        if isinstance(step, Ramp):
+            if not all(_gets_there(slope, step, growth, things) for slope in slopes):
+                return False
+            growth.ramps.append(step)
+        else:
+            growth.heights[step[:2]] += 1
+    return True
+
+
+def _gets_there(slope: tuple[int, int, int], ramp: Ramp, growth: Growth, things: Mask) -> bool:
+    x, y, yaw = slope
+    others = things.copy()
+    others[x, y] = others[x + DIRECTIONS[yaw][0], y + DIRECTIONS[yaw][1]] = False
+    reached = np.zeros((MAX_LEVELS + 2, *things.shape, 4), np.bool_)
+    reached[1, x, y, (yaw + 2) % 4] = True
+    growth.carried(True, reached, others)
+    return bool(reached[ramp.body[2], ramp.body[0], ramp.body[1], (ramp.yaw + 2) % 4])
 
 
 def _easier(size: Size, n_cars: int) -> Size:
@@ -137,7 +167,7 @@ def _grow(size: Size, rng: np.random.Generator) -> Growth | None:
     growth = Growth.on(*size.area[:2])
     spare = size.ramps - (size.levels - 1)
     for level, blocks in enumerate(_split(size, rng), start=1):
-        if level > 1 and not growth.add_ramp(level - 1, rng):
+        if level > 1 and not growth.add_ramp(level - 1, rng, for_slopes=level < size.levels):
             return None
         # A second way up, where there is a slope for it.
         if level > 1 and spare and rng.random() < 0.5:

@@ -1,7 +1,7 @@
 """Where a car can carry a block or a folded slope, in a building of columns and ramps: a short form of the rules.
 
-A car goes in any direction as it heads, turns only where nothing is around it, and drives up a ramp facing it. Behind it
-a slope's gear takes a cell of its own, which needs no floor. Each state is [level, x, y, yaw of the car].
+A loaded car goes in any direction, turns only where nothing is around it, and drives up a ramp facing it. Behind it a
+slope's gear takes a cell of its own, which needs no floor. Each state is [level, x, y, yaw of the car].
 """
 
 from __future__ import annotations
@@ -22,7 +22,14 @@ def _is_air(heights: NDArray[np.int64], solid: NDArray[np.bool_], x: int, y: int
 
 @compiled
 def _can_turn(
-    heights: NDArray[np.int64], solid: NDArray[np.bool_], x: int, y: int, z: int, yaw: int, turn: int, slope: bool
+    heights: NDArray[np.int64],
+    solid: NDArray[np.bool_],
+    x: int,
+    y: int,
+    z: int,
+    yaw: int,
+    turn: int,
+    slope: bool,
 ) -> bool:
     for d in range(4):
         if not _is_air(heights, solid, x + dir_x(d), y + dir_y(d), z):

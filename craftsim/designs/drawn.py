@@ -42,7 +42,7 @@ class DrawnStart(DesignStart):
     """A random design with its start, and one order in which it can be built."""
 
     steps: tuple[Cell | Ramp, ...]
-    """The blocks, and the ramps with those that serve for building alone, in an order in which each can be put there."""
+    """Blocks and ramps, those too that serve for building alone, in an order in which each can be put there."""
     ramps: int
     """How many of the ramps belong to the design."""
 
@@ -62,7 +62,12 @@ def size_of(difficulty: float, rng: np.random.Generator) -> Size:
     ramps = int(np.clip(about(0, 4, 1.0), levels - 1, 4))
     while ramps >= levels and _cells(blocks, ramps) > _SHARE * _SIDE**2:
         ramps -= 1
-    sides = [(x, y) for x in range(6, _SIDE + 1) for y in range(6, _SIDE + 1) if _cells(blocks, ramps) <= _SHARE * x * y]
+    sides = [
+        (x, y)
+        for x in range(6, _SIDE + 1)
+        for y in range(6, _SIDE + 1)
+        if _cells(blocks, ramps) <= _SHARE * x * y
+    ]
     length, width = min(sides or [(_SIDE, _SIDE)], key=lambda side: (side[0] * side[1], rng.random()))
     return Size((length, width, MAX_LEVELS), blocks, levels, ramps, about(2, 6, 1.0))
 
@@ -81,8 +86,8 @@ _BLOCKS_OF_THREE_LEVELS: Final = 9
 def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int | None = None) -> DrawnStart:
     """Draw a design that can be built, and a start to build it from.
 
-    Each block and ramp is put where a car could bring it, in the order of ``steps``, and each upper level is reached by a
-    ramp, of the design or a spare one. The things of the start lie beside the columns that the steps take.
+    Each block and ramp is put where a car could bring it, in the order of ``steps``, and each upper level is reached by
+    a ramp, of the design or a spare one. The things of the start lie beside the columns that the steps take.
 
     Args:
         rng: draws all.
@@ -123,10 +128,12 @@ def _try(size: Size, n_cars: int, rng: np.random.Generator) -> DrawnStart | None
 
 
 def _slopes_get_there(steps: Sequence[Cell | Ramp], grid: Grid) -> bool:
-    """Return whether each slope of a start can be carried to each ramp, in the order of steps, past all other things."""
+    """Return whether each slope of a start can be carried to each ramp, in the order of steps, past all else."""
     growth = Growth.on(*grid.size[:2])
     things: Mask = grid.kind[:, :, 1] != Kind.AIR
-    slopes = [(x, y, int(grid.yaw[x, y, 1])) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.FSLOPE).tolist()]
+    slopes = [
+        (x, y, int(grid.yaw[x, y, 1])) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.FSLOPE).tolist()
+    ]
     for step in steps:
         if isinstance(step, Ramp):
             if not all(_gets_there(slope, step, growth, things) for slope in slopes):

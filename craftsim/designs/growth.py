@@ -1,8 +1,8 @@
 """Buildings that grow at random, block by block and ramp by ramp, each step one that a car could make just then.
 
-A building is a map of heights, since nothing floats, and ramps. Loads come from the floor, and the floor that stays free
-is in one piece all the time. An unloaded car also drives under blocks, so that who has set down a block, or unfolded a
-slope, gets away below what stands there.
+A building is a map of heights, since nothing floats, and ramps. Loads come from the floor, and the floor that stays
+free is in one piece all the time. An unloaded car also drives under blocks, so that who has set down a block, or
+unfolded a slope, gets away below what stands there.
 """
 
 from __future__ import annotations
@@ -81,7 +81,9 @@ class Growth:
                 found[ramp.body[2], x, y] = True
         return found
 
-    def carried(self, slope: bool, reached: NDArray[np.bool_], things: Mask | None = None) -> NDArray[np.bool_]:
+    def carried(
+        self, slope: bool, reached: NDArray[np.bool_], things: Mask | None = None
+    ) -> NDArray[np.bool_]:
         """Set and return (MAX_LEVELS + 2, L, W, 4): where and how heading a car carries a load from there.
 
         ``things`` (L, W) are on the floor beside the building.
@@ -137,7 +139,7 @@ class Growth:
         return False
 
     def approaches(self, rng: np.random.Generator) -> set[Column]:
-        """Return columns of the floor that stay free, so that from one beside it each block of the floor was brought."""
+        """Return columns of the floor to be kept free: beside each block of the floor is one to bring it from."""
         final, built, found = self.heights > 0, np.zeros(self.heights.shape, np.bool_), set[Column]()
         for x, y, z in (step for step in self.steps if not isinstance(step, Ramp)):
             built[x, y] = True
@@ -209,7 +211,9 @@ class Growth:
             return False
         for other in self.ramps:
             # A slope is not unfolded onto a landing, and no block or ramp blocks the way to another.
-            if {*ramp.columns[:2]} & {*other.columns, other.column(-1)} or ramp.column(2) in other.columns[:2]:
+            if {*ramp.columns[:2]} & {*other.columns, other.column(-1)} or ramp.column(2) in other.columns[
+                :2
+            ]:
                 return False
             # A goal file tells a slope's yaw by the foot beside its body.
             if other.body[2] == level and (

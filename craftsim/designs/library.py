@@ -37,9 +37,11 @@ def ring(length: int = 5, width: int = 5, height: int = 1) -> Design:
 
 
 def house(length: int = 5, width: int = 5, height: int = 2) -> Design:
-    """Return the four walls of a house with a door of one cell in the front, which is open above as all openings are."""
+    """Return the four walls of a house with a door of one cell in the front; as all openings it has none above it."""
     _at_least("house", 3, length=length, width=width)
-    return Design.of("house", (cell for cell in _around(length, width, height) if cell[:2] != (length // 2, 0)))
+    return Design.of(
+        "house", (cell for cell in _around(length, width, height) if cell[:2] != (length // 2, 0))
+    )
 
 
 def arch(span: int = 3, rise: int = 4, height: int = 1) -> Design:
@@ -94,7 +96,9 @@ def letters(text: str, height: int = 1) -> Design:
         found = f"no '{unknown[0]}'" if unknown else "no text"
         raise InputError(f"letters: there is {found}; allowed: A to Z, 0 to 9 and blanks, such as --text CAR")
     if len(text) * (WIDTH + 1) > DESIGN_SIDE.high:
-        raise InputError(f"letters: {len(text)} letters; allowed: at most {int(DESIGN_SIDE.high) // (WIDTH + 1)}")
+        raise InputError(
+            f"letters: {len(text)} letters; allowed: at most {int(DESIGN_SIDE.high) // (WIDTH + 1)}"
+        )
     return Design.of(
         "letters",
         (
@@ -152,9 +156,7 @@ def _box(length: int, width: int, height: int) -> Iterator[Cell]:
 
 def _around(length: int, width: int, height: int) -> Iterator[Cell]:
     return (
-        (x, y, z)
-        for x, y, z in _box(length, width, height)
-        if x in (0, length - 1) or y in (0, width - 1)
+        (x, y, z) for x, y, z in _box(length, width, height) if x in (0, length - 1) or y in (0, width - 1)
     )
 
 

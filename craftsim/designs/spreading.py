@@ -20,7 +20,7 @@ _AROUND: Final = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (
 """The eight neighbours in a circle; those with an edge in common are the even ones."""
 
 
-class Floor:
+class FreeFloor:
     """A floor on which things take cells."""
 
     def __init__(self, free: NDArray[np.bool_]) -> None:
@@ -48,13 +48,13 @@ class Floor:
     def neighbours(self) -> NDArray[np.int64]:
         """Return (L, W): how many of the four cells beside each are free."""
         length, width = self.free.shape
-        return sum(
-            (self._free[1 + dx : 1 + dx + length, 1 + dy : 1 + dy + width] for dx, dy in DIRECTIONS.tolist()),
-            np.zeros(self.free.shape, np.int64),
-        )
+        found = np.zeros(self.free.shape, np.int64)
+        for dx, dy in DIRECTIONS.tolist():
+            found += self._free[1 + dx : 1 + dx + length, 1 + dy : 1 + dy + width]
+        return found
 
     def take(self, *columns: Column) -> bool:
-        """Take cells for one thing, the first of which a car must get at; return whether it could be, else take none."""
+        """Take cells for one thing, the first of which a car must get at; return whether that was possible."""
         taken: list[Column] = []
         for column in columns:
             if not self._can_go(column):
@@ -75,9 +75,7 @@ class Floor:
             return False
         circle = [bool(self._free[x + dx, y + dy]) for dx, dy in _AROUND]
         # A free neighbour begins a new piece where the way back around the circle to the last one is not free.
-        pieces = sum(
-            circle[i] and not (circle[i - 1] and circle[i - 2]) for i in range(0, 8, 2)
-        )
+        pieces = sum(circle[i] and not (circle[i - 1] and circle[i - 2]) for i in range(0, 8, 2))
         return pieces <= 1 and any(circle[::2])
 
     def _leaves_touched(self, column: Column) -> bool:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.designs.spreading import Column, Floor
+from craftsim.designs.spreading import Column, FreeFloor
 from craftsim.discrete.files.blueprint import MAX_CELLS, MAX_SIDE
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
@@ -82,9 +82,7 @@ def make_start(
     Raises InputError, with what would do, where there is no room.
     """
     extent = design.size
-    stock = Stock.of(
-        design, n_cars, spare_blocks, _needed(design) if spare_slopes is None else spare_slopes
-    )
+    stock = Stock.of(design, n_cars, spare_blocks, _needed(design) if spare_slopes is None else spare_slopes)
     if size is None:
         size = _roomy(extent, margin, stock)
     check_size(size, n_cars)
@@ -129,7 +127,7 @@ def spread(
     for column in [*(target.cell[:2] for target in design.targets), *taken, *(wall[:2] for wall in walls)]:
         free[column] = False
     for i in range(_TRIES):
-        grid, floor = Grid.empty(size, stock.cars), Floor(_outside(free))
+        grid, floor = Grid.empty(size, stock.cars), FreeFloor(_outside(free))
         for cell in walls:
             grid.kind[cell] = Kind.WALL
         for column in clear:
@@ -156,7 +154,7 @@ def _outside(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return outside
 
 
-def _put(grid: Grid, floor: Floor, stock: Stock, rng: np.random.Generator, dense: bool) -> bool:
+def _put(grid: Grid, floor: FreeFloor, stock: Stock, rng: np.random.Generator, dense: bool) -> bool:
     """Put things on a floor; return whether all found room."""
     if stock.slopes:
         places = floor.turning_places()
@@ -189,7 +187,7 @@ def _put(grid: Grid, floor: Floor, stock: Stock, rng: np.random.Generator, dense
     return True
 
 
-def _put_slope(grid: Grid, floor: Floor, cell: Cell, yaw: int) -> bool:
+def _put_slope(grid: Grid, floor: FreeFloor, cell: Cell, yaw: int) -> bool:
     """Put a folded slope where there is room for it, its gear and the car that backs into it."""
     gear, behind = beside(cell, yaw), beside(cell, yaw + 2)
     inside = all(0 <= x < n for one in (gear, behind) for x, n in zip(one[:2], floor.free.shape, strict=True))

@@ -49,6 +49,8 @@ RUN: Final = Limits("run file", 4096 * MIB, 4096 * MIB, members=1024)
 REPORT: Final = _plain("report.json", 64 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
 LOG: Final = _plain("log", 64 * MIB, line_bytes=4 * KIB)
+PICTURE: Final = _plain("picture of a level", MIB)
+MESH: Final = _plain("mesh", 8 * MIB)
 BAG: Final = Limits("ROS 2 bag", 256 * MIB, 1024 * MIB)
 
 JSON_VALUES: Final = 200_000
@@ -57,6 +59,8 @@ YAML_VALUES: Final = 40_000
 """Values in a YAML file, lists and mappings included; so many a world may also make when it is written out."""
 DESIGN_CELLS: Final = 4000
 """Of a design: as many as a goal file can list."""
+MESH_PIECES: Final = 2_000_000
+"""Of half a cell, into which a mesh is divided for its voxels."""
 YAML_DEPTH: Final = 8
 """Levels of lists and mappings in a YAML file."""
 
@@ -117,6 +121,8 @@ ALL: Final = (
     REPORT,
     TABLE,
     LOG,
+    PICTURE,
+    MESH,
     BAG,
 )
 

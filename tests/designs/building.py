@@ -1,4 +1,4 @@
-"""One car builds a design in a given order by the physical rules: a witness that it can be built, and no plan to follow.
+"""One car builds a design in a given order by the physical rules: a witness that it can be built.
 
 Each thing is fetched from where a search over the car's poses finds one that it can bring. Nothing is moved aside, and
 other cars are left out.
@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-
-import numpy as np
 
 from craftsim.designs.growth import Ramp
 from craftsim.discrete.actions import Action
@@ -48,7 +46,7 @@ def do(grid: Grid, *actions: Action) -> bool:
 
 
 def bring(grid: Grid, step: Cell | Ramp, done: set[Cell]) -> Grid | None:
-    """Return the world after car 0 has put a block, or a slope that it unfolds, where a step says; None if it cannot."""
+    """Return the world after car 0 has put a block, or a slope that it unfolds, where a step says, or None."""
     slope = isinstance(step, Ramp)
     kind = Kind.FSLOPE if slope else Kind.BLOCK
     for pose in poses(grid):

@@ -70,7 +70,9 @@ class Design:
         for target in targets:
             x, y, z = target.cell
             if not (0 <= x < MAX_SIDE and 0 <= y < MAX_SIDE and 1 <= z <= MAX_SIDE):
-                source.fail(None, f"cell {target.cell} is outside of the largest area, {MAX_SIDE} cells a side")
+                source.fail(
+                    None, f"cell {target.cell} is outside of the largest area, {MAX_SIDE} cells a side"
+                )
             if target.cell in taken:
                 source.fail(None, f"two things in the cell {target.cell}; allowed: one")
             taken.add(target.cell)
@@ -78,7 +80,10 @@ class Design:
         for cell, yaw in slopes:
             if design.body_yaw(cell) != yaw:
                 other = beside(cell, design.body_yaw(cell))
-                source.fail(None, f"the body {cell} has another slope's foot beside it, {other}, as a file would read it")
+                source.fail(
+                    None,
+                    f"the body {cell} has another slope's foot beside it, {other}, as a file would read it",
+                )
         return design
 
     @property

@@ -60,8 +60,9 @@ def size_of(difficulty: float, rng: np.random.Generator) -> Size:
     if levels == 3 and blocks < _BLOCKS_OF_THREE_LEVELS:
         levels = 2
     ramps = int(np.clip(about(0, 4, 1.0), levels - 1, 4))
-    while ramps >= levels and _cells(blocks, ramps) > _SHARE * _SIDE**2:
-        ramps -= 1
+    while _cells(blocks, ramps) > _SHARE * _SIDE**2 and (ramps >= levels or blocks > _BLOCKS_OF_THREE_LEVELS):
+        fewer_ramps = ramps >= levels and (blocks <= _BLOCKS_OF_THREE_LEVELS or rng.random() < 0.4)
+        ramps, blocks = (ramps - 1, blocks) if fewer_ramps else (ramps, blocks - 1)
     sides = [
         (x, y)
         for x in range(6, _SIDE + 1)

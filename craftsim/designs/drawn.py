@@ -18,6 +18,8 @@ from craftsim.storage.limits import SHARE
 
 _TRIES: Final = 12
 """At one size."""
+_GROWTHS: Final = 10
+"""Beginnings of a building until one comes to no dead end."""
 _SIDE: Final = 8
 """Of the largest area."""
 _COMPACT: Final = {1: 0.2, 2: 0.5, 3: 0.9}
@@ -78,7 +80,7 @@ def _cells(blocks: int, ramps: int) -> float:
     return 1.8 * blocks + 5 * ramps
 
 
-_SHARE: Final = 0.55
+_SHARE: Final = 0.62
 """Of the floor that these take at most."""
 _BLOCKS_OF_THREE_LEVELS: Final = 9
 """A landing, and what a ramp to it and a way around that take."""
@@ -104,12 +106,12 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
             found = _try(size, cars, rng)
             if found is not None:
                 return found
-        size = _easier(size, cars)
+        size = _easier(size, cars, rng)
 
 
 def _try(size: Size, n_cars: int, rng: np.random.Generator) -> DrawnStart | None:
     """Return a start of a size, or None where the building, or its things beside it, found no room."""
-    growth = _grow(size, rng)
+    growth = next(filter(None, (_grow(size, rng) for _ in range(_GROWTHS))), None)
     if growth is None:
         return None
     kept = [ramp for ramp in growth.ramps if rng.random() < _KEPT]
@@ -119,18 +121,17 @@ def _try(size: Size, n_cars: int, rng: np.random.Generator) -> DrawnStart | None
     taken = {column for ramp in growth.ramps for column in ramp.columns[:2]}
     clear = {ramp.column(2) for ramp in growth.ramps if ramp.body[2] == 1}
     clear |= {(x, y) for x, y, z in growth.lanes if z == 1} | growth.approaches(rng)
+    fits = (lambda grid: _slopes_get_there(growth.steps, grid)) if growth.ramps else None
     try:
-        grid = spread(design, size.area, stock, rng, taken, clear)
+        grid = spread(design, size.area, stock, rng, taken, clear, fits=fits)
     except InputError:
-        return None
-    if not _slopes_get_there(growth.steps, grid):
         return None
     return DrawnStart(grid, design, tuple(growth.steps), len(kept))
 
 
 def _slopes_get_there(steps: Sequence[Cell | Ramp], grid: Grid) -> bool:
     """Return whether each slope of a start can be carried to each ramp, in the order of steps, past all else."""
-    growth = Growth.on(*grid.size[:2])
+    growth = Growth(np.zeros(grid.size[:2], np.int64), np.ones(grid.size[:2], np.bool_))
     things: Mask = grid.kind[:, :, 1] != Kind.AIR
     slopes = [
         (x, y, int(grid.yaw[x, y, 1])) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.FSLOPE).tolist()
@@ -155,13 +156,13 @@ def _gets_there(slope: tuple[int, int, int], ramp: Ramp, growth: Growth, things:
     return bool(reached[ramp.body[2], ramp.body[0], ramp.body[1], (ramp.yaw + 2) % 4])
 
 
-def _easier(size: Size, n_cars: int) -> Size:
+def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
     """Return a size that has more room: a larger area, or where there is none, fewer ramps, or fewer blocks."""
     length, width, height = size.area
     if min(length, width) < _SIDE:
         length, width = (length + 1, width) if length < width else (length, width + 1)
         return replace(size, area=(length, width, height))
-    if size.ramps >= size.levels:
+    if size.ramps >= size.levels and (size.blocks <= _BLOCKS_OF_THREE_LEVELS or rng.random() < 0.5):
         return replace(size, ramps=size.ramps - 1)
     if size.levels == 3 and size.blocks == _BLOCKS_OF_THREE_LEVELS:
         return replace(size, levels=2, ramps=1)
@@ -172,7 +173,7 @@ def _easier(size: Size, n_cars: int) -> Size:
 
 def _grow(size: Size, rng: np.random.Generator) -> Growth | None:
     """Return a building of a size, or None where it has come to a dead end."""
-    growth = Growth.on(*size.area[:2])
+    growth = Growth.on(*size.area[:2], rng)
     spare = size.ramps - (size.levels - 1)
     for level, blocks in enumerate(_split(size, rng), start=1):
         if level > 1 and not growth.add_ramp(level - 1, rng, for_slopes=level < size.levels):

@@ -62,6 +62,8 @@ class Growth:
 
     heights: NDArray[np.int64]
     """(L, W): blocks in each column."""
+    site: Mask
+    """(L, W): where blocks are put on the floor."""
     ramps: list[Ramp] = field(default_factory=list)
     steps: list[Cell | Ramp] = field(default_factory=list)
     """The blocks and ramps in the order in which they were put there."""
@@ -69,9 +71,17 @@ class Growth:
     """Cells that stay free, since gears of carried slopes pass there."""
 
     @classmethod
-    def on(cls, length: int, width: int) -> Growth:
-        """Begin with a bare floor."""
-        return cls(np.zeros((length, width), np.int64))
+    def on(cls, length: int, width: int, rng: np.random.Generator) -> Growth:
+        """Begin with a bare floor; a border of it, and a strip on one side, stay so."""
+        site = np.zeros((length, width), np.bool_)
+        begin, end = [1, 1], [length - 1, width - 1]
+        axis, strip = int(rng.integers(2)), 1 + min(2, min(length, width) - 5)
+        if rng.random() < 0.5:
+            begin[axis] = strip
+        else:
+            end[axis] -= strip - 1
+        site[begin[0] : end[0], begin[1] : end[1]] = True
+        return cls(np.zeros((length, width), np.int64), site)
 
     def solid(self) -> NDArray[np.bool_]:
         """Return (MAX_LEVELS + 2, L, W): the cells of bodies and feet by level."""
@@ -162,7 +172,7 @@ class Growth:
         for x, y, z in self.lanes:
             places[x, y] &= level < z
         if level == 1:
-            places[[0, -1]] = places[:, [0, -1]] = False
+            places &= self.site
         return places
 
     def cap_landing(self, level: int, rng: np.random.Generator) -> bool:

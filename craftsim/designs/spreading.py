@@ -68,6 +68,12 @@ class FreeFloor:
             self._free[x + 1, y + 1] = True
         return False
 
+    def give_back(self, *columns: Column) -> None:
+        """Free the cells of a thing again that were taken last."""
+        for x, y in columns:
+            self._free[x + 1, y + 1] = True
+            self._things[x + 1, y + 1] = False
+
     def _can_go(self, column: Column) -> bool:
         """Return whether a cell is free, not kept, and no bridge between parts of the free floor."""
         x, y = column[0] + 1, column[1] + 1

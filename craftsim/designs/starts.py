@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,7 +19,7 @@ from craftsim.storage.limits import DESIGN_CELLS
 
 MARGIN: Final = 3
 """Free cells around a building, unless said otherwise: a ramp takes two, and a car comes from the third."""
-_TRIES: Final = 8
+_TRIES: Final = 4
 _SHARE: Final = 0.4
 """Of the free floor that things take at most where the size is to be found."""
 
@@ -105,6 +105,7 @@ def spread(
     taken: Collection[Column] = (),
     clear: Collection[Column] = (),
     walls: Collection[Cell] = (),
+    fits: Callable[[Grid], bool] | None = None,
 ) -> Grid:
     """Return a world with things spread on the floor beside a design's columns.
 
@@ -116,6 +117,8 @@ def spread(
         taken: columns that are left to other parts of the building, such as ramps that serve for building alone.
         clear: columns of the free floor that nothing is put on.
         walls: cells of walls.
+        fits: whether slopes can be carried where they are to go, asked of each world in the making; unless given, a place
+            is kept free where a car can turn with one.
 
     Raises InputError where there is no room.
     """
@@ -133,7 +136,9 @@ def spread(
         for column in clear:
             floor.keep(column)
         # At random as long as there is room for it, then close together.
-        if _put(grid, floor, stock, rng, dense=i >= _TRIES // 2):
+        if stock.slopes and fits is None and not _keep_turning_place(floor, rng):
+            break
+        if _put(grid, floor, stock, rng, dense=i >= _TRIES // 2, fits=fits):
             grid.derive_marks()
             return grid
     raise InputError(
@@ -154,16 +159,27 @@ def _outside(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return outside
 
 
-def _put(grid: Grid, floor: FreeFloor, stock: Stock, rng: np.random.Generator, dense: bool) -> bool:
+def _keep_turning_place(floor: FreeFloor, rng: np.random.Generator) -> bool:
+    """Keep the cells free where a car can turn with a slope; return whether there are such."""
+    places = floor.turning_places()
+    if not len(places):
+        return False
+    x, y = places[rng.integers(len(places))].tolist()
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):
+            floor.keep((x + dx, y + dy))
+    return True
+
+
+def _put(
+    grid: Grid,
+    floor: FreeFloor,
+    stock: Stock,
+    rng: np.random.Generator,
+    dense: bool,
+    fits: Callable[[Grid], bool] | None,
+) -> bool:
     """Put things on a floor; return whether all found room."""
-    if stock.slopes:
-        places = floor.turning_places()
-        if not len(places):
-            return False
-        x, y = places[rng.integers(len(places))].tolist()
-        for dx in (-1, 0, 1):
-            for dy in (-1, 0, 1):
-                floor.keep((x + dx, y + dy))
     slopes, blocks = stock.slopes, stock.blocks
     while slopes + blocks:
         before = slopes + blocks
@@ -172,11 +188,10 @@ def _put(grid: Grid, floor: FreeFloor, stock: Stock, rng: np.random.Generator, d
             order = order[np.argsort(floor.neighbours().ravel()[order // 4], kind="stable")]
         for index in order.tolist():
             cell = (*divmod(index // 4, floor.free.shape[1]), 1)
-            if slopes:
-                slopes -= _put_slope(grid, floor, cell, index % 4)
-            elif blocks and floor.take(cell[:2]):
-                grid.kind[cell] = Kind.BLOCK
-                blocks -= 1
+            yaw = index % 4 if slopes else None
+            if not (slopes or blocks) or not _put_thing(grid, floor, cell, yaw, fits):
+                continue
+            slopes, blocks = (slopes - 1, blocks) if slopes else (0, blocks - 1)
         if slopes + blocks == before:
             return False
     places = rng.permutation(np.argwhere(floor.free))
@@ -187,15 +202,29 @@ def _put(grid: Grid, floor: FreeFloor, stock: Stock, rng: np.random.Generator, d
     return True
 
 
-def _put_slope(grid: Grid, floor: FreeFloor, cell: Cell, yaw: int) -> bool:
-    """Put a folded slope where there is room for it, its gear and the car that backs into it."""
-    gear, behind = beside(cell, yaw), beside(cell, yaw + 2)
-    inside = all(0 <= x < n for one in (gear, behind) for x, n in zip(one[:2], floor.free.shape, strict=True))
-    if not inside or not floor.free[behind[:2]] or not floor.take(cell[:2], gear[:2]):
+def _put_thing(
+    grid: Grid, floor: FreeFloor, cell: Cell, yaw: int | None, fits: Callable[[Grid], bool] | None
+) -> bool:
+    """Put a block, or with a yaw a folded slope, where there is room for all of it and the car that backs into it."""
+    if yaw is None:
+        parts, behind = {cell: Kind.BLOCK}, None
+    else:
+        parts, behind = {cell: Kind.FSLOPE, beside(cell, yaw): Kind.GEAR}, beside(cell, yaw + 2)
+        within = (one[:2] for one in (*parts, behind))
+        if not all(0 <= x < floor.free.shape[0] and 0 <= y < floor.free.shape[1] for x, y in within):
+            return False
+    columns = [part[:2] for part in parts]
+    if (behind is not None and not floor.free[behind[:2]]) or not floor.take(*columns):
         return False
-    floor.keep(behind[:2])
-    grid.kind[cell], grid.yaw[cell] = Kind.FSLOPE, yaw
-    grid.kind[gear], grid.yaw[gear] = Kind.GEAR, yaw
+    for part, kind in parts.items():
+        grid.kind[part], grid.yaw[part] = kind, yaw or 0
+    if fits is not None and not fits(grid):
+        for part in parts:
+            grid.kind[part], grid.yaw[part] = Kind.AIR, 0
+        floor.give_back(*columns)
+        return False
+    if behind is not None:
+        floor.keep(behind[:2])
     return True
 
 

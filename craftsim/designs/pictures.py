@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from craftsim.discrete.files.blueprint import MAX_SIDE
 from craftsim.discrete.files.design import Design
@@ -19,6 +21,7 @@ from craftsim.storage.reading import read_bytes
 _HEAD: Final = struct.Struct(">8s4x4sII")
 """Signature, name of the first chunk, width and height."""
 _SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+_DEEP_WHITE: Final = 0xFFFF
 _NAMED: Final = 8
 """Floating cells that an error names."""
 
@@ -64,19 +67,15 @@ def _read(path: Path) -> NDArray[np.bool_]:
         raise InputError(
             f"{path}: {width} x {height} pixels; allowed: 1 to {MAX_SIDE} each way, one for each cell"
         )
-    import cv2
-
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
-    if pixels is None:
-        raise InputError(f"{path}: damaged: its pixels cannot be read")
-    pixels = np.asarray(pixels).reshape(*pixels.shape[:2], -1)
-    most = 0xFFFF if pixels.dtype == np.uint16 else 0xFF
-    channels = pixels.shape[2]
-    colours = pixels[..., : channels - (channels in (2, 4))]
-    solid: NDArray[np.bool_] = (colours != most).any(axis=2)
-    if channels in (2, 4):
-        solid &= pixels[..., -1] > 0
-    return np.ascontiguousarray(solid[::-1].T)
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            if image.size != (width, height):
+                raise ValueError("sides that differ from those it begins with")
+            deep = image.mode.startswith("I")
+            pixels = np.asarray(image if deep else image.convert("RGBA"))
+    # Whatever a parser of others raises for a file that is none.
+    except Exception as error:
+        raise InputError(f"{path}: damaged: {str(error)[:200] or type(error).__name__}") from None
+    # What has 16 bits a pixel is grey and opaque.
+    white = pixels == _DEEP_WHITE if deep else (pixels[..., :3] == 0xFF).all(axis=2) | (pixels[..., 3] == 0)
+    return np.ascontiguousarray(~white[::-1].T)

@@ -117,8 +117,8 @@ def spread(
         taken: columns that are left to other parts of the building, such as ramps that serve for building alone.
         clear: columns of the free floor that nothing is put on.
         walls: cells of walls.
-        fits: whether slopes can be carried where they are to go, asked of each world in the making; unless given, a place
-            is kept free where a car can turn with one.
+        fits: whether slopes can be carried where they are to go, asked of each world in the making; unless given, a
+            place is kept free where a car can turn with one.
 
     Raises InputError where there is no room.
     """
@@ -179,19 +179,20 @@ def _put(
     dense: bool,
     fits: Callable[[Grid], bool] | None,
 ) -> bool:
-    """Put things on a floor; return whether all found room."""
+    """Put things on a floor, slopes first; return whether all found room."""
     slopes, blocks = stock.slopes, stock.blocks
     while slopes + blocks:
         before = slopes + blocks
-        order = rng.permutation(4 * floor.free.size)
+        order = rng.permutation(floor.free.size)
         if dense:
-            order = order[np.argsort(floor.neighbours().ravel()[order // 4], kind="stable")]
+            order = order[np.argsort(floor.neighbours().ravel()[order], kind="stable")]
         for index in order.tolist():
-            cell = (*divmod(index // 4, floor.free.shape[1]), 1)
-            yaw = index % 4 if slopes else None
-            if not (slopes or blocks) or not _put_thing(grid, floor, cell, yaw, fits):
-                continue
-            slopes, blocks = (slopes - 1, blocks) if slopes else (0, blocks - 1)
+            cell = (*divmod(index, floor.free.shape[1]), 1)
+            if slopes:
+                yaws = rng.permutation(4).tolist()
+                slopes -= any(_put_thing(grid, floor, cell, yaw, fits) for yaw in yaws)
+            elif blocks:
+                blocks -= _put_thing(grid, floor, cell, None, fits)
         if slopes + blocks == before:
             return False
     places = rng.permutation(np.argwhere(floor.free))

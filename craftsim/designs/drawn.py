@@ -101,6 +101,8 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
     """
     size = size_of(difficulty, rng)
     cars = size.cars if n_cars is None else n_cars
+    if cars > _SIDE**2:
+        raise InputError(f"{cars} cars have no room in a random design; allowed: fewer than {_SIDE**2}")
     while True:
         for _ in range(_TRIES):
             found = _try(size, cars, rng)

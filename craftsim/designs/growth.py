@@ -163,7 +163,7 @@ class Growth:
         return found
 
     def _places(self, level: int) -> Mask:
-        """Return (L, W): the columns that can take a block, none of which a ramp needs or borders of the area."""
+        """Return (L, W): the columns that can take a block, and that no ramp needs."""
         places = self.reach(level) & (self.heights == level - 1)
         for ramp in self.ramps:
             # The block behind a body is landed on, so that it bears none but the last of its level.

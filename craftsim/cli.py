@@ -41,6 +41,7 @@ COMMANDS: Final[dict[str, str]] = {
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",
     "bench": "Measure how fast rules, environments and workers are.",
+    "design": "Write a design and its start: library, picture, mesh, random.",
     "show": "Show a world as coloured text, and as a picture with --out.",
     "doctor": "Say what works on this machine, and what fixes what does not.",
 }

@@ -136,10 +136,8 @@ class Crew:
     ) -> int | None:
         """Plan a job; return None if all is well, the tick of a conflict, or -1 if there is no way."""
         tick = self.ready[car]
-        if job.stays:
-            tick = self._turn_over(car, job, tick, not_before)
-        else:
-            tick = self._carry(car, job, tick, not_before)
+        bring = self._turn_over if job.stays else self._carry
+        tick = bring(car, job, tick, not_before)
         if tick < 0:
             return -1
         self.ready[car] = tick

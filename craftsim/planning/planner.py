@@ -244,10 +244,10 @@ class _Search:
             if upper and not self.n_slopes:
                 return f"no plan: {upper[0].cell} is above the floor, and there is no slope to drive up"
             return (
-                "no plan: no order was found in which everything can be put to its place: some place cannot be reached by "
-                "a car with its load, whatever is built first; try more slopes, or more free floor around"
+                "no plan: no order was found in which everything can be put to its place: some place cannot be "
+                "reached by a car with its load, whatever is built first; try more slopes, or more free floor around"
             )
         return (
-            f"no plan found in {rounds} attempts, though there is an order to build in: cars or things cannot be reached, or have "
-            "no room to get by; try fewer cars, a larger area or another seed"
+            f"no plan found in {rounds} attempts, though there is an order to build in: things cannot be reached, or "
+            "cars have no room to get by; try fewer cars, a larger area or another seed"
         )

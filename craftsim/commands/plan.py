@@ -36,8 +36,8 @@ def plan(
 
     Args:
         start: start file, or the name of a task such as simple_two_story.
-        goal: goal file; that of a task unless given. Without one the flag goes to the goal of the start file, or all blocks
-            become one platform.
+        goal: goal file; that of a task unless given. Without one the flag goes to the goal of the start file, or all
+            blocks become one platform.
         objective: what is to be small: the time until all is done, or the sum of all actions' durations.
         time_s: no attempt begins after so many seconds, once there is a plan.
         rounds: attempts at most; with the same seed and enough time, the same plan.

@@ -1,9 +1,9 @@
 """In which order a building can be put up: found backwards, by taking the finished one apart.
 
-A step puts a thing to its place, or takes a ramp away that served only for building. It is possible if a car that comes from
-free floor can do it in the world as it is then, by the rules: drive there with its load, set it down, and get out. What
-can come last in a building can be taken from it first; whoever takes one thing after the other until nothing is left has
-the order, backwards. Where nothing can be taken a ramp is missing, and one is put there.
+A step puts a thing to its place, or takes a ramp away that served only for building. It is possible if a car that
+comes from free floor can do it in the world as it is then, by the rules: drive there with its load, set it down, and
+get out. What can come last in a building can be taken from it first; whoever takes one thing after the other until
+nothing is left has the order, backwards. Where nothing can be taken a ramp is missing, and one is put there.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Assembly:
     def _make_ways(self, state: State, load: Kind) -> tuple[Ways, Nodes]:
         grid = self.grid(state)
         ways = Ways(grid, self.rules, load)
-        return ways, ways.from_nodes(_outside(grid, ways))
+        return ways, ways.from_nodes(_outside(grid, ways, load))
 
     def possible(self, state: State, step: Step) -> bool:
         """Return whether a step can be made by a car that comes from free floor and goes back there."""
@@ -104,21 +104,27 @@ class Assembly:
     def _gets_out(self, state: State, nodes: list[int], load: Kind = Kind.AIR) -> bool:
         ways, _ = self._ways(state, load)
         distances = ways.from_nodes(nodes)
-        return bool((distances[_outside(self.grid(state), ways)] < FAR).any())
+        return bool((distances[_outside(self.grid(state), ways, load)] < FAR).any())
 
 
-def _outside(grid: Grid, ways: Ways) -> list[int]:
-    """Return all states on the largest free piece of floor."""
+def _outside(grid: Grid, ways: Ways, load: Kind) -> list[int]:
+    """Return all states of a car on the largest free piece of floor; the gear of its load is there, too."""
     free = (grid.kind[:, :, 1] == Kind.AIR).astype(np.uint8)
     n_pieces, pieces = cv2.connectedComponents(free, connectivity=4)
     if n_pieces < 2:
         return []
     largest = 1 + int(np.argmax(np.bincount(pieces.ravel(), minlength=n_pieces)[1:]))
-    return [ways.node((x, y, 1), yaw) for x, y in np.argwhere(pieces == largest).tolist() for yaw in range(4)]
+    cells = {(x, y, 1) for x, y in np.argwhere(pieces == largest).tolist()}
+    return [
+        ways.node(cell, yaw)
+        for cell in sorted(cells)
+        for yaw in range(4)
+        if load != Kind.FSLOPE or beside(cell, yaw + 2) in cells
+    ]
 
 
 def has_room(grid: Grid, rules: Rules, thing: Thing) -> bool:
-    """Return whether a thing can stand in its place: it is free, in the area and borne, and the rules let a car act there."""
+    """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
     cells = thing.cells if thing.kind == Kind.BODY else thing.cells[:1]
     for cell in cells:
         inside = all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))

@@ -161,8 +161,13 @@ class Building:
                 loaded[load] = Ways(grid, self.assembly.rules, load)
             onward = loaded[load].to_nodes(_nodes_at(loaded[load], target))
             for source in [step.thing] if step.taken else sources.get(load, []):
+                rest = taken_out(grid, [source])
                 far = _onward(onward, walking, grid, source)
-                if far >= FAR or not has_room(taken_out(grid, [source]), self.assembly.rules, target):
+                if load == Kind.FSLOPE:
+                    # It stands in two cells, and can only be driven out of in one direction: so exactly.
+                    ways = Ways(rest, self.assembly.rules, load)
+                    far = _nearest(ways.to_nodes(_nodes_at(ways, target)), ways, source)
+                if far >= FAR or not has_room(rest, self.assembly.rules, target):
                     continue
                 swings = (source.kind == Kind.BODY) + (target.kind == Kind.BODY)
                 for car in self._cars:
@@ -325,15 +330,18 @@ class Building:
         distances = ways.to_nodes(_nodes_at(ways, target))
         walking = Ways(rest, self.assembly.rules)
         reached = np.min([self._distances(walking, car) for car in self._cars], axis=0)
-        left = [
-            thing for thing in things_in(rest) if thing not in self._standing and thing.load == target.load
-        ]
-        if not left:
-            return bool((distances < FAR).sum() > 4)
-        return any(
-            _onward(distances, ways, rest, thing) < FAR and _nearest(reached, ways, thing) < FAR
-            for thing in left
-        ) or any(thing.load == target.load for thing in gone)
+        for thing in things_in(grid):
+            if thing in self._standing or thing.load != target.load:
+                continue
+            if thing in gone:
+                if _onward(distances, ways, rest, thing) < FAR:
+                    return True
+            else:
+                carrying = Ways(taken_out(rest, [thing]), self.assembly.rules, target.load)
+                far = _nearest(carrying.to_nodes(_nodes_at(carrying, target)), carrying, thing)
+                if far < FAR and _nearest(reached, ways, thing) < FAR:
+                    return True
+        return False
 
 
 def _nodes_at(ways: Ways, thing: Thing) -> list[int]:

@@ -1,8 +1,8 @@
 """Cars at work: each takes over one job after the other, whose whole course is planned before it is taken over.
 
-A job's path avoids what all jobs before it do. Then everything is played again by the rules: where somebody's action has
-become forbidden the new path avoids that place at that time, or the job begins later; after all others have ended it disturbs nobody. What a
-car does after its job, out of the others' way, is given up for its next one.
+A job's path avoids what all jobs before it do. Then everything is played again by the rules: where somebody's action
+has become forbidden the new path avoids that place at that time, or the job begins later; after all others have ended
+it disturbs nobody. What a car does after its job, out of the others' way, is given up for its next one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from craftsim.planning.assembly import taken_out
 from craftsim.planning.paths import WAIT, PathFinder
 from craftsim.planning.things import Thing
 from craftsim.planning.timeline import NOTHING_DONE, Timeline
-from craftsim.planning.ways import FAR, Nodes, Ways, cell_of_node
+from craftsim.planning.ways import FAR, Nodes, Ways, cell_of_node, node_number
 
 FLAP_TICKS: Final = 10
 """FOLD and UNFOLD take so many ticks longer than other actions."""
@@ -67,8 +67,7 @@ class Crew:
     def node(self, car: int, tick: int) -> int:
         """Return a car's state before a tick."""
         x, y, z, yaw = self.timeline.worlds.stack.cars[tick, car, :4].tolist()
-        length, width, height = self.size
-        return int(((x * width + y) * (height + 2) + z) * 4 + yaw)
+        return node_number(self.size, (x, y, z), yaw)
 
     def load(self, car: int) -> Kind:
         """Return what a car carries once its last job has ended."""

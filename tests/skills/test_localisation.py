@@ -186,7 +186,7 @@ def _parameters(executor: Executor) -> list:
     if executor._localiser is None:
         return []
     estimates, ages = executor._localiser._estimates, executor._localiser._ages
-    names = ("noise", "drifts", "age", "age_std", "jitter", "slip", "line_m")
+    names = ("noise", "drifts", "age", "age_std", "jitter", "slip", "cross")
     return [a.tobytes() for a in (ages, *(estimates[name] for name in names))]
 
 

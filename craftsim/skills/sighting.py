@@ -1,7 +1,7 @@
 """What a car's line sensors say of its place: a block or a slope stands in the middle of its cell, or nearly there.
 
-By how much it is beside that is estimated, too, as long as its cross is seen: however often a car looks at one cross, it
-knows its place no better than that cross has been put there. Over several crosses this averages out.
+By how much it is beside that is estimated, too, as long as its cross is seen: however often a car looks at one cross,
+it knows its place no better than that cross has been put there. Over several crosses this averages out.
 """
 
 from __future__ import annotations

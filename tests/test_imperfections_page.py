@@ -73,3 +73,18 @@ def test_other_clearances():
     ):
         assert phrase.format(_mm(figure)) in PAGE, phrase
     assert f"from {math.sqrt(GRAVITY_M_S2 * CAR.wheel_radius_m):.2f} m/s on" in PAGE
+
+
+def test_what_holds_a_car_on_a_diagonal_of_its_wheels_on_an_incline():
+    incline_rad, x, y = NOMINAL.slope.incline_rad, CAR.wheel_x_m, CAR.wheel_y_m
+    along = math.sin(incline_rad) / math.sqrt(2)
+    carried = along / CAR.roller_friction
+    aside_m = 2 * x * y / math.hypot(x, y)
+    for phrase, figure in (
+        ("incline of {:.0f} degrees", math.degrees(incline_rad)),
+        ("sqrt(2) = {:.2f} W", along),
+        ("must carry {:.2f} W", carried),
+        ("they are {:.0f} mm from the first diagonal", 1e3 * aside_m),
+        ("centre of gravity is {:.0f} mm beside it", 1e3 * carried * aside_m),
+    ):
+        assert phrase.format(figure) in PAGE, phrase

@@ -61,13 +61,23 @@ def shoved(before: Reading, predicted: Grid, car: int) -> list[int]:
 
 
 def under(before: Reading, predicted: Grid, car: int) -> list[int]:
-    """Return the objects, by their index, that a car stands and drives on, down to the ground."""
-    tops = {cell[:2]: cell[2] for cell in sorted((_cell(before.grid, car), _cell(predicted, car)))}
+    """Return the objects, by their index, that a car stands and drives on, down to the ground.
+
+    A car on the foot of a slope is in the same cell as the foot, and on the slope all the same.
+    """
+    stands = sorted((_cell(before.grid, car), _cell(predicted, car)))
+    tops = {cell[:2]: cell[2] for cell in stands}
     return [
         index
         for index, thing in enumerate(before.objects)
-        if thing.carrier is None and thing.cell[2] < tops.get(thing.cell[:2], 0)
+        if thing.carrier is None
+        and (thing.cell[2] < tops.get(thing.cell[:2], 0) or _foot(before.grid, thing.cell) in stands)
     ]
+
+
+def _foot(grid: Grid, cell: Cell) -> Cell | None:
+    """Return the cell of the foot of the unfolded slope whose body stands in a cell; None where there is none."""
+    return _parts(grid, cell)[1] if grid.kind_at(cell) == Kind.BODY else None
 
 
 def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:

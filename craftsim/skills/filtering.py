@@ -1,4 +1,4 @@
-"""A Kalman filter of six figures that takes in one scalar measurement after the other."""
+"""A Kalman filter of nine figures that takes in one scalar measurement after the other."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from craftsim.discrete.compiled import Record, compiled
 
 _OUTLIER: Final = 4.0
 """A measurement that is further off than so many standard deviations pulls no more than one that is so far off."""
-_N: Final = 6
+_N: Final = 9
 
 FILTER: Final = np.dtype(
     [
@@ -50,3 +50,12 @@ def correct(known: Record, off: float, variance: float) -> bool:
         for j in range(_N):
             covariance[i, j] -= shares[i] * shares[j] / expected
     return abs(off) <= most
+
+
+@compiled
+def forget(known: Record, k: int, variance: float) -> None:
+    """Take a figure of a FILTER to be another one from now on: 0, of this variance, whatever the others are."""
+    known.state[k] = 0.0
+    for i in range(_N):
+        known.covariance[i, k] = known.covariance[k, i] = 0.0
+    known.covariance[k, k] = variance

@@ -21,6 +21,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.compiled import Record, compiled, records
+from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.rotation import wrap
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise
@@ -29,7 +30,7 @@ from craftsim.skills.ages import WINDOW, assume_age, likeliest_age, weigh_ages
 from craftsim.skills.filtering import FILTER, correct
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import body_twist
-from craftsim.skills.sighting import sight
+from craftsim.skills.sighting import CROSS, CROSS_X, sight
 
 _OLDEST_S: Final = 0.3
 """The greatest age that is looked for, unless more is assumed."""
@@ -37,6 +38,10 @@ _COUNTS: Final = 8.0
 """The assumed noise counts as much as so many localisations at rest..."""
 _MEMORY: Final = 500.0
 """...and these as much as so many at most."""
+_ALIKE_M: Final = 0.05
+"""So far wheels slip alike: as long as two of them stand loose, or something is pushed..."""
+_LOOSE: Final = 100.0
+"""...but over a period by no more than ten times their share."""
 _STILL_M_S: Final = 0.002
 """A car that rolls slower than this rests."""
 _LEAST: Final = 1e-12
@@ -46,14 +51,16 @@ _ALIKE: Final = 100.0
 _DOUBT: Final = 0.1
 """By this share of its way an outlier makes a car doubt where it is, so that it believes one after the other."""
 _X, _Y, _HEADING, _BIAS = range(4)
-"""Places in the state: what odometry lacks of x, y and heading, and then the biases of their localisations."""
+"""Places in the state: what odometry lacks of x, y and heading, then the biases of their localisations, and then by how
+much the cross that the car looks at is beside the middle of its cell, and turned."""
 
 _ESTIMATE: Final = np.dtype(
     [
-        *((name, "f8") for name in ("period_s", "lever_m", "radius_m", "along_m", "across_m", "line_m")),
+        *((name, "f8") for name in ("period_s", "lever_m", "radius_m")),
         *((name, "f8") for name in ("slip", "jitter", "counts", "age", "age_std")),
         *((name, "i8") for name in ("begun", "n_still")),
         ("known", FILTER),
+        ("cross", CROSS),
         ("drifts", "f8", (6,)),
         *((name, "f8", (3,)) for name in ("noise", "scatter")),
     ],
@@ -86,8 +93,9 @@ class Localiser:
         self._estimates = records(n, _ESTIMATE)
         for row, car in zip(self._estimates, cars, strict=True):
             row["period_s"], row["lever_m"], row["radius_m"] = period_s, car.turn_radius_m, car.wheel_radius_m
-            row["along_m"], row["across_m"] = car.board_length_m / 2, car.board_width_m / 2
-            row["line_m"] = math.hypot(assumed.line_m, gains.placement)
+            cross, along_m, across_m = row["cross"], car.board_length_m / 2, car.board_width_m / 2
+            cross["along_m"], cross["across_m"], cross["variance"] = along_m, across_m, assumed.line_m**2
+            cross["placed"], cross["turned"] = gains.placement**2, (gains.placement / CELL_PITCH_M) ** 2
             row["slip"], row["jitter"], row["counts"] = gains.slip, assumed.jitter_s / period_s, _COUNTS
             row["age"], row["age_std"] = likeliest_age(self._ages[0])
             place, turn = gains.position_drift**2, gains.heading_drift**2
@@ -130,7 +138,7 @@ def _update(
             _start(estimate, rolled, seen, now)
         now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
         now.heading = rolled[_HEADING, 0] + state[_HEADING]
-        sight(now, estimate.known, estimate.along_m, estimate.across_m, estimate.line_m**2)
+        sight(now, estimate.known, estimate.cross)
         now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
         now.heading = wrap(rolled[_HEADING, 0] + state[_HEADING])
         now.position_std_m = math.sqrt(max(_variance(covariance, _X), _variance(covariance, _Y)))
@@ -139,9 +147,11 @@ def _update(
 
 @compiled
 def _variance(covariance: Floats, k: int) -> float:
-    """Return how well a coordinate is known, from localisations up to their bias, or below a cross altogether."""
-    both = covariance[k, k] + 2 * covariance[k, _BIAS + k] + covariance[_BIAS + k, _BIAS + k]
-    return max(0.0, min(covariance[k, k], both))
+    """Return how well a coordinate is known, from localisations up to their bias, or by a cross up to its place."""
+    own, bias, cross = covariance[k, k], _BIAS + k, CROSS_X + k
+    located = own + 2 * covariance[k, bias] + covariance[bias, bias]
+    seen = own - 2 * covariance[k, cross] + covariance[cross, cross]
+    return max(0.0, min(own, located, seen))
 
 
 @compiled
@@ -206,19 +216,20 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
     length = math.hypot(forward, left)
     covariance = estimate.known.covariance
     # A car whose heading is off goes astray.
-    for k in range(6):
+    for k in range(len(covariance)):
         covariance[_X, k] -= y * covariance[_HEADING, k]
         covariance[_Y, k] += x * covariance[_HEADING, k]
-    for k in range(6):
+    for k in range(len(covariance)):
         covariance[k, _X] -= y * covariance[k, _HEADING]
         covariance[k, _Y] += x * covariance[k, _HEADING]
     for k in range(6):
         covariance[k, k] += estimate.drifts[k]
-    # Whichever way the wheels roll, they slip in all directions.
+    # Whichever way the wheels roll, they slip in all directions, and over a while alike.
     rolled_m = length + estimate.lever_m * abs(turn)
-    covariance[_X, _X] += (slip * rolled_m) ** 2
-    covariance[_Y, _Y] += (slip * rolled_m) ** 2
-    covariance[_HEADING, _HEADING] += (slip * rolled_m / estimate.lever_m) ** 2
+    slipped = (slip * rolled_m) ** 2 * max(1.0, min(_LOOSE, _ALIKE_M / max(rolled_m, _LEAST)))
+    covariance[_X, _X] += slipped
+    covariance[_Y, _Y] += slipped
+    covariance[_HEADING, _HEADING] += slipped / estimate.lever_m**2
     still = rolled_m < _STILL_M_S * period_s
     estimate.n_still = estimate.n_still + 1 if still else 0
 

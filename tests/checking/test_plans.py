@@ -10,6 +10,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import do
 from craftsim.checking.settings import Setup, nominal_gains
+from craftsim.checking.unexpected import under
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
@@ -173,6 +174,21 @@ def test_the_listener_hears_every_change_of_what_runs():
         {1: RIGHT},
         {},
     ]
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "stands"), [(1, 2, True), (2, 1, True), (2, 3, True), (0, 1, False)]
+)
+def test_a_car_on_the_foot_of_a_slope_or_on_its_body_stands_on_that_slope(start, goal, stands):
+    """An unfolded slope with its body at x = 3 and its foot at x = 2, and a car on its way up or down, or before it."""
+
+    def yard(x):
+        levels = {2: (1, 0, 0), 3: (2, 0, 0)}.get(x, (1, 0, 0))
+        return draw((5, 1, 3), [(Kind.BODY, (3, 0, 1), 2)], [(x, 0, *levels)])
+
+    checked = set_up(yard(0), Setup())
+    reading = replace(checked.reading, grid=yard(start))
+    assert under(reading, yard(goal), 0) == ([0] if stands else [])
 
 
 def test_a_stack_that_sways_under_a_car_on_its_way_is_held_against_no_other_action():

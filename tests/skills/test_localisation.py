@@ -10,9 +10,10 @@ from craftsim.checking.settings import setup_of
 from craftsim.checking.world import Seed, set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.compiled import records
+from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.measuring import READING
-from craftsim.models.noise import EXACT, NOISY, SensorNoise
+from craftsim.models.noise import ASSUMED, EXACT, NOISY, SensorNoise
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.sensing import CarMeasurement, Sensors, measure, measurement_of, write_reading
 from craftsim.models.site import Site
@@ -186,7 +187,7 @@ def _parameters(executor: Executor) -> list:
     if executor._localiser is None:
         return []
     estimates, ages = executor._localiser._estimates, executor._localiser._ages
-    names = ("noise", "drifts", "age", "age_std", "jitter", "slip", "line_m")
+    names = ("noise", "drifts", "age", "age_std", "jitter", "slip", "cross")
     return [a.tobytes() for a in (ages, *(estimates[name] for name in names))]
 
 
@@ -262,6 +263,38 @@ def test_below_a_block_a_car_learns_the_bias_of_its_localisation_and_keeps_it(se
     assert first.heading_error_rad < 0.002
     assert second.car_error_m < 0.001
     assert second.heading_error_rad < 0.003
+
+
+MIDDLE_M = CELL_PITCH_M / 2
+AT_REST = STILL._replace(x=MIDDLE_M, y=MIDDLE_M)
+NONE_SEEN = (math.inf,) * 4
+
+
+def _look(localiser: Localiser, beside_m: float, n: int, **now) -> CarMeasurement:
+    """Look so long from below at a cross that is beside its cell's middle, to the car's left."""
+    for _ in range(n):
+        view = _update(localiser, AT_REST._replace(lines=(beside_m, beside_m, 0.0, 0.0), **now))
+    return view
+
+
+def test_however_long_a_car_looks_at_one_cross_the_next_one_says_as_much():
+    localiser = _localiser(ASSUMED)
+    first = _look(localiser, 0.001, 500)
+    # The car takes the cross for the middle, and what its localisations say instead for their bias.
+    assert first.y - MIDDLE_M == pytest.approx(-0.001, abs=1e-4)
+    _update(localiser, AT_REST._replace(lines=NONE_SEEN))
+    second = _look(localiser, -0.001, 50)
+    assert second.y == pytest.approx(MIDDLE_M, abs=2e-4)
+    assert math.sqrt(localiser._estimates[0]["known"]["covariance"][1, 1]) > 5e-4
+
+
+def test_wheels_that_turn_on_the_spot_are_not_taken_for_a_bias_of_localisations():
+    localiser = _localiser(ASSUMED)
+    _look(localiser, 0.0, 100)
+    # Two millimetres to the left within half a second, by the wheels alone.
+    view = _look(localiser, 0.0, 25, wheel_speeds=KINEMATICS.wheel_speeds([0.0, 0.004, 0.0]))
+    assert np.abs(localiser._estimates[0]["known"]["state"][3:5]).max() < 1e-4
+    assert abs(view.y - MIDDLE_M) < 4e-4
 
 
 def test_without_line_sensors_a_car_keeps_the_bias_of_its_localisation():

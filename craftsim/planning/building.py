@@ -214,12 +214,14 @@ class Building:
         if self.crew.take_over(car, job, self._parking(car)):
             return True
         way = self._way(car, job)
+        # A load needs room beside its way, too.
+        near = way | {beside(cell, yaw) for cell in way for yaw in range(4)}
         grid = self.crew.end
         sent = False
         for other in range(self.crew.n_cars):
             here = tuple(grid.cars[other, :3].tolist())
-            if other != car and here in way and self.crew.load(other) == Kind.AIR:
-                sent |= self.crew.move_aside(other, way | self._goal_cells)
+            if other != car and here in near and self.crew.load(other) == Kind.AIR:
+                sent |= any(self.crew.move_aside(other, near | kept) for kept in (self._around, self._goal_cells))
         return sent and self.crew.take_over(car, job, self._parking(car))
 
     def _way(self, car: int, job: Job) -> set[Cell]:

@@ -8,10 +8,10 @@ from typing import Any, Final
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.schedule import ScheduledAction
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
-from craftsim.discrete.schedule import ScheduledAction
 
 ROUNDS: Final = 60
 """Attempts at each plan; more of them take longer and find shorter ones."""

@@ -149,7 +149,9 @@ def do_run(run: Run) -> Done:
     return Done(
         agrees=episode.agrees and not (follows and episode.forbidden),
         # What is left of a plan when another one takes its place says nothing of any action.
-        attempts=[a for a in episode.attempts if (a.legal or follows) and (run.rebuilding is None or a.performed)],
+        attempts=[
+            a for a in episode.attempts if (a.legal or follows) and (run.rebuilding is None or a.performed)
+        ],
         bundle=_bundle(run, episode),
         extra=extra,
     )

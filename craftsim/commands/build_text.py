@@ -7,6 +7,7 @@ from itertools import islice
 from typing import Final
 
 from rich.table import Table
+from rich.text import Text
 
 from craftsim.checking.attempt import Result
 from craftsim.commands.terminal import cell
@@ -32,9 +33,9 @@ def builds_table(records: Iterable[TrialRecord]) -> Table:
     return table
 
 
-def _cells(record: TrialRecord) -> list[str]:
+def _cells(record: TrialRecord) -> list[str | Text]:
     if record["error"] is not None:
-        return ["-"] * 5 + [cell(record["error"])]
+        return [*"-----", cell(record["error"])]
     extra, attempts = record["extra"], record["attempts"]
     good = sum(attempt["result"] == Result.AS_PREDICTED for attempt in attempts)
     told = [extra["ended"], extra["why"], extra["disturbed"]]

@@ -77,13 +77,15 @@ def test_after_a_failure_nothing_begins_any_more_if_a_plan_is_followed_until_som
     failed = {a.car for a in attempts if a.performed and a.skill != "succeeded"}
     (out,) = failed
     others = [attempt for attempt in attempts if attempt.car != out]
-    assert others[0].agrees and not others[-1].performed
+    assert others[0].agrees
+    assert not others[-1].performed
 
 
 def test_cars_out_of_action_are_walls_and_plans_name_the_cars_of_the_real_world():
     checked = set_up(_world([(1, 1, 1)], [(2, 0), (4, 2)]), SETUP)
     seen = Without.of(checked, _task((3, 1, 1)), [0])
-    assert seen.grid.kind[2, 0, 1] == Kind.WALL and seen.grid.n_cars == 1
+    assert seen.grid.kind[2, 0, 1] == Kind.WALL
+    assert seen.grid.n_cars == 1
     assert seen.in_real_numbers([[(0, Action.LIFT)]]) == [[(1, Action.LIFT)]]
     assert not seen.reached
 

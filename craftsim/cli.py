@@ -24,6 +24,7 @@ BROKEN_PIPE: Final = 141
 COMMANDS: Final[dict[str, str]] = {
     "demo": "Build the paper's tasks in physics, and check every action.",
     "validate": "Run plans, actions or policies in physics, and judge each action.",
+    "plan": "Find a plan for a building: order, cars and every move.",
     "build": "Plan, build in physics, and plan again where it went wrong.",
     "audit": "Try in physics what the rules allow, and what they forbid.",
     "tune": "Tune the gains of skills by objectives, judged on seeds held out.",
@@ -40,6 +41,7 @@ COMMANDS: Final[dict[str, str]] = {
     "train": "Let cars learn a task on the grid.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",
     "bench": "Measure how fast rules, environments and workers are.",
+    "design": "Write a design and its start: library, picture, mesh, random.",
     "show": "Show a world as coloured text, and as a picture with --out.",
     "doctor": "Say what works on this machine, and what fixes what does not.",
 }

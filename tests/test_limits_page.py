@@ -23,6 +23,8 @@ def test_every_file_has_its_row():
 PHRASES = {
     "JSON_VALUES": "holds up to {} values, no unknown",
     "YAML_VALUES": "or noise: {} values",
+    "DESIGN_CELLS": "A design has up to {} cells.",
+    "MESH_PIECES": "is divided into up to\n{} pieces",
     "YAML_DEPTH": "nested {} levels deep, without anchors",
     "PHYSICS_CELLS": "| a world in physics | {} cells",
     "PHYSICS_CARS": "cells, {} cars, ",
@@ -56,6 +58,7 @@ PHRASES = {
     "TIMEOUT_S": "| `--timeout` | {} s |",
     "CARS": "| `--cars`, `--blocks` | {},",
     "BLOCKS": "| `--cars`, `--blocks` | 0 to 256, {} |",
+    "DESIGN_SIDE": "| `design`: size and area, spare blocks and slopes, difficulty | {},",
     "EPISODE_TICKS": "| `--max-steps` | {} |",
     "BATCH": "| `bench`: worlds | {} |",
     "BENCH_S": "| `bench`: seconds, runs or contexts, episode | {},",

@@ -14,6 +14,7 @@ ALLOWED = {
     "interrupts": set(),
     "storage": set(),
     "discrete": {"storage"},
+    "designs": {"storage", "discrete"},
     "mjcf": {"discrete.geometry", "models.parameters", "models.figures", "models.config"},
     "models": {"storage", "discrete", "mjcf"},
     "skills": {"storage", "models", "discrete"},

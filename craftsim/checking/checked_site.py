@@ -19,7 +19,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Poses, Reading, read_grid
 from craftsim.discrete.reading import PLACE_TOLERANCE_M
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import Order, Schedule, ScheduledAction, make_schedule
+from craftsim.discrete.schedule import Constraints, Order, Schedule, ScheduledAction, make_schedule
 from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, own_differences
 from craftsim.models.sensing import PoseReader
 from craftsim.skills.executor import Executor
@@ -128,14 +128,19 @@ class CheckedSite:
         """Perform one tick of many cars, each as early as ``order`` lets it; return the attempts in acting order."""
         return self._perform(make_schedule(self.grid, [joint], self.rules, order, tick))
 
-    def perform_plan(self, ticks: Iterable[Joint], order: Order) -> tuple[Attempt, ...]:
+    def perform_plan(
+        self, ticks: Iterable[Joint], order: Order, after: Constraints | None = None
+    ) -> tuple[Attempt, ...]:
         """Perform the ticks of a plan as one schedule and return an attempt for each action, in their order.
+
+        ``after`` are order constraints of the plan, as of :func:`craftsim.discrete.schedule.make_schedule`.
 
         A car whose action fails stops there, and what depends on it is not performed; the others finish. An action
         whose own part reads as predicted agrees, unless nobody's part is wrong and something else is: that is then
         held against all.
         """
-        return self._perform(make_schedule(self.grid, ticks, self.rules, order), halts=order == "until-wrong")
+        schedule = make_schedule(self.grid, ticks, self.rules, order, after=after)
+        return self._perform(schedule, halts=order == "until-wrong")
 
     def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
         before, steps, capped = self.grid, schedule.steps, self.site.capped_steps

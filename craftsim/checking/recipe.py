@@ -23,7 +23,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import Blueprint, parse_blueprint
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.schedule import Order
+from craftsim.discrete.schedule import Constraints, Order
 from craftsim.errors import InputError, suggestion
 from craftsim.models.extent import check_extent
 from craftsim.models.randomization import RandomizedSite
@@ -63,6 +63,9 @@ class Step:
     """The world, as a blueprint, that a single action should lead to although the rules forbid it."""
     number: int = 0
     """Of the first tick."""
+    after: tuple[tuple[tuple[int, int], tuple[int, int]], ...] = ()
+    """Order constraints of a plan: an action's (tick, car), and that of one that must have ended before it; ticks count
+    from the first of the step."""
 
     def __post_init__(self) -> None:
         if self.order is None and len(self.acts) != 1:
@@ -93,10 +96,20 @@ class Step:
         return cls(((Act(car, action.name),),), None, world, tick)
 
     @classmethod
-    def joint(cls, tick: int, *ticks: Sequence[tuple[int, Action]], order: Order = "concurrent") -> Step:
-        """Return the step of many cars: one tick, or several as one schedule; ``tick`` numbers the first."""
+    def joint(
+        cls,
+        tick: int,
+        *ticks: Sequence[tuple[int, Action]],
+        order: Order = "concurrent",
+        after: Constraints | None = None,
+    ) -> Step:
+        """Return the step of many cars: one tick, or several as one schedule with its order constraints.
+
+        ``tick`` numbers the first one.
+        """
         acts = tuple(tuple(Act(car, action.name) for car, action in joint) for joint in ticks)
-        return cls(acts, order, None, tick)
+        pairs = tuple((act, other) for act, others in (after or {}).items() for other in others)
+        return cls(acts, order, None, tick, pairs)
 
 
 @dataclass(frozen=True)
@@ -172,5 +185,8 @@ def do(checked: CheckedSite, step: Step) -> tuple[Attempt, ...]:
         act = step.acts[0]
         return (checked.perform(act.car, Action[act.action], step.intended_grid, step.number),)
     ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
-    attempts = checked.perform_plan(ticks, step.order)
+    after: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for later, earlier in step.after:
+        after.setdefault(later, []).append(earlier)
+    attempts = checked.perform_plan(ticks, step.order, after)
     return tuple(replace(attempt, tick=attempt.tick + step.number) for attempt in attempts)

@@ -33,9 +33,9 @@ def builds_table(records: Iterable[TrialRecord]) -> Table:
     return table
 
 
-def _cells(record: TrialRecord) -> list[str | Text]:
+def _cells(record: TrialRecord) -> list[Text | str]:
     if record["error"] is not None:
-        return [*"-----", cell(record["error"])]
+        return ["-"] * 5 + [cell(record["error"])]
     extra, attempts = record["extra"], record["attempts"]
     good = sum(attempt["result"] == Result.AS_PREDICTED for attempt in attempts)
     told = [extra["ended"], extra["why"], extra["disturbed"]]

@@ -38,8 +38,8 @@ class PhysicsOptions:
     ] = None
     """What the cars take that noise to be before they find out, whatever it is; with none they take each measured pose
     as it is. A figure that a file leaves out is that which they assume without this option."""
-    gains: Annotated[str | None, tyro.conf.arg(metavar="{fast,robust}|FILE", help_behavior_hint="")] = None
-    """Gains of the skills: a preset, or a YAML file; those that it leaves out are the nominal ones."""
+    gains: Annotated[str | None, tyro.conf.arg(metavar="{robust,fast}|FILE", help_behavior_hint="")] = None
+    """Gains of the skills: a preset, or a YAML file; robust unless given, as is what a file leaves out."""
     parameters: File = None
     """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
     drive: Drive = "rollers"

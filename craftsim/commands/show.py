@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
@@ -11,20 +11,34 @@ from craftsim.commands.options import File
 from craftsim.commands.text import say
 from craftsim.storage.limits import SEED
 
+if TYPE_CHECKING:
+    from craftsim.discrete.files.design import Design
+    from craftsim.discrete.files.plan import Plan
+    from craftsim.discrete.grid import Grid
+
+_NAMED: Final = 12
+"""Forbidden actions that are named."""
+
 
 def show(
     blueprint: tyro.conf.Positional[Path],
     seed: Annotated[int, SEED] = 0,
     goal: File = None,
+    plan: File = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Print the world that a blueprint describes, level by level; with --out draw it as a PNG.
+
+    With --plan also say how long the plan takes at nominal physics, and what of it the rules forbid; with --out draw
+    its Gantt chart (PNG and SVG), and film it on the grid, without physics. Exit status 0, 1 where the plan has an
+    action that is forbidden, or 2 for wrong input.
 
     Args:
         blueprint: start file, or the name of a shipped one such as simple_two_story.
         seed: decides what the file leaves to chance.
         goal: goal file whose cells are marked in the picture; that of a shipped task unless given.
-        out: folder for the picture, which is named after the blueprint.
+        plan: plan file, or the name of a shipped plan such as simple_two_story; judged by the physical rules.
+        out: folder for the picture, which is named after the blueprint, and those of the plan.
     """
     import numpy as np
 
@@ -32,6 +46,7 @@ def show(
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.files.design import read_design
+    from craftsim.discrete.files.plan import read_plan
     from craftsim.discrete.tasks import TASK_NAMES, make_task, shipped_blueprint
 
     shipped = str(blueprint) in TASK_NAMES
@@ -43,6 +58,7 @@ def show(
     if design is not None:
         design.check_fits(drawing.size)
     grid = drawing.grid(np.random.default_rng(seed))
+    read = None if plan is None else read_plan(plan, grid.n_cars)
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
     say(LEGEND)
     length, width, height = drawing.size
@@ -57,4 +73,36 @@ def show(
 
         file = output_directory(out) / f"{path.stem}.png"
         say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(design))}")
-    return 0
+    return 0 if read is None else _show_plan(read, grid, design, out)
+
+
+def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:
+    """Say how long a plan takes and what of it is forbidden, draw and film it; return the exit status."""
+    from craftsim.commands.progress import counting
+    from craftsim.commands.terminal import Terminal
+    from craftsim.discrete.rules import Rules
+    from craftsim.discrete.schedule import make_schedule
+    from craftsim.discrete.timetable import makespan, timetable
+
+    rules = Rules("physical")
+    schedule = make_schedule(grid, plan.ticks, rules, after=plan.after)
+    took, name = makespan(timetable(schedule)), plan.path.stem
+    say(f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {took:.1f} s")
+    for step in schedule.forbidden[:_NAMED]:
+        say(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}")
+    if more := len(schedule.forbidden[_NAMED:]):
+        say(f"and {more} more")
+    if out is not None:
+        from craftsim.rendering.plan_film import film_plan
+        from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
+        from craftsim.rendering.shapes import wanted_of
+
+        for ending in FORMATS:
+            say(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")
+        console = Terminal()
+        film = film_plan(
+            *(out / f"{name}-plan.mp4", schedule, rules, name, wanted_of(design)),
+            progress=lambda total: counting(console, "frames", total, bool),
+        )
+        say(f"film: {film}")
+    return int(bool(schedule.forbidden))

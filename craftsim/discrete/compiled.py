@@ -21,7 +21,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-_ROOMS: Final = ("discrete", "planning", "models", "skills", "checking")
+_ROOMS: Final = ("discrete", "models", "skills", "checking", "planning")
 """Those that hold compiled functions; each calls functions of its own and of those before it."""
 _OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
 

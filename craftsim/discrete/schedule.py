@@ -8,7 +8,7 @@ Warehouses, RA-L 2019).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -23,6 +23,9 @@ Order = Literal["sequential", "concurrent", "until-wrong", "at-once"]
 """How the actions of a plan follow each other: one by one; as early as the dependencies allow; the same until something
 is not as predicted, after which nothing begins any more; or, to see what goes wrong, all of a tick together and tick
 after tick."""
+
+Constraints = Mapping[tuple[int, int], Collection[tuple[int, int]]]
+"""Order constraints of a plan: after which earlier actions of other cars an action starts, each a (tick, car)."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,27 @@ class Schedule:
     acts: tuple[tuple[int, int], ...] = ()
     """(tick, car) of all actions in the order of the plan."""
 
+    def constraints(self) -> Constraints:
+        """Return the fewest order constraints from which all of ``waits_for`` follow.
+
+        That a car waits for itself is not said, nor what follows from other constraints (transitive reduction).
+        """
+        found = {}
+        reached: list[int] = []  # for each step a bit set: itself, and all that must have ended before it
+        latest: dict[int, int] = {}
+        for index, step in enumerate(self.steps):
+            known = latest.get(step.car, 0)
+            needed = []
+            for other in sorted(step.waits_for, reverse=True):
+                if not known >> other & 1:
+                    needed.append((self.steps[other].tick, self.steps[other].car))
+                    known |= reached[other]
+            if needed:
+                found[step.tick, step.car] = tuple(reversed(needed))
+            reached.append(known | 1 << index)
+            latest[step.car] = reached[index]
+        return found
+
 
 def make_schedule(
     grid: Grid,
@@ -70,25 +94,36 @@ def make_schedule(
     rules: Rules,
     order: Order = "concurrent",
     first: int = 0,
+    after: Constraints | None = None,
 ) -> Schedule:
     """Return the schedule of a plan's ticks, each a sequence of (car, action) in acting order, from a world.
 
-    ``first`` is the number of the first tick.
+    Args:
+        grid: the world at the start.
+        ticks: of the plan.
+        rules: say what each action does.
+        order: how the actions follow each other.
+        first: number of the first tick.
+        after: order constraints of the plan. They come on top of what actions wait for anyway; one that names what the
+            rules forbid constrains nothing, because that is left out.
     """
     steps: list[ScheduledAction] = []
+    place: dict[tuple[int, int], int] = {}
     forbidden = []
     acts = []
     for tick, joint in enumerate(ticks, first):
         for car, action in joint:
             acts.append((tick, car))
-            after, applied = rules.tick(grid, [(car, action)])
+            then, applied = rules.tick(grid, [(car, action)])
             if not applied[0]:
                 forbidden.append(ScheduledAction(tick, car, action, grid, grid))
                 continue
-            needs = footprint(grid, after, car, action)
-            waits = frozenset(_predecessors(steps, tick, car, needs, order))
-            steps.append(ScheduledAction(tick, car, action, grid, after, needs, waits))
-            grid = after
+            needs = footprint(grid, then, car, action)
+            asked = {place[act] for act in (after or {}).get((tick, car), ()) if act in place}
+            waits = frozenset(_predecessors(steps, tick, car, needs, order)) | asked
+            place[tick, car] = len(steps)
+            steps.append(ScheduledAction(tick, car, action, grid, then, needs, waits))
+            grid = then
     return Schedule(tuple(steps), tuple(forbidden), grid, tuple(acts))
 
 

@@ -1,36 +1,12 @@
-"""How long a plan takes, and how long any plan must take."""
+"""How long any plan must take."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from craftsim.discrete.actions import Action
-from craftsim.discrete.durations import nominal_durations, situation
+from craftsim.discrete.durations import nominal_durations
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.schedule import Schedule
 from craftsim.planning.assembly import State
 from craftsim.planning.things import Thing, things_in
-
-
-def durations_of(schedule: Schedule) -> NDArray[np.float64]:
-    """Return how long each step of a schedule takes in seconds, shape (n,)."""
-    table = nominal_durations()
-    return np.array(
-        [
-            table[step.action, int(situation(step.before.cars[step.car], step.after.cars[step.car]))]
-            for step in schedule.steps
-        ],
-        np.float64,
-    )
-
-
-def makespan_of(schedule: Schedule, durations: NDArray[np.float64]) -> float:
-    """Return when the last step ends if each begins as soon as those that it waits for have ended."""
-    ends: list[float] = []
-    for step, duration in zip(schedule.steps, durations, strict=True):
-        ends.append(max((ends[i] for i in step.waits_for), default=0.0) + float(duration))
-    return max(ends, default=0.0)
 
 
 def makespan_bound(start: Grid, building: State) -> float:

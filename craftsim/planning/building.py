@@ -11,11 +11,10 @@ import numpy as np
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
-from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.assembly import Assembly, Order, State, Step, has_room, taken_out
 from craftsim.planning.crew import FLAP_TICKS, Crew, Job, cells_on_way
 from craftsim.planning.things import Thing, put, things_in, with_car
-from craftsim.planning.ways import FAR, Nodes, Ways, is_free
+from craftsim.planning.ways import FAR, Nodes, Ways
 
 _FAILURES: Final = 40
 """So many jobs in vain end an attempt."""
@@ -259,7 +258,12 @@ class Building:
                 there = Thing(load, (x, y, 1), yaw)
                 far = min(int(distances[node]) for node in _nodes_at(ways, there))
                 free = set(there.cells).isdisjoint(self._keep_free)
-                if free and far < FAR and there.cell != thing.cell and has_room(rest, self.assembly.rules, there):
+                if (
+                    free
+                    and far < FAR
+                    and there.cell != thing.cell
+                    and has_room(rest, self.assembly.rules, there)
+                ):
                     places.append((far, there))
         for _, there in sorted(places)[:_PLACES]:
             moved = rest.copy()

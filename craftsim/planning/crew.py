@@ -82,16 +82,17 @@ class Crew:
         saved, ready = self.timeline.actions.copy(), self.ready[car]
         not_before = 0
         for attempt in range(_DELAYS + 1):
-            if attempt == _DELAYS:
-                not_before = self.timeline.end
+            last = attempt == _DELAYS or not_before >= self.timeline.end > 0
             self.timeline.write(car, ready, [])
             conflict = self._plan(car, job, not_before, parking)
             if conflict is None:
                 return True
             self._restore(saved, car, ready)
-            if conflict < 0:
-                return False
-            not_before = max(conflict, not_before) + 1
+            if last:
+                break
+            # Where there is no way now there may be one when all others have ended.
+            late = conflict < 0 or attempt == _DELAYS - 1
+            not_before = self.timeline.end if late else max(conflict, not_before) + 1
         return False
 
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
@@ -135,10 +136,8 @@ class Crew:
     ) -> int | None:
         """Plan a job; return None if all is well, the tick of a conflict, or -1 if there is no way."""
         tick = self.ready[car]
-        if job.stays:
-            tick = self._turn_over(car, job, tick, not_before)
-        else:
-            tick = self._carry(car, job, tick, not_before)
+        bring = self._turn_over if job.stays else self._carry
+        tick = bring(car, job, tick, not_before)
         if tick < 0:
             return -1
         self.ready[car] = tick
@@ -247,7 +246,9 @@ def cells_on_way(ways: Ways, node: int, distances: Nodes) -> set[Cell]:
     """Return the cells of the straight way from a state to the goals."""
     cells = set[Cell]()
     while 0 < distances[node] < FAR:
-        closer = [int(there) for there in ways.steps[node] if there >= 0 and distances[there] < distances[node]]
+        closer = [
+            int(there) for there in ways.steps[node] if there >= 0 and distances[there] < distances[node]
+        ]
         if not closer:
             break
         node = closer[0]

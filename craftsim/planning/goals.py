@@ -81,9 +81,10 @@ def check_supplies(start: Grid, building: State) -> None:
             taken[cell] = thing
     for cell, thing in taken.items():
         below = (cell[0], cell[1], cell[2] - 1)
-        if cell[2] > 1 and (below not in taken or taken[below].kind != Kind.BLOCK):
-            if thing.kind != Kind.FSLOPE or cell == thing.cell:
-                raise NoPlanError(f"no plan: what is to be at {cell} has nothing below it that bears it")
+        borne = cell[2] == 1 or (below in taken and taken[below].kind == Kind.BLOCK)
+        # The gear of a folded slope may hang.
+        if not borne and (thing.kind != Kind.FSLOPE or cell == thing.cell):
+            raise NoPlanError(f"no plan: what is to be at {cell} has nothing below it that bears it")
 
 
 def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[State]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -15,22 +15,21 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks.task import Task
+from craftsim.discrete.timetable import makespan, timetable
 from craftsim.errors import InputError
 from craftsim.planning.assembly import Assembly, Order, State
-from craftsim.planning.bounds import durations_of, makespan_bound, makespan_of
+from craftsim.planning.bounds import makespan_bound
 from craftsim.planning.building import Building, Chances, Style
 from craftsim.planning.goals import Goal, NoPlanError, check_supplies, make_goal, platforms
+from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.planning.ordering import find_order
 from craftsim.planning.things import Thing, things_in, without_things
 
-Objective = Literal["makespan", "work"]
 Ticks = tuple[tuple[tuple[int, Action], ...], ...]
 
-DEFAULT_ROUNDS: Final = 400
-DEFAULT_TIME_S: Final = 10.0
-_ORDERS: Final = 24
+_ORDERS: Final = 100
 """So many orders of assembly are kept to choose from."""
-_REFINED: Final = 0.6
+_REFINED: Final = 0.4
 """Share of attempts that begin as the best one did."""
 
 Recipe = tuple[Order, State, Style, Chances]
@@ -209,9 +208,9 @@ class _Search:
         schedule = make_schedule(self.start, ticks, self.rules)
         if schedule.forbidden or not self.goal.reached(schedule.final):
             return None
-        durations = durations_of(schedule)
-        makespan = makespan_of(schedule, durations)
-        return Planned(ticks, schedule, makespan, float(sum(durations)), self._bound, number)
+        times = timetable(schedule)
+        work = float((times[:, 1] - times[:, 0]).sum())
+        return Planned(ticks, schedule, makespan(times), work, self._bound, number)
 
     def _reaches(self, ticks: list[list[tuple[int, Action]]]) -> bool:
         grid = self.start
@@ -245,10 +244,10 @@ class _Search:
             if upper and not self.n_slopes:
                 return f"no plan: {upper[0].cell} is above the floor, and there is no slope to drive up"
             return (
-                "no plan: no order was found in which everything can be put to its place: some place cannot be reached by "
-                "a car with its load, whatever is built first; try more slopes, or more free floor around"
+                "no plan: no order was found in which everything can be put to its place: some place cannot be "
+                "reached by a car with its load, whatever is built first; try more slopes, or more free floor around"
             )
         return (
-            f"no plan found in {rounds} attempts, though there is an order to build in: cars or things cannot be reached, or have "
-            "no room to get by; try fewer cars, a larger area or another seed"
+            f"no plan found in {rounds} attempts, though there is an order to build in: things cannot be reached, or "
+            "cars have no room to get by; try fewer cars, a larger area or another seed"
         )

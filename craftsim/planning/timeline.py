@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +36,13 @@ class Worlds:
     def __init__(self, grid: Grid, rules: Rules) -> None:
         self.flags = rules.flags
         parts = grid.kind, grid.yaw, grid.top, grid.back, grid.cars
-        self._arrays = [np.repeat(part[None], _FIRST_TICKS, axis=0) for part in parts]
+        self._arrays: list[Any] = [np.repeat(part[None], _FIRST_TICKS, axis=0) for part in parts]
 
     @property
     def stack(self) -> World:
         """All of them; arrays have a leading dimension over ticks."""
-        return World(*self._arrays, self.flags)
+        kind, yaw, top, back, cars = self._arrays
+        return World(kind, yaw, top, back, cars, self.flags)
 
     def reserve(self, n_ticks: int) -> None:
         """Make room for the world before a tick."""

@@ -1,7 +1,7 @@
 """Ways of one car alone in a world that stands still: which state follows which, and how far it is.
 
-States are those of the action helper's search (:mod:`craftsim.discrete.planning.search`): cell and yaw. Legality is asked
-of the rules; distances are counted in actions.
+States are those of the action helper's search (:mod:`craftsim.discrete.planning.search`): cell and yaw. Legality is
+asked of the rules; distances are counted in actions.
 """
 
 from __future__ import annotations

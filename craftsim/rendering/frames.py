@@ -195,7 +195,7 @@ class _Predicted:
         grid = self._prediction.at(time_s)
         if self._drawn is None or self._drawn[0] != id(grid):
             picture = world_image(grid, levels=self._levels, design=self._design)
-            self._drawn = id(grid), _fit(picture, self._tile.size)
+            self._drawn = id(grid), fitted(picture, self._tile.size)
         return self._drawn[1]
 
     def close(self) -> None:
@@ -218,7 +218,7 @@ def pace_of(trajectory: Trajectory, look: Look) -> Pace:
     return adapted_pace(trajectory, look.fps)
 
 
-def _fit(picture: Frame, size: tuple[int, int]) -> Frame:
+def fitted(picture: Frame, size: tuple[int, int]) -> Frame:
     """Return a picture in the middle of a tile of ``size`` (width, height), as large as fits."""
     width, height = size
     scale = min(0.96 * width / picture.shape[1], 0.96 * height / picture.shape[0])

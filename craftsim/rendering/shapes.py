@@ -6,8 +6,8 @@ Lengths are in cells: the centre of cell (x, y) is at (x, y), with x to the righ
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -105,12 +105,24 @@ def level_shapes(
         yield Outline(_closed(_square(goal, FRAME)), line=GOAL, width=0.06)
 
 
-def car_shapes(grid: Grid, z: int) -> Iterator[Outline | Word]:
-    """Yield the cars of a level: four wheels, a body in a car's colour with a light nose, its number, and its load."""
+def car_shapes(
+    grid: Grid, z: int, shifts: Mapping[int, tuple[float, float]] | None = None
+) -> Iterator[Outline | Word]:
+    """Yield the cars of a level: four wheels, a body in a car's colour with a light nose, its number, and its load.
+
+    ``shifts`` are how far cars on their way have come from their cells, along x and y.
+    """
     for cell, cars in cars_by_cell(grid).items():
         if cell[2] == z:
             for car in cars:
-                yield from _car(grid, car, cell)
+                shift = (shifts or {}).get(car, (0.0, 0.0))
+                yield from (_shifted(one, *shift) for one in _car(grid, car, cell))
+
+
+def _shifted(one: Outline | Word, x: float, y: float) -> Outline | Word:
+    if isinstance(one, Word):
+        return replace(one, x=one.x + x, y=one.y + y)
+    return replace(one, points=one.points + np.array((x, y)))
 
 
 def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline | Word]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import chain
 from typing import Final
 
@@ -27,6 +27,7 @@ def world_image(
     goal: Cell | None = None,
     levels: Sequence[int] | None = None,
     design: Collection[Wanted] = (),
+    shifts: Mapping[int, tuple[float, float]] | None = None,
 ) -> NDArray[np.uint8]:
     """Return a picture (height, width, 3), RGB, of levels side by side, the lowest at the left.
 
@@ -36,6 +37,7 @@ def world_image(
         levels: those to be shown. All that there are and the one on top of them unless given, so that all pictures of
             a world have one size.
         design: cells of a building, to be framed with dashes.
+        shifts: how far cars on their way have come from their cells, along x and y.
     """
     length, width, height = grid.size
     shown = range(1, height + 2) if levels is None else levels
@@ -45,7 +47,7 @@ def world_image(
         # Views of the same bytes: OpenCV draws into them.
         tile = image[:, column * pitch : (column + 1) * pitch + MARGIN_PX]
         part = np.ascontiguousarray(tile)
-        for one in chain(level_shapes(grid, z, goal, design), car_shapes(grid, z)):
+        for one in chain(level_shapes(grid, z, goal, design), car_shapes(grid, z, shifts)):
             _paint(part, one, width)
         _letter(part, MARGIN_PX + length * CELL_PX // 2, MARGIN_PX // 2, f"level {z}", 9, INK)
         for x in range(length):

@@ -7,6 +7,7 @@ from craftsim.models.measuring import Floats, Records
 from craftsim.models.motors import drive_wheels
 from craftsim.skills.driving_law import drive_law, path_pose
 from craftsim.skills.folding import hinge_law
+from craftsim.skills.ground import feel_ground
 from craftsim.skills.health import check_health
 from craftsim.skills.holding import hold_law
 from craftsim.skills.leading import find_lag, lead_wheels
@@ -26,6 +27,7 @@ def step_cars(
     plugs: Records,
     docked: Records,
     leads: Records,
+    grounds: Records,
     wheel_speeds: Floats,
     wheel_share: float,
     ctrl: Floats,
@@ -42,6 +44,7 @@ def step_cars(
         plugs: PLUG of each slope.
         docked: (n,) the slope that each car commands, -1 for none.
         leads: (n,) LEAD, what the cars know of their motors' lag.
+        grounds: (n,) GROUND, what they feel of their floor.
         wheel_speeds: (n, 4) commands to the wheels' servos so far.
         wheel_share: share by which these approach new ones in a period.
         ctrl: MjData.ctrl.
@@ -49,6 +52,7 @@ def step_cars(
     ended = 0
     for car in range(len(tasks)):
         task = tasks[car]
+        feel_ground(grounds[car], readings[car], task, constants[car])
         if task.law == IDLE:
             continue
         if task.law != OWN:

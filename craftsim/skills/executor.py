@@ -18,6 +18,7 @@ from craftsim.models.site import Site
 from craftsim.skills.control import read_paths, step_cars
 from craftsim.skills.fleet import Fleet, SiteFleet
 from craftsim.skills.gains import Gains, load_gains
+from craftsim.skills.ground import GROUND
 from craftsim.skills.holding import on_incline
 from craftsim.skills.leading import leads
 from craftsim.skills.localisation import Localiser
@@ -84,12 +85,13 @@ class Executor:
             self._constants[car] = setup.constants[0]
         self._tasks, self._commands = records(n, TASK), records(n, COMMAND)
         self._past = np.zeros((n, n_past(self.gains, period)))
+        self._grounds = records(n, GROUND)
         self._docked = np.full(n, -1)
         """The slope that each car commands, -1 for none."""
         wires = self.fleet.wires
         self._arrays = (
             *(self._tasks, self._past, self._constants, self._commands, wires.cars, wires.plugs),
-            *(self._docked, leads(n, period), wires.speeds, wires.share, wires.ctrl),
+            *(self._docked, leads(n, period), self._grounds, wires.speeds, wires.share, wires.ctrl),
         )
         """What the compiled laws work on."""
         self._skills: dict[int, Skill] = {}
@@ -128,6 +130,11 @@ class Executor:
         """What the cars were told last, shape (n,) of COMMAND; the array is used again by the next ones."""
         return self._commands
 
+    @property
+    def floor_is_uneven(self) -> bool:
+        """Whether a car has felt that the floor, which is that of all, is uneven; no floor becomes even again."""
+        return bool(self._grounds["uneven"].any())
+
     def paths(self) -> NDArray[np.float64]:
         """Return where on its path each car should be now, (n, 3): x and y in metres, and heading in radians; nan
         for those not driving."""
@@ -140,14 +147,27 @@ class Executor:
         assert car not in self._skills, f"car {car} is busy"
         if not self._skills:
             self.fleet.attend()
-        setup = self._setups[car]
+            self._feel()
+        setup = self._setups[car].carefully() if self.floor_is_uneven else self._setups[car]
         setup = setup if terrain is None else setup.on(terrain)
         self._tries[car], skill = Tries.begin(action, setup, self._view(car))
         self._start(car, skill)
 
+    def _feel(self) -> None:
+        """Let the cars rest as long as they lean and are not sure of it."""
+        uneven = self.gains.uneven
+        for _ in range(round(uneven.tilt_time / self.site.config.control_period_s)):
+            readings, grounds = self.readings(), self._grounds
+            lean = np.hypot(readings["pitch"], readings["roll"])
+            leaning = (grounds["n_read"] == 0) & (uneven.tilt < lean) & (lean < self.gains.hold.level)
+            if self.floor_is_uneven or self.fleet.lost or not (leaning | (grounds["doubtful"] > 0)).any():
+                return
+            self.advance()
+
     def _start(self, car: int, skill: Skill) -> None:
         skill.start(self._view(car))
         self._skills[car] = skill
+        self._constants[car] = skill.setup.constants[0]
         if isinstance(skill, CompiledSkill) and skill.runs_compiled:
             skill.move_to(self._tasks[car : car + 1], self._past[car : car + 1])
         else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final
@@ -40,8 +40,7 @@ class DriveGains:
     max_slope_acceleration: float
     """m/s^2: on a slope, and therefore on the things that carry it."""
     max_tight_speed: float
-    """m/s: highest speed of a move under something, or of a load past something: a lowered board clears by a millimetre
-    what it passes under, and on an uneven floor a car without springs hops."""
+    """m/s: highest speed of a move under something, or of a load past something."""
     max_tight_acceleration: float
     rocking: float
     """m^3/s^2: largest product of acceleration and height above the floor squared. A stack of n blocks gives way under
@@ -84,6 +83,30 @@ class DriveGains:
     millimetre, two wheels on a diagonal may slip on the spot for ever."""
     motor_share: float
     """Paths use at most this fraction of the wheel motors' torque and speed; the rest is for corrections."""
+
+
+@dataclass(frozen=True)
+class UnevenGains:
+    """Driving where cars feel that their floor is uneven (:mod:`craftsim.skills.ground`): limits besides those of
+    :class:`DriveGains`. A car without springs hops there, and its lowered board clears by a millimetre what it passes
+    under."""
+
+    tilt: float
+    """rad: a floor is uneven if a car leans by more than this on what should be level..."""
+    tilt_time: float
+    """s: ...in the mean over this time: what sensors of pitch and roll read is noisy, and rollers rattle."""
+    max_speed: float
+    max_acceleration: float
+    max_slope_speed: float
+    """m/s: of a move from or onto a slope."""
+    max_slope_acceleration: float
+    max_tight_speed: float
+    """m/s: of a move under something, or of a load past something."""
+    max_tight_acceleration: float
+    max_turn_speed: float
+    max_turn_acceleration: float
+    shake_after: float
+    """s: on two wheels of a diagonal a car without springs does not get to its goal, unless it is shaken soon."""
 
 
 @dataclass(frozen=True)
@@ -191,10 +214,11 @@ class Gains:
         >>> import craftsim
         >>> gains = craftsim.load_gains()
         >>> gains.source, gains.drive.max_speed > 0
-        ('nominal', True)
+        ('robust', True)
     """
 
     drive: DriveGains
+    uneven: UnevenGains
     board: BoardGains
     hinge: HingeGains
     stop: StopGains
@@ -202,7 +226,7 @@ class Gains:
     localisation: LocalisationGains
     health: HealthGains
     recovery: RecoveryGains
-    source: str = field(default="nominal", compare=False)
+    source: str = field(default="robust", compare=False)
 
     @property
     def digest(self) -> str:
@@ -221,6 +245,7 @@ class Gains:
 
 SECTIONS: Final[dict[str, type]] = {
     "drive": DriveGains,
+    "uneven": UnevenGains,
     "board": BoardGains,
     "hinge": HingeGains,
     "stop": StopGains,
@@ -231,15 +256,26 @@ SECTIONS: Final[dict[str, type]] = {
 }
 
 
-PRESETS: Final = ("fast", "robust")
-"""Gains that ship with craftsim, by name: for a flat floor, which are the nominal ones, and for one that is not."""
+PRESETS: Final = ("robust", "fast")
+"""Gains that ship with craftsim, by name: the nominal ones, which slow down where the floor is uneven, and those that
+take it for flat."""
+_CAREFUL: Final = {f.name for f in fields(UnevenGains)} & {f.name for f in fields(DriveGains)}
+
+
+@lru_cache(maxsize=64)
+def careful(gains: Gains) -> Gains:
+    """Return gains that drive as on an uneven floor everywhere."""
+    drive, uneven = gains.drive, gains.uneven
+    limits = {name: min(getattr(drive, name), getattr(uneven, name)) for name in _CAREFUL}
+    return replace(gains, drive=replace(drive, **limits))
 
 
 def load_gains(path: Path | str | None = None) -> Gains:
     """Return the nominal gains, overridden by those of a YAML file or a preset if one is given.
 
     The file holds the sections of :class:`Gains`, or holds them under a key ``gains`` beside the machines' figures
-    (:func:`craftsim.models.parameter_files.load_machines`). A preset is a name: ``fast`` or ``robust``.
+    (:func:`craftsim.models.parameter_files.load_machines`). A preset is a name: ``robust``, which are the
+    nominal ones, or ``fast``.
 
     Raises InputError, naming the file and key, for what is not a known gain, and for an unknown preset.
 
@@ -248,17 +284,15 @@ def load_gains(path: Path | str | None = None) -> Gains:
         >>> _ = (folder / "slow.yaml").write_text("drive: {max_speed: 0.4}")
         >>> craftsim.load_gains(folder / "slow.yaml").drive.max_speed
         0.4
-        >>> craftsim.load_gains("robust").source
-        'robust'
+        >>> craftsim.load_gains("fast").source
+        'fast'
     """
     nominal = _nominal()
-    if path is None:
+    if path is None or str(path) == "robust":
         return Gains(**{name: kind(**nominal[name]) for name, kind in SECTIONS.items()})
     if str(path) == "fast":
-        return replace(load_gains(), source="fast")
-    if str(path) == "robust":
-        with as_file(files("craftsim.data").joinpath("gains/robust.yaml")) as shipped:
-            return replace(load_gains(shipped), source="robust")
+        with as_file(files("craftsim.data").joinpath("gains/fast.yaml")) as shipped:
+            return replace(load_gains(shipped), source="fast")
     path = Path(path)
     if not path.suffix and not os.path.exists(path):
         known = ", ".join(PRESETS)
@@ -283,11 +317,11 @@ def load_gains(path: Path | str | None = None) -> Gains:
                 source.fail(line, f"{name}.{key} must be a positive number, not {value:g}")
             check_reach(f"{path}:{line}: {name}.{key}", value, nominal[name][key])
         merged[name] = kind(**(nominal[name] | {key: value for key, (value, _) in own.items()}))
-    return Gains(**merged, source=str(path) if sections else "nominal")
+    return Gains(**merged, source=str(path) if sections else "robust")
 
 
 @cache
 def _nominal() -> dict[str, dict[str, float]]:
-    shipped = files("craftsim.data").joinpath("gains/nominal.yaml").read_text(encoding="utf-8")
+    shipped = files("craftsim.data").joinpath("gains/robust.yaml").read_text(encoding="utf-8")
     nominal: dict[str, dict[str, float]] = yaml.safe_load(shipped)
     return nominal

@@ -1,7 +1,8 @@
 """Second tries: a car whose action failed for a reason that may pass goes back to where it began, and tries again.
 
 What it goes back by: a move or a turn by driving to the pose that it began at, lifting by lowering the board, folding
-by unfolding, and the other way round. The next try is driven as carefully as one under or beside something.
+by unfolding, and the other way round. Back and at the next try it drives as carefully as under or beside something on
+an uneven floor.
 """
 
 from __future__ import annotations
@@ -69,7 +70,8 @@ class Tries:
             if not outcome.succeeded:
                 return None
             self.failed, self.number = None, self.number + 1
-            return make_skill(self.action, self.setup.on(replace(self.setup.terrain, tight=True)))
+            ground = replace(self.setup.terrain, tight=True)
+            return make_skill(self.action, self.setup.on(ground).carefully())
         nothing_felt = self.action is Action.LIFT and outcome.reason is Reason.LOAD_LOST
         may_pass = outcome.reason in _MAY_PASS or nothing_felt
         if not may_pass or self.number >= self.setup.gains.recovery.tries:
@@ -90,5 +92,5 @@ class Tries:
         if self.action not in MOVE_DIRECTION and self.action not in _TURNS:
             return None
         ground = self.setup.terrain
-        setup = self.setup.on(Terrain(ground.end_rad, ground.start_rad, tight=True))
+        setup = self.setup.on(Terrain(ground.end_rad, ground.start_rad, tight=True)).carefully()
         return Return(setup, self.home, (MOVE_DIRECTION.get(self.action, 0) + 2) % 4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from craftsim.discrete.compiled import records
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.models.sensing import CarMeasurement, PerWheel, write_reading
-from craftsim.skills.gains import Gains
+from craftsim.skills.gains import Gains, careful
 from craftsim.skills.health import check_health, check_load, feels_load
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.state import COMMAND, OWN, TASK, constants_of, outcome_of
@@ -64,6 +64,10 @@ class SkillSetup:
         setup = copy.copy(self)
         object.__setattr__(setup, "terrain", terrain)
         return setup
+
+    def carefully(self) -> SkillSetup:
+        """Return the same for driving as slowly as on an uneven floor."""
+        return replace(self, gains=careful(self.gains))
 
 
 @dataclass(frozen=True)

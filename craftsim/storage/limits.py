@@ -49,12 +49,18 @@ RUN: Final = Limits("run file", 4096 * MIB, 4096 * MIB, members=1024)
 REPORT: Final = _plain("report.json", 64 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
 LOG: Final = _plain("log", 64 * MIB, line_bytes=4 * KIB)
+PICTURE: Final = _plain("picture of a level", MIB)
+MESH: Final = _plain("mesh", 8 * MIB)
 BAG: Final = Limits("ROS 2 bag", 256 * MIB, 1024 * MIB)
 
 JSON_VALUES: Final = 200_000
 """Values in a JSON document that is read whole, about: commas are counted."""
 YAML_VALUES: Final = 40_000
 """Values in a YAML file, lists and mappings included; so many a world may also make when it is written out."""
+DESIGN_CELLS: Final = 4000
+"""Of a design: as many as a goal file can list."""
+MESH_PIECES: Final = 2_000_000
+"""Of half a cell, into which a mesh is divided for its voxels."""
 YAML_DEPTH: Final = 8
 """Levels of lists and mappings in a YAML file."""
 
@@ -115,6 +121,8 @@ ALL: Final = (
     REPORT,
     TABLE,
     LOG,
+    PICTURE,
+    MESH,
     BAG,
 )
 
@@ -152,6 +160,8 @@ PORTS: Final = Range(0, 65_535)
 TIMEOUT_S: Final = Range(0.01, 7 * 24 * 3600)
 CARS: Final = Range(0, 256)
 BLOCKS: Final = Range(0, 131_072)
+DESIGN_SIDE: Final = Range(1, 128)
+"""Sizes of a design, in cells."""
 EPISODE_TICKS: Final = Range(1, 100_000)
 REPLANS: Final = Range(0, 1000)
 PLAN_ROUNDS: Final = Range(1, 1_000_000)

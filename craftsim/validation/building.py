@@ -77,7 +77,7 @@ class Building:
             where: sets up its world.
         """
         terms = Terms(seed, setup, set_up=where)
-        run = Run(self.name, self.task, steps_of(self.plan.ticks, order), "", 0, terms)
+        run = Run(self.name, self.task, steps_of(self.plan.ticks, order, self.plan.after), "", 0, terms)
         done = record_episode(run, watch)
         return replace(self, episode=done.episode, trajectory=done.trajectory, logs=done.logs)
 

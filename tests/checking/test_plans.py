@@ -8,11 +8,13 @@ from drawn import draw
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.recipe import do
 from craftsim.checking.settings import Setup, nominal_gains
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.noise import EXACT
+from craftsim.validation.runs.steps import steps_of
 
 RIGHT = Action.MOVE_RIGHT
 
@@ -69,6 +71,21 @@ def test_with_all_cars_sound_everything_runs_and_attempts_are_in_the_order_of_th
     assert all(attempt.agrees for attempt in attempts)
     asked = [(tick, car, action.name) for tick, joint in enumerate(PLAN) for car, action in joint]
     assert [(a.tick, a.car, a.action) for a in attempts] == asked
+
+
+def test_an_action_starts_when_those_have_ended_after_which_its_plan_has_it():
+    ticks = [[(0, Action.STOP), (1, Action.ROTATE_LEFT), (2, Action.STOP)]]
+    step = steps_of(ticks, "concurrent", {(0, 2): [(0, 1)]})[0]
+    _, turn, late = do(set_up(_yard(), Setup()), step)
+    assert late.start_s >= turn.start_s + turn.duration_s > 0
+    _, turn, early = do(set_up(_yard(), Setup()), replace(step, after=()))
+    assert early.start_s == turn.start_s
+
+
+def test_within_a_tick_carried_out_by_itself_its_own_constraints_hold():
+    ticks = [[(0, RIGHT)], [(0, RIGHT), (1, RIGHT)]]
+    _, step = steps_of(ticks, "ticks", {(1, 1): [(0, 0), (1, 0)]})
+    assert (step.number, step.after) == (1, (((0, 1), (0, 0)),))
 
 
 @pytest.mark.parametrize("fault", [_unpower, _polish])

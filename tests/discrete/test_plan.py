@@ -3,10 +3,13 @@
 from importlib.resources import files
 
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.files.plan import plan_text, read_plan, shipped_plan, write_plan
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import make_task
 from craftsim.errors import PlanError
 
@@ -34,6 +37,16 @@ MISTAKES = {
     "1.5 0 LIFT": ":1: tick '1.5' must be a whole number",
     "999999999 0 LIFT": ":1: tick 999999999 is out of range",
     "0 0": ":1: 2 words, but a line is: tick car ACTION",
+    "0 0 LIFT\n1 1 LIFT after": ":2: 'after' names no action",
+    "0 0 LIFT\n1 1 LIFT before 0:0": ":2: 5 words, but a line is: tick car ACTION, or",
+    "0 0 LIFT\n1 1 LIFT after 0-0": ":2: after '0-0', but an action is named CAR:TICK",
+    "0 0 LIFT\n1 1 LIFT after 0:x": ":2: after '0:x', but an action is named CAR:TICK",
+    "0 0 LIFT\n1 1 LIFT after 0:1": ":2: after '0:1', but no line before this one is of car 0 in tick 1",
+    "0 0 LIFT\n1 1 LIFT after 7:0": ":2: after '7:0', but no line before",
+    "0 1 LIFT after 0:0\n0 0 LIFT": ":1: after '0:0', but no line before",
+    "0 1 LIFT after 0:1\n1 0 LIFT": ":1: after '0:1', but no line before",
+    "0 1 LIFT\n1 1 LIFT after 1:0": ":2: after '1:0', but car 1 waits for its own actions anyway",
+    "0 0 LIFT\n1 1 LIFT after 0:0 0:0": ":2: after '0:0' stands twice; allowed: once",
     "# nothing": "no actions",
     "": "no actions",
 }
@@ -62,3 +75,78 @@ def test_the_shipped_plan_is_legal_throughout_and_builds_the_simple_two_story_bu
     assert task.succeeded(grid)
     assert task.design is not None
     assert task.design.satisfied(grid)
+
+
+def test_order_constraints_are_read_and_written_again(tmp_path):
+    text = "0 0 LIFT\n0 1 STOP after 0:0\n2 1 DROP\n2 2 DROP after 0:0 1:2\n"
+    (tmp_path / "p.plan").write_text(text)
+    plan = read_plan(tmp_path / "p.plan", 3)
+    assert plan.after == {(0, 1): ((0, 0),), (2, 2): ((0, 0), (2, 1))}
+    write_plan(plan, tmp_path / "again.plan")
+    assert (tmp_path / "again.plan").read_text() == text
+    assert plan_text(plan.ticks) == "0 0 LIFT\n0 1 STOP\n2 1 DROP\n2 2 DROP\n"
+
+
+def _ancestors(schedule):
+    """Return for each step all that have ended before it starts."""
+    found = []
+    for step in schedule.steps:
+        found.append(set(step.waits_for).union(*(found[other] for other in step.waits_for)))
+    return found
+
+
+@pytest.mark.parametrize("order", ["sequential", "concurrent", "at-once"])
+def test_a_written_schedule_is_kept_by_who_reads_the_plan(order, tmp_path, rng):
+    grid, rules = make_task("complex_two_story").draw(rng), Rules("physical")
+    plan = read_plan(shipped_plan("complex_two_story"), grid.n_cars)
+    asked, free = (make_schedule(grid, plan.ticks, rules, one) for one in (order, "concurrent"))
+    write_plan(plan, tmp_path / "p.plan", asked)
+    read = read_plan(tmp_path / "p.plan", grid.n_cars)
+    kept = make_schedule(grid, read.ticks, rules, after=read.after)
+    wanted = [a | b for a, b in zip(_ancestors(asked), _ancestors(free), strict=True)]
+    assert all(want <= have for want, have in zip(wanted, _ancestors(kept), strict=True))
+    if order != "at-once":
+        assert _ancestors(kept) == _ancestors(asked)
+    assert (order == "concurrent") == (_ancestors(kept) == _ancestors(free))
+
+
+def test_what_footprints_demand_is_never_lost_to_a_plan_s_constraints(rng):
+    grid, rules = make_task("simple_two_story").draw(rng), Rules("physical")
+    ticks = read_plan(shipped_plan("simple_two_story"), grid.n_cars).ticks
+    free = make_schedule(grid, ticks, rules)
+    acts = free.acts
+    after = {
+        acts[i]: [acts[j] for j in rng.integers(0, i, 2) if acts[j][1] != acts[i][1]] for i in range(1, 20)
+    }
+    bound = make_schedule(grid, ticks, rules, after=after)
+    assert all(a.waits_for <= b.waits_for for a, b in zip(free.steps, bound.steps, strict=True))
+    assert any(a.waits_for < b.waits_for for a, b in zip(free.steps, bound.steps, strict=True))
+    assert bound.final.same_visible(free.final)
+
+
+_WORDS = st.sampled_from(
+    ["0", "1", "2", "LIFT", "STOP", "after", "0:0", "1:0", "0:1", "9:9", ":", "after:", "-1:0", "\u0660:0"]
+)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(st.lists(st.lists(_WORDS, max_size=6).map(" ".join), max_size=4).map("\n".join))
+@example("0 0 LIFT\n0 1 LIFT after 0:0")
+def test_any_lines_are_a_plan_or_a_mistake_with_its_file(tmp_path, text):
+    path = tmp_path / "p.plan"
+    path.write_text("0 0 STOP\n" + text, encoding="utf-8")
+    plan, told = None, ""
+    try:
+        plan = read_plan(path, 2)
+    except PlanError as error:
+        told = str(error)
+    if plan is None:
+        assert told.startswith(f"{path}:")
+        return
+    places = {
+        (tick, car): number
+        for number, (tick, car) in enumerate((t, c) for t, joint in enumerate(plan.ticks) for c, _ in joint)
+    }
+    for act, others in plan.after.items():
+        assert others
+        assert all(places[other] < places[act] and other[1] != act[1] for other in others)

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
-from craftsim.discrete.files.design import read_design
+from craftsim.discrete.files.design import design_in, read_design
 from craftsim.discrete.files.saving import blueprint_text, design_text
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.records.traces import read_records, recorded_grid
@@ -60,7 +60,7 @@ def test_the_start_of_a_task_needs_no_snapshot_and_keeps_its_goal(name, rng):
 def test_a_building_is_saved_as_a_goal_file_that_it_satisfies(scene, tmp_path):
     blocks = [(Kind.BLOCK, (0, 0, 1)), (Kind.BLOCK, (0, 0, 2))]
     grid = scene([*blocks, (Kind.BODY, (2, 2, 1), 1), (Kind.FSLOPE, (4, 4, 1), 0)])
-    (tmp_path / "goal.yaml").write_text(design_text(grid))
+    (tmp_path / "goal.yaml").write_text(design_text(design_in(grid)))
     design = read_design(tmp_path / "goal.yaml")
     assert len(design.targets) == 5
     assert design.satisfied(grid)

@@ -42,7 +42,7 @@ _SEEDS: dict[str, list[str]] = {
         "smartcar: {chassis_mass_kg: 1.1, wheel_torque_nm: 3.0}\ncars: [{}, {wheel_mass_kg: 2.5}]\n"
         "slope: {hinge_speed_rad_s: 1.0}\ngains:\n  drive: {max_speed: 0.4}\n"
     ],
-    "gains": [(_DATA / "gains" / "nominal.yaml").read_text()],
+    "gains": [(_DATA / "gains" / "robust.yaml").read_text()],
     "noise": ["{min_delay_s: 0.02, max_delay_s: 0.04, position_m: 0.001}\n"],
 }
 

@@ -5,7 +5,7 @@ import pytest
 from fuzzing.fuzz import attack, targets
 
 CASES = 1000
-SLOW = {"run": 40, "policy": 400, "numbers": 40}
+SLOW = {"run": 40, "policy": 400, "numbers": 40, "mesh": 200, "picture": 400}
 """Fewer cases of what takes ten milliseconds each."""
 
 

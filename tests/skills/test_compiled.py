@@ -16,6 +16,7 @@ from craftsim.skills import library
 from craftsim.skills.driving import Move, Rotate
 from craftsim.skills.executor import Executor
 from craftsim.skills.folding import Unfold
+from craftsim.skills.gains import load_gains
 from craftsim.skills.lifting import Lift
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command, Skill
@@ -78,7 +79,7 @@ class Nod(Skill):
 def test_a_skill_of_ones_own_runs_beside_compiled_ones(make_site, monkeypatch):
     monkeypatch.setitem(library.SKILLS, Action.LIFT, Nod)
     site = make_site((3, 2, 1), [(0, 0, 1, 0), (0, 1, 1, 0)])
-    executor = Executor(site)
+    executor = Executor(site, load_gains("fast"))
     outcomes = executor.run({0: Action.LIFT, 1: Action.MOVE_RIGHT})
     assert (outcomes[0].reason, outcomes[0].detail) == (Reason.TIMEOUT, "enough")
     assert outcomes[0].duration_s == pytest.approx(0.22)

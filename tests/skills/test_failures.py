@@ -21,6 +21,8 @@ from craftsim.skills.profile import Profile
 from craftsim.skills.skill import Command, SkillSetup, Terrain
 
 PERIOD_S = 0.02
+FAST = load_gains("fast")
+"""With them an action is tried once."""
 RIGHT = Action.MOVE_RIGHT
 PERFORMED = [action for action in Action if action <= Action.STOP]
 CALM = CarMeasurement(0.0, 0.16125, 0.16125, 0.0, 0.0, 0.0, 0.0, np.zeros(4), 0.0, 0.0, 0, math.pi / 2)
@@ -29,7 +31,7 @@ CALM = CarMeasurement(0.0, 0.16125, 0.16125, 0.0, 0.0, 0.0, 0.0, np.zeros(4), 0.
 
 def _run(site, action, terrain=None, observer=None, gains=None) -> Outcome:
     ground = {0: terrain} if terrain else None
-    return Executor(site, gains, observer).run({0: action}, ground)[0]
+    return Executor(site, gains or FAST, observer).run({0: action}, ground)[0]
 
 
 def _skill(action):
@@ -119,13 +121,12 @@ def test_a_hinge_needs_a_slope_above_the_car(make_site, action):
     site = make_site((3, 1, 2), [(0, 0, 1, 0)], [(Kind.FSLOPE, (1, 0, 1), 0)])
     outcome = _run(site, action)
     assert outcome.reason is Reason.MISALIGNED
-    assert outcome.duration_s <= load_gains().hinge.undocked + 2 * PERIOD_S
+    assert outcome.duration_s <= FAST.hinge.undocked + 2 * PERIOD_S
 
 
 def test_a_car_that_rests_off_its_target_is_misaligned(make_site):
-    nominal = load_gains()
-    stiff = replace(nominal.drive, position_gain=0.5, integral_gain=1e-5, position_tolerance=1e-7)
-    outcome = _run(make_site((2, 1, 1), [(0, 0, 1, 0)]), RIGHT, gains=replace(nominal, drive=stiff))
+    stiff = replace(FAST.drive, position_gain=0.5, integral_gain=1e-5, position_tolerance=1e-7)
+    outcome = _run(make_site((2, 1, 1), [(0, 0, 1, 0)]), RIGHT, gains=replace(FAST, drive=stiff))
     assert outcome.reason is Reason.MISALIGNED
     assert "from the target" in outcome.detail
 
@@ -308,7 +309,7 @@ def _break_plug(monkeypatch, executor, broken):
 
 def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):
     site = make_site((3, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)])
-    executor = Executor(site)
+    executor = Executor(site, FAST)
     executor.begin(0, Action.UNFOLD)
     for _ in range(20):
         executor.advance()
@@ -320,7 +321,7 @@ def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):
     while not ended:
         ended = executor.advance()
     assert ended[0].reason is Reason.MISALIGNED
-    assert ended[0].duration_s < 20 * PERIOD_S + 2 * load_gains().hinge.undocked
+    assert ended[0].duration_s < 20 * PERIOD_S + 2 * FAST.hinge.undocked
 
 
 def test_a_hinge_outlasts_a_plug_that_chatters(make_site, monkeypatch):

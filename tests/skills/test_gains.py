@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from craftsim.errors import InputError
-from craftsim.skills.gains import PRESETS, SECTIONS, load_gains
+from craftsim.skills.gains import PRESETS, SECTIONS, careful, load_gains
 
 
 def _file(folder: Path, text: str) -> Path:
@@ -49,7 +49,7 @@ def test_an_empty_file_gives_the_nominal_gains(tmp_path):
 def test_gains_know_their_file(tmp_path):
     path = _file(tmp_path, "board: {gain: 3}\n")
     assert load_gains(path).source == str(path)
-    assert load_gains().source == "nominal"
+    assert load_gains().source == "robust"
 
 
 def test_equal_gains_are_equal_and_hash_alike_wherever_they_came_from(tmp_path):
@@ -84,7 +84,7 @@ def test_a_dump_of_the_whole_dataclass_can_be_read_again(tmp_path):
         ("hinge: {gain: }", "hinge.gain must be a number, not nothing"),
         ("hinge: [1, 2]", "key 'hinge': must be a mapping with keys gain, acceleration"),
         ("hinge:", "key 'hinge': must be a mapping with keys gain, acceleration"),
-        ("- 1", "key 'document': must be a mapping with keys drive, board, hinge"),
+        ("- 1", "key 'document': must be a mapping with keys drive, uneven, board, hinge"),
         ("drive: {gain: 1", "not valid YAML"),
         ("drive: {1: 2}", "unknown key '1'; allowed: position_gain"),
         ("drive: {max_speed: 2020-13-01}", "drive.max_speed must be a number, not '2020-13-01'"),
@@ -116,23 +116,22 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
     assert str(path) in str(caught.value)
 
 
-def test_fast_is_what_is_shipped_and_robust_is_slower_where_it_matters():
+def test_robust_is_the_default_as_fast_as_fast_unless_it_drives_carefully():
     fast, robust = load_gains("fast"), load_gains("robust")
-    assert fast == load_gains()
-    for name in (
-        "max_slope_speed",
-        "max_slope_acceleration",
-        "max_tight_speed",
-        "max_acceleration",
-        "max_turn_speed",
-    ):
-        assert getattr(robust.drive, name) < getattr(fast.drive, name), name
+    assert robust == load_gains()
+    limits = [f.name for f in fields(robust.uneven) if not f.name.startswith("tilt")]
+    for name in limits:
+        assert getattr(robust.drive, name) == getattr(fast.drive, name), name
+        assert getattr(careful(robust).drive, name) < getattr(fast.drive, name), name
+    kept = {name: getattr(robust.drive, name) for name in limits}
+    assert replace(careful(robust).drive, **kept) == robust.drive
+    assert fast.uneven.tilt > fast.hold.level, "it never feels that"
     assert [load_gains(name).source for name in PRESETS] == list(PRESETS)
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones():
     with pytest.raises(
-        InputError, match=r"unknown gains 'fsat'; did you mean 'fast'\?; there are fast, robust"
+        InputError, match=r"unknown gains 'fsat'; did you mean 'fast'\?; there are robust, fast"
     ):
         load_gains("fsat")
 

@@ -12,9 +12,9 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.gains import RecoveryGains, load_gains
 from craftsim.skills.outcome import Reason
 
-NOMINAL = load_gains()
-CAREFUL = replace(NOMINAL.drive, max_tight_speed=0.3, max_tight_acceleration=0.8)
-TWICE = replace(NOMINAL, drive=CAREFUL, recovery=RecoveryGains(2.0))
+FAST = load_gains("fast")
+CAREFUL = replace(FAST.uneven, max_tight_speed=0.3, max_tight_acceleration=0.8, shake_after=10.0)
+TWICE = replace(FAST, uneven=CAREFUL, recovery=RecoveryGains(2.0))
 GONE_M = 20.0
 
 
@@ -61,8 +61,8 @@ def test_a_car_goes_back_to_where_it_began_before_it_tries_again(blocked):
     assert max(ways[back:]) > 0.05
 
 
-def test_a_single_try_is_all_that_nominal_gains_give(blocked):
-    outcome = Executor(blocked, NOMINAL, _leaves_at(1.5)).run({0: Action.MOVE_RIGHT})[0]
+def test_a_single_try_is_all_that_fast_gains_give(blocked):
+    outcome = Executor(blocked, FAST, _leaves_at(1.5)).run({0: Action.MOVE_RIGHT})[0]
     assert (outcome.reason, outcome.tries) == (Reason.BLOCKED, 1)
 
 

@@ -93,6 +93,7 @@ def test_the_file_says_where_it_comes_from_and_can_be_read_by_gains(monkeypatch,
     assert load_gains(path) == tuned.gains
     assert set(yaml.safe_load(text)) == {
         "drive",
+        "uneven",
         "board",
         "hinge",
         "stop",

@@ -1,7 +1,8 @@
 """Plans: which car does what in which tick, as text that people read and write.
 
 One action a line, ``tick car ACTION``; ``#`` starts a comment. Ticks never go back; within a tick the cars
-act in the order of their lines. Cars that a tick does not name stay as they are.
+act in the order of their lines. Cars that a tick does not name stay as they are. After the action may stand order
+constraints, ``8 2 MOVE_RIGHT after 0:7 1:7``: it starts when car 0's action of tick 7 and car 1's have ended.
 
 A list of actions, to be tried one after the other, has only ``car ACTION`` a line.
 """
@@ -9,14 +10,15 @@ A list of actions, to be tried one after the other, has only ``car ACTION`` a li
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NoReturn
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.files.documents import read_text
 from craftsim.discrete.files.shipped import find, shipped_plan
+from craftsim.discrete.schedule import Constraints, Schedule
 from craftsim.errors import BlueprintError, InputError, PlanError, suggestion
 from craftsim.storage.limits import TEXT
 from craftsim.storage.writing import write_whole
@@ -26,7 +28,9 @@ __all__ = ["Plan", "plan_text", "read_actions", "read_plan", "shipped_plan", "wr
 MAX_TICK: Final = 100_000
 
 _NUMBER: Final = re.compile(r"[0-9]{1,9}")
+_REFERENCE: Final = re.compile(r"([0-9]{1,9}):([0-9]{1,9})")
 _NAMES: Final = [action.name for action in Action]
+_LINE: Final = "tick car ACTION, or tick car ACTION after CAR:TICK ..."
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,8 @@ class Plan:
     path: Path
     ticks: tuple[tuple[tuple[int, Action], ...], ...]
     """For each tick the (car, action) pairs in acting order; a tick may be empty."""
+    after: Constraints = field(default_factory=dict, hash=False)
+    """For the (tick, car) of an action those of earlier actions of other cars that must have ended before it."""
 
 
 def read_plan(path: str | Path, n_cars: int) -> Plan:
@@ -57,21 +63,26 @@ def read_plan(path: str | Path, n_cars: int) -> Plan:
     """
     path = _found(path)
     ticks: list[list[tuple[int, Action]]] = []
+    after: dict[tuple[int, int], tuple[tuple[int, int], ...]] = {}
+    acts: set[tuple[int, int]] = set()
     for line, words in _lines(path):
-        if len(words) != 3:
-            _fail(path, line, f"{len(words)} words, but a line is: tick car ACTION")
+        if len(words) != 3 and words[3:4] != ["after"]:
+            _fail(path, line, f"{len(words)} words, but a line is: {_LINE}")
         tick = _tick(path, line, words[0])
         if tick + 1 < len(ticks):
             last = len(ticks) - 1
             _fail(path, line, f"tick {tick} comes after tick {last}; allowed: {last} or later")
-        car, action = _act(path, line, words[1:], n_cars)
+        car, action = _act(path, line, words[1:3], n_cars)
+        if len(words) > 3:
+            after[tick, car] = _after(path, line, car, words[4:], acts)
         ticks.extend([] for _ in range(tick + 1 - len(ticks)))
         if any(car == other for other, _ in ticks[tick]):
             _fail(path, line, f"car {car} acts twice in tick {tick}; allowed: once")
         ticks[tick].append((car, action))
+        acts.add((tick, car))
     if not ticks:
-        _fail(path, None, "no actions; a line is: tick car ACTION")
-    return Plan(path, tuple(tuple(tick) for tick in ticks))
+        _fail(path, None, f"no actions; a line is: {_LINE}")
+    return Plan(path, tuple(tuple(tick) for tick in ticks), after)
 
 
 def read_actions(path: str | Path, n_cars: int) -> Plan:
@@ -90,15 +101,24 @@ def read_actions(path: str | Path, n_cars: int) -> Plan:
     return Plan(path, tuple(actions))
 
 
-def plan_text(ticks: Iterable[Iterable[tuple[int, Action]]]) -> str:
-    """Return the text of a plan; each tick is (car, action) pairs in acting order."""
+def plan_text(ticks: Iterable[Iterable[tuple[int, Action]]], after: Constraints | None = None) -> str:
+    """Return the text of a plan; each tick is (car, action) pairs in acting order, ``after`` as of :class:`Plan`."""
     return "".join(
-        f"{tick} {car} {Action(action).name}\n" for tick, joint in enumerate(ticks) for car, action in joint
+        f"{tick} {car} {Action(action).name}{_after_text((after or {}).get((tick, car), ()))}\n"
+        for tick, joint in enumerate(ticks)
+        for car, action in joint
     )
 
 
-def write_plan(ticks: Plan | Iterable[Iterable[tuple[int, Action]]], path: str | Path) -> None:
+def write_plan(
+    ticks: Plan | Iterable[Iterable[tuple[int, Action]]], path: str | Path, schedule: Schedule | None = None
+) -> None:
     """Write a plan, or its ticks, into a file that :func:`read_plan` reads; the file is whole or not there.
+
+    Args:
+        ticks: the plan.
+        path: of the file.
+        schedule: of this plan, whose order constraints are written; those of the plan itself unless given.
 
     Raises InputError for a plan without any action, and if the file cannot be written.
 
@@ -108,10 +128,18 @@ def write_plan(ticks: Plan | Iterable[Iterable[tuple[int, Action]]], path: str |
         >>> craftsim.read_plan(folder / "mine.plan", n_cars=1).ticks
         (((0, <Action.MOVE_RIGHT: 9>),),)
     """
-    text = plan_text(ticks.ticks if isinstance(ticks, Plan) else ticks)
+    after: Constraints = ticks.after if isinstance(ticks, Plan) else {}
+    if schedule is not None:
+        after = schedule.constraints()
+    text = plan_text(ticks.ticks if isinstance(ticks, Plan) else ticks, after)
     if not text:
         raise InputError(f"{path}: the plan has no actions")
     write_whole(path, text)
+
+
+def _after_text(acts: Iterable[tuple[int, int]]) -> str:
+    named = [f"{car}:{tick}" for tick, car in acts]
+    return " ".join([" after", *named]) if named else ""
 
 
 def _found(path: str | Path) -> Path:
@@ -150,6 +178,28 @@ def _act(path: Path, line: int, words: list[str], n_cars: int) -> tuple[int, Act
         hint = suggestion(name[:80], _NAMES)
         _fail(path, line, f"unknown action '{name[:40]}'{hint}; allowed: {', '.join(_NAMES)}")
     return int(car), Action[name]
+
+
+def _after(
+    path: Path, line: int, car: int, words: list[str], acts: Collection[tuple[int, int]]
+) -> tuple[tuple[int, int], ...]:
+    """Return the order constraints of a line of ``car``; ``acts`` are the (tick, car) of the lines before it."""
+    if not words:
+        _fail(path, line, f"'after' names no action; a line is: {_LINE}")
+    found: list[tuple[int, int]] = []
+    for word in words:
+        match = _REFERENCE.fullmatch(word)
+        if match is None:
+            _fail(path, line, f"after '{word[:40]}', but an action is named CAR:TICK, such as 0:7")
+        other, tick = int(match[1]), int(match[2])
+        if other == car:
+            _fail(path, line, f"after '{word}', but car {car} waits for its own actions anyway; leave it out")
+        if (tick, other) not in acts:
+            _fail(path, line, f"after '{word}', but no line before this one is of car {other} in tick {tick}")
+        if (tick, other) in found:
+            _fail(path, line, f"after '{word}' stands twice; allowed: once")
+        found.append((tick, other))
+    return tuple(found)
 
 
 def _fail(path: Path, line: int | None, message: str) -> NoReturn:

@@ -10,7 +10,7 @@ import numpy as np
 
 from craftsim.discrete.files.blueprint import LOADS, NO_CELL, OBJECT_KEYS, parse_blueprint
 from craftsim.discrete.files.blueprint_checks import check_blueprint
-from craftsim.discrete.files.design import TARGET_KEYS
+from craftsim.discrete.files.design import TARGET_KEYS, Design
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
 from craftsim.errors import BlueprintError
 from craftsim.storage.writing import write_whole
@@ -134,11 +134,20 @@ def write_blueprint(grid: Grid, path: str | Path, goal: Cell | None = None) -> N
     write_whole(path, blueprint_text(grid, goal))
 
 
-def design_text(grid: Grid) -> str:
-    """Return the text of a goal file whose design is what stands in a world: blocks and slopes, not cars and flags."""
-    cells = {key: np.argwhere(grid.kind == kind).tolist() for key, kind in TARGET_KEYS.items()}
-    lists = {
-        key: [_entry(id=i, x=x, y=y, z=z) for i, (x, y, z) in enumerate(found)]
-        for key, found in cells.items()
-    }
-    return "".join(f"{line}\n" for key, entries in lists.items() for line in _list(key, entries))
+def design_text(design: Design) -> str:
+    """Return the text of a design's goal file."""
+    return "".join(
+        f"{line}\n"
+        for key, kind in TARGET_KEYS.items()
+        for line in _list(
+            key, [_entry(id=i, x=x, y=y, z=z) for i, (x, y, z) in enumerate(design.of_kind(kind))]
+        )
+    )
+
+
+def write_design(design: Design, path: str | Path) -> None:
+    """Write a design into a goal file that reads back as the same cells; it is whole or not there.
+
+    Raises InputError if it cannot be written.
+    """
+    write_whole(path, design_text(design))

@@ -31,11 +31,13 @@ _STACKS: Final = "what a stack bears under a car: it shows on stacks that are ta
 _STUCK: Final = (
     "what a car does that is stuck or has failed: an uneven floor shows it, and not the flat one here"
 )
+_UNEVEN: Final = "what a car does on an uneven floor: no effect on the flat one here"
 _PARKED: Final = "of parked cars, whose hold no objective measures"
 KEPT: Final[Mapping[str, str]] = {
     "drive.rocking": _STACKS,
     **{f"drive.{name}": _STUCK for name in ("shake_after", "shake_speed", "shake_rate")},
     "recovery.tries": _STUCK,
+    **{f"uneven.{f.name}": _UNEVEN for f in fields(SECTIONS["uneven"])},
     "drive.position_tolerance": _TOLERANCE,
     "drive.heading_tolerance": _TOLERANCE,
     "drive.position_certainty": _CERTAINTY,

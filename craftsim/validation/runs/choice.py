@@ -125,8 +125,8 @@ def actions_pilot(path: Path, subject: Subject) -> Pilot:
 def _pilot(plan: Plan, subject: Subject, order: PlanOrder) -> Pilot:
     return Pilot(
         writable(plan.path.stem),
-        _digest(repr(plan.ticks).encode()),
-        {subject.name: steps_of(plan.ticks, order)},
+        _digest(repr((plan.ticks, *plan.after.items()) if plan.after else plan.ticks).encode()),
+        {subject.name: steps_of(plan.ticks, order, plan.after)},
     )
 
 

@@ -7,17 +7,28 @@ from typing import Literal
 
 from craftsim.checking.recipe import Step
 from craftsim.discrete.actions import Action
+from craftsim.discrete.schedule import Constraints
 
 PlanOrder = Literal["sequential", "ticks", "concurrent"]
 """How a plan is carried out: one action after the other; tick after tick, all cars of one at the same time; or each
 action as early as those that it depends on have ended."""
 
 
-def steps_of(ticks: Sequence[Sequence[tuple[int, Action]]], order: PlanOrder) -> tuple[Step, ...]:
-    """Return the steps of a plan's ticks, each (car, action) in acting order."""
+def steps_of(
+    ticks: Sequence[Sequence[tuple[int, Action]]], order: PlanOrder, after: Constraints | None = None
+) -> tuple[Step, ...]:
+    """Return the steps of a plan's ticks, each (car, action) in acting order, with its order constraints."""
+    after = after or {}
     if order == "concurrent":
-        return (Step.joint(0, *ticks),)
+        return (Step.joint(0, *ticks, after=after),)
     numbered = [(tick, joint) for tick, joint in enumerate(ticks) if joint]
     if order == "ticks":
-        return tuple(Step.joint(tick, joint) for tick, joint in numbered)
+        return tuple(Step.joint(tick, joint, after=_within(after, tick, joint)) for tick, joint in numbered)
     return tuple(Step.single(tick, *act) for tick, joint in numbered for act in joint)
+
+
+def _within(after: Constraints, tick: int, joint: Sequence[tuple[int, Action]]) -> Constraints:
+    """Return the order constraints between the actions of one tick, as those of tick 0; others hold anyway."""
+    return {
+        (0, car): [(0, other) for at, other in after.get((tick, car), ()) if at == tick] for car, _ in joint
+    }

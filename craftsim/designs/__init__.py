@@ -1,0 +1,1 @@
+"""Designs and starts for them: a library, random ones, pictures and meshes."""

@@ -1,0 +1,170 @@
+"""A small library of buildings, each with its sizes as arguments, in cells.
+
+Nothing floats: a block stands on the ground or on a block, so that an opening is one to the sky. What a car cannot
+reach from its neighbour cells can still be built in an order that fills it from the far end (docs/designs.md).
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final
+
+from craftsim.designs.font import SIGNS, WIDTH, cells_of
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import Cell
+from craftsim.errors import InputError, suggestion
+from craftsim.storage.limits import DESIGN_CELLS, DESIGN_SIDE
+
+AWAY: Final = 2
+"""Yaw of a ramp that is driven up towards +x: downhill is -x."""
+
+
+def wall(length: int = 6, height: int = 2, thickness: int = 1) -> Design:
+    """Return a straight wall."""
+    return Design.of("wall", _box(length, thickness, height))
+
+
+def platform(length: int = 4, width: int = 3, height: int = 1) -> Design:
+    """Return a floor of blocks, as many levels high as it says."""
+    return Design.of("platform", _box(length, width, height))
+
+
+def ring(length: int = 5, width: int = 5, height: int = 1) -> Design:
+    """Return a wall around a court."""
+    _at_least("ring", 3, length=length, width=width)
+    return Design.of("ring", _around(length, width, height))
+
+
+def house(length: int = 5, width: int = 5, height: int = 2) -> Design:
+    """Return the four walls of a house with a door of one cell in the front; as all openings it has none above it."""
+    _at_least("house", 3, length=length, width=width)
+    return Design.of(
+        "house", (cell for cell in _around(length, width, height) if cell[:2] != (length // 2, 0))
+    )
+
+
+def arch(span: int = 3, rise: int = 4, height: int = 1) -> Design:
+    """Return an arch that lies on the floor: two legs, and what joins them at the far end."""
+    _at_least("arch", 2, rise=rise)
+    return Design.of("arch", (cell for cell in _around(span + 2, rise, height) if not _court(cell, span)))
+
+
+def pyramid(base: int = 5) -> Design:
+    """Return a pyramid with a square base, each level two cells narrower: a base of 5 takes 35 blocks."""
+    levels = (base + 1) // 2
+    return Design.of(
+        "pyramid",
+        ((x + z, y + z, z + 1) for z in range(levels) for x, y, _ in _box(base - 2 * z, base - 2 * z, 1)),
+    )
+
+
+def stair(steps: int = 2, width: int = 2) -> Design:
+    """Return a stair with a ramp for each step, one after the other in the first row.
+
+    Who unfolds an upper ramp leaves along the rows beside it, so that a stair of more steps is two cells wide at least.
+    """
+    if steps > 1:
+        _at_least("stair", 2, width=width)
+    end = 3 * steps
+    blocks = ((x, y, z) for z in range(1, steps + 1) for x in range(3 * z - 1, end) for y in range(width))
+    return Design.of("stair", blocks, [((3 * z + 1, 0, z + 1), AWAY) for z in range(steps)])
+
+
+def bridge(length: int = 3, width: int = 1) -> Design:
+    """Return a bridge of one level with a ramp at either end of each row: ``barrier`` of a start puts walls beside it.
+
+    An unloaded car drives through below it, a loaded one over it.
+    """
+    deck = ((x + 2, y, 1) for x, y, _ in _box(length, width, 1))
+    ramps = [((x, y, 1), yaw) for y in range(width) for x, yaw in ((1, AWAY), (length + 2, AWAY - 2))]
+    return Design.of("bridge", deck, ramps)
+
+
+def tower(side: int = 2, height: int = 2) -> Design:
+    """Return a square tower with a ramp onto its first level."""
+    return Design.of("tower", ((x + 2, y, z) for x, y, z in _box(side, side, height)), [((1, 0, 1), AWAY)])
+
+
+def letters(text: str, height: int = 1) -> Design:
+    """Return a text that lies on the floor, in letters and digits of 3 x 5 cells.
+
+    Raises InputError for other signs, and for a text without any.
+    """
+    unknown = sorted({*text.upper()} - SIGNS)
+    if unknown or not text.strip():
+        found = f"no '{unknown[0]}'" if unknown else "no text"
+        raise InputError(f"letters: there is {found}; allowed: A to Z, 0 to 9 and blanks, such as --text CAR")
+    if len(text) * (WIDTH + 1) > DESIGN_SIDE.high:
+        raise InputError(
+            f"letters: {len(text)} letters; allowed: at most {int(DESIGN_SIDE.high) // (WIDTH + 1)}"
+        )
+    return Design.of(
+        "letters",
+        (
+            (x + (WIDTH + 1) * i, y, z)
+            for i, sign in enumerate(text.upper())
+            for x, y in cells_of(sign)
+            for z in range(1, height + 1)
+        ),
+    )
+
+
+LIBRARY: Final[dict[str, Callable[..., Design]]] = {
+    function.__name__: function
+    for function in (wall, platform, ring, house, arch, pyramid, stair, bridge, tower, letters)
+}
+"""The buildings by name."""
+
+
+def sizes_of(name: str) -> dict[str, int]:
+    """Return the sizes that a building takes, in order, with what they are unless given."""
+    parameters = inspect.signature(LIBRARY[name]).parameters.values()
+    return {one.name: one.default for one in parameters if one.name != "text"}
+
+
+def make_design(name: str, size: Sequence[int] = (), text: str | None = None) -> Design:
+    """Return a building of the library.
+
+    Args:
+        name: one of LIBRARY.
+        size: its sizes in the order of :func:`sizes_of`; those left out are as there.
+        text: of letters, and of nothing else.
+
+    Raises InputError for a name, a number of sizes, a size or a text that there cannot be.
+    """
+    if name not in LIBRARY:
+        raise InputError(f"no design '{name}'{suggestion(name, LIBRARY)}; there are {', '.join(LIBRARY)}")
+    names = sizes_of(name)
+    if len(size) > len(names):
+        raise InputError(f"{name}: {len(size)} sizes; it has {len(names)}: {', '.join(names)}")
+    if (text is None) == (name == "letters"):
+        raise InputError(f"{name}: {'needs a --text' if text is None else 'has no --text'}")
+    sizes = {**names, **dict(zip(names, size, strict=False))}
+    for what, number in sizes.items():
+        DESIGN_SIDE.check(f"{name}: {what}", number)
+    return LIBRARY[name](**sizes) if text is None else letters(text, **sizes)
+
+
+def _box(length: int, width: int, height: int) -> Iterator[Cell]:
+    if length * width * height > DESIGN_CELLS:
+        raise InputError(
+            f"{length} x {width} x {height} are {length * width * height} blocks; allowed: at most {DESIGN_CELLS}"
+        )
+    return ((x, y, z) for z in range(1, height + 1) for x in range(length) for y in range(width))
+
+
+def _around(length: int, width: int, height: int) -> Iterator[Cell]:
+    return (
+        (x, y, z) for x, y, z in _box(length, width, height) if x in (0, length - 1) or y in (0, width - 1)
+    )
+
+
+def _court(cell: Cell, span: int) -> bool:
+    return cell[1] == 0 and 0 < cell[0] <= span
+
+
+def _at_least(name: str, least: int, **sizes: int) -> None:
+    for what, number in sizes.items():
+        if number < least:
+            raise InputError(f"{name}: {what} is {number}; allowed: at least {least}")

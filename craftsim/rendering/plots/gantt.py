@@ -1,0 +1,106 @@
+"""The Gantt chart of a plan: what each car does when, and when it waits."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.colours import Rgb
+from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.rules.table import ACTIONS
+from craftsim.discrete.schedule import Schedule
+from craftsim.discrete.timetable import makespan, timetable
+from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper
+from craftsim.storage.writing import whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FORMATS: Final[Mapping[str, dict[str, Any]]] = {".png": {"Software": None}, ".svg": {"Date": None}}
+"""By the ending of a file's name what is not to be written into it: the same plan gives the same bytes."""
+VERB_COLOURS: Final[dict[str, Rgb]] = {
+    "move": (0.55, 0.71, 0.85),
+    "rotate": (0.80, 0.84, 0.88),
+    "lift": (0.36, 0.62, 0.36),
+    "drop": (0.89, 0.58, 0.22),
+    "fold": (0.55, 0.40, 0.65),
+    "unfold": (0.78, 0.64, 0.83),
+    "stop": (0.93, 0.93, 0.92),
+}
+"""By the row of an action in the table of durations."""
+_HATCH: Final = "////"
+_DPI: Final = 200
+_ROW_IN: Final = 0.22
+_FRAME_IN: Final = 1.15
+"""For title, axis and legend."""
+_BAR: Final = 0.72
+"""Height of a bar, of that of its row."""
+
+
+def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
+    """Draw a plan into a PNG or SVG file: a row for each car, a bar for each action, hatched where the car is loaded.
+
+    Lines between the bars are waits; they begin at 0 and end at the car's last action. Returns the path; raises
+    InputError where the disk does not take it.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    n_cars, times = schedule.final.n_cars, timetable(schedule)
+    legend = {"ncols": len(VERB_COLOURS) + 2, "handlelength": 1.2, "columnspacing": 1.1}
+    with paper():
+        from matplotlib import rcParams
+
+        rcParams["svg.hashsalt"], rcParams["hatch.linewidth"] = "craftsim", 0.5
+        figure = Figure(figsize=(WIDTH_IN, _FRAME_IN + _ROW_IN * n_cars), dpi=_DPI, layout="constrained")
+        took = f"{len(schedule.steps)} actions, makespan {makespan(times):.1f} s"
+        figure.suptitle(line_of(f"{title}: {took}"), fontsize=9, weight="bold")
+        axes = figure.add_subplot()
+        verbs, loaded = _draw_bars(axes, schedule, times)
+        _draw_waits(axes, schedule, times)
+        axes.set_yticks(range(n_cars), [f"car {car}" for car in range(n_cars)])
+        axes.set_ylim(n_cars - 0.5, -0.5)
+        axes.set_xlim(0, max(makespan(times), 0.1))
+        axes.tick_params(axis="y", length=0)
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel("time at nominal physics (s)")
+        handles = [Patch(facecolor=VERB_COLOURS[verb], label=verb) for verb in VERB_COLOURS if verb in verbs]
+        if loaded:
+            handles.append(Patch(facecolor="1", hatch=_HATCH, edgecolor="0.3", label="loaded"))
+        figure.legend(handles=handles, loc="outside lower center", **legend)
+        with whole(path) as partial:
+            figure.savefig(partial, format=path.suffix[1:], dpi=_DPI, metadata=FORMATS[path.suffix])
+    return path
+
+
+def _draw_bars(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> tuple[set[str], bool]:
+    """Draw the actions; return which verbs there are, and whether any car is loaded."""
+    bars: dict[tuple[int, str, bool], list[tuple[float, float]]] = defaultdict(list)
+    for step, (start, end) in zip(schedule.steps, times.tolist(), strict=True):
+        loaded = Kind.AIR not in (
+            step.before.cars[step.car, CarField.LOAD],
+            step.after.cars[step.car, CarField.LOAD],
+        )
+        bars[step.car, ACTIONS[step.action].duration, loaded].append((start, end - start))
+    for (car, verb, loaded), spans in bars.items():
+        look: dict[str, Any] = {"hatch": _HATCH, "edgecolor": "0.3"} if loaded else {"edgecolor": "1"}
+        axes.broken_barh(spans, (car - _BAR / 2, _BAR), facecolor=VERB_COLOURS[verb], linewidth=0.4, **look)
+    return {verb for _, verb, _ in bars}, any(loaded for _, _, loaded in bars)
+
+
+def _draw_waits(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> None:
+    """Draw a line where a car waits before an action."""
+    free: dict[int, float] = {}
+    waits = []
+    for step, (start, end) in zip(schedule.steps, times.tolist(), strict=True):
+        idle_from = free.get(step.car, 0.0)
+        if start > idle_from:
+            waits.append((step.car, idle_from, start))
+        free[step.car] = end
+    if waits:
+        axes.hlines(*zip(*waits, strict=True), color="0.45", lw=1.0, ls=(0, (1, 1)))

@@ -1,0 +1,82 @@
+"""One car builds a design in a given order by the physical rules: a witness that it can be built.
+
+Each thing is fetched from where a search over the car's poses finds one that it can bring. Nothing is moved aside, and
+other cars are left out.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+from craftsim.designs.growth import Ramp
+from craftsim.discrete.actions import Action
+from craftsim.discrete.cells import pose_of
+from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.rules.sets import RULE_FLAGS, act, world_of
+from craftsim.discrete.rules.table import apply, legal
+
+DRIVING = [int(action) for action in Action if action.name.startswith(("MOVE_", "ROTATE"))][:6]
+
+
+def poses(grid: Grid) -> Iterator[tuple[int, ...]]:
+    """Yield the poses that car 0 can drive to as it is, the nearest first; the grid shows each while it is yielded."""
+    world, row = world_of(grid, RULE_FLAGS["physical"]), grid.cars[0]
+    start = tuple(row.tolist())
+    seen, waiting = {start}, deque([start])
+    while waiting:
+        pose = waiting.popleft()
+        row[:] = pose
+        yield pose
+        for action in DRIVING:
+            row[:] = pose
+            if legal(world, 0, pose_of(world, 0), action):
+                apply(world, 0, action)
+                after = tuple(row.tolist())
+                if after not in seen:
+                    seen.add(after)
+                    waiting.append(after)
+    row[:] = start
+
+
+def do(grid: Grid, *actions: Action) -> bool:
+    """Let car 0 act in place; return whether the rules let it."""
+    world = world_of(grid, RULE_FLAGS["physical"])
+    return all(act(world, 0, int(action)) for action in actions)
+
+
+def bring(grid: Grid, step: Cell | Ramp, done: set[Cell]) -> Grid | None:
+    """Return the world after car 0 has put a block, or a slope that it unfolds, where a step says, or None."""
+    slope = isinstance(step, Ramp)
+    kind = Kind.FSLOPE if slope else Kind.BLOCK
+    for pose in poses(grid):
+        if grid.kind[pose[:3]] != kind or pose[:3] in done:
+            continue
+        loaded = grid.copy()
+        loaded.cars[0] = pose
+        if not do(loaded, Action.LIFT):
+            continue
+        for place in poses(loaded):
+            if place[:3] != (step.body if slope else step) or (slope and place[3] != (step.yaw + 2) % 4):
+                continue
+            after = loaded.copy()
+            after.cars[0] = place
+            if do(after, Action.DROP, *([Action.UNFOLD] if slope else [])):
+                return after
+    return None
+
+
+def build(start: Grid, steps: tuple[Cell | Ramp, ...]) -> tuple[Grid, int]:
+    """Return the world after as many steps as one car can do, and how many these are."""
+    grid = start.copy()
+    grid.cars = grid.cars[:1].copy()
+    grid.derive_marks()
+    done: set[Cell] = set()
+    for i, step in enumerate(steps):
+        after = bring(grid, step, done)
+        if after is None:
+            return grid, i
+        grid = after
+        done.add(step.body if isinstance(step, Ramp) else step)
+    grid.derive_marks()
+    return grid, len(steps)

@@ -1,0 +1,166 @@
+"""The library of designs: nothing floats, nothing twice, files say the same."""
+
+import numpy as np
+import pytest
+from designs.building import build
+
+from craftsim.designs.font import SIGNS, cells_of
+from craftsim.designs.growth import Ramp
+from craftsim.designs.library import AWAY, LIBRARY, make_design, sizes_of
+from craftsim.designs.starts import make_start
+from craftsim.discrete.files.design import Design, design_in, read_design
+from craftsim.discrete.files.saving import write_design
+from craftsim.discrete.grid import Kind
+from craftsim.errors import InputError
+
+
+def _text(name):
+    return "CAR 54" if name == "letters" else None
+
+
+def _cells(design):
+    return sorted((target.kind, target.cell, design.yaw(target)) for target in design.targets)
+
+
+@pytest.fixture(params=LIBRARY)
+def designs(request):
+    """One building as it is unless said otherwise, and in other sizes."""
+    name = request.param
+    found = [make_design(name, (), _text(name))]
+    for size in ((3,), (5, 4), (4, 5, 2), (7, 3, 3)):
+        if len(size) <= len(sizes_of(name)):
+            found.append(make_design(name, size, _text(name)))
+    return found
+
+
+def test_nothing_floats_and_no_cell_is_listed_twice(designs):
+    for design in designs:
+        assert design.floating() == []
+        cells = [target.cell for target in design.targets]
+        assert len(set(cells)) == len(cells)
+
+
+def test_a_design_begins_at_the_corner_and_its_size_is_tight(designs):
+    for design in designs:
+        least = [min(target.cell[axis] for target in design.targets) for axis in range(3)]
+        assert least[2] == 1
+        assert least[0] == least[1] == 0
+        design.check_fits(design.size)
+        for axis in range(3):
+            smaller = [side - (i == axis) for i, side in enumerate(design.size)]
+            with pytest.raises(InputError, match="is outside the area"):
+                design.check_fits(tuple(smaller))
+
+
+def test_a_design_is_written_and_read_back_as_the_same_cells_and_yaws(designs, tmp_path):
+    for design in designs:
+        write_design(design, tmp_path / "goal.yaml")
+        assert _cells(read_design(tmp_path / "goal.yaml")) == _cells(design)
+
+
+def test_the_finished_world_satisfies_its_design_and_no_smaller_one_does(designs):
+    for design in designs:
+        grid = design.finished()
+        assert design.satisfied(grid)
+        assert _cells(design_in(grid)) == _cells(design)
+        grid.kind[design.targets[-1].cell] = Kind.AIR
+        assert not design.satisfied(grid)
+
+
+def test_known_counts():
+    assert len(make_design("pyramid").targets) == 35
+    assert len(make_design("wall", (10, 2, 5)).targets) == 100
+    house = make_design("house").of_kind(Kind.BLOCK)
+    assert len(house) == 30
+    assert not {(2, 0, 1), (2, 0, 2)} & {*house}
+    assert make_design("letters", (), "I").of_kind(Kind.BLOCK) == make_design("letters", (), "i").of_kind(
+        Kind.BLOCK
+    )
+
+
+def test_letters_and_digits_look_different():
+    shapes = {sign: frozenset(cells_of(sign)) for sign in SIGNS}
+    same = {frozenset(a + b) for a in shapes for b in shapes if a != b and shapes[a] == shapes[b]}
+    assert len(SIGNS) == 37
+    assert same == {frozenset("O0"), frozenset("S5")}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("wal",), "no design 'wal'; did you mean 'wall'?"),
+        (("wall", (1, 2, 3, 4)), "wall: 4 sizes; it has 3: length, height, thickness"),
+        (("wall", (0,)), "wall: length is 0; allowed: 1 to 128"),
+        (("platform", (128, 128)), "16384 blocks; allowed: at most 4000"),
+        (("stair", (128, 128)), "more than 4000 cells"),
+        (("ring", (2,)), "ring: length is 2; allowed: at least 3"),
+        (("stair", (2, 1)), "stair: width is 1; allowed: at least 2"),
+        (("letters",), "letters: needs a --text"),
+        (("wall", (), "A"), "wall: has no --text"),
+        (("letters", (), "A?"), "letters: there is no '\\?'"),
+        (("letters", (), " "), "letters: there is no text"),
+        (("letters", (), "A" * 33), "33 letters; allowed: at most 32"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_what_can(words, message):
+    with pytest.raises(InputError, match=message):
+        make_design(*words)
+
+
+def test_a_design_in_no_file_is_held_to_what_a_file_is():
+    for blocks, message in (
+        ([(0, 0, 1), (0, 0, 1)], "two things in the cell"),
+        ([(-1, 0, 1)], "outside of the largest area"),
+        ([], "no cells"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Design.of("mine", blocks)
+    with pytest.raises(InputError, match="another slope's foot beside it"):
+        Design.of("mine", [], [((1, 1, 1), 1), ((3, 1, 1), 2)])
+
+
+BACK = [
+    (3, 0),
+    (4, 0),
+    *((4, y) for y in range(1, 5)),
+    (3, 4),
+    (1, 0),
+    *((0, y) for y in range(5)),
+    (1, 4),
+    (2, 4),
+]
+"""Of a house's walls: from both sides of the door to the middle of the back, where the ramp leads."""
+ORDERS = {
+    "house": [*((x, y, 1) for x, y in BACK), Ramp((2, 5, 1), 1), *((x, y, 2) for x, y in BACK)],
+    "bridge": [Ramp((4 + 1, 0, 1), 0), *((x, 0, 1) for x in (4, 3, 2)), Ramp((1, 0, 1), AWAY)],
+    "stair": [
+        *((x, y, 1) for x in (5, 4, 3, 2) for y in (1, 0)),
+        Ramp((1, 0, 1), AWAY),
+        (5, 1, 2),
+        (5, 0, 2),
+        Ramp((4, 0, 2), AWAY),
+    ],
+    "tower": [
+        *((x, y, 1) for x in (3, 2) for y in (1, 0)),
+        Ramp((1, 0, 1), AWAY),
+        *((x, y, 2) for x in (3, 2) for y in (1, 0)),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_one_car_builds_it_by_the_rules_from_the_far_ends(name):
+    design = make_design(name)
+    start = make_start(design, 1, np.random.default_rng(0), margin=4)
+    dx, dy = (
+        a - b for a, b in zip(start.design.targets[0].cell[:2], design.targets[0].cell[:2], strict=True)
+    )
+    steps = [
+        Ramp((one.body[0] + dx, one.body[1] + dy, one.body[2]), one.yaw)
+        if isinstance(one, Ramp)
+        else (one[0] + dx, one[1] + dy, one[2])
+        for one in ORDERS[name]
+    ]
+    grid, done = build(start.grid, tuple(steps))
+    assert done == len(steps)
+    assert start.design.satisfied(grid)

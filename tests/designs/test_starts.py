@@ -1,0 +1,188 @@
+"""Starts: what a design takes is there, and cars get at all of it."""
+
+import numpy as np
+import pytest
+from designs.building import build
+
+from craftsim.designs.drawn import random_start
+from craftsim.designs.growth import Ramp
+from craftsim.designs.library import make_design
+from craftsim.designs.spreading import FreeFloor
+from craftsim.designs.starts import make_start
+from craftsim.designs.tiny import SIZE, tiny_world
+from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.grid import CarField, Kind, beside
+from craftsim.discrete.grid_checks import check_grid
+from craftsim.errors import InputError
+
+SEEDS = range(4)
+
+
+def _pieces(free):
+    """Return the pieces of a floor by a search of our own."""
+    left, pieces = {(int(x), int(y)) for x, y in np.argwhere(free)}, []
+    while left:
+        waiting, piece = [left.pop()], set()
+        while waiting:
+            x, y = waiting.pop()
+            piece.add((x, y))
+            for near in ((x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)):
+                if near in left:
+                    left.remove(near)
+                    waiting.append(near)
+        pieces.append(piece)
+    return pieces
+
+
+def _counts(grid):
+    return [int((grid.kind == kind).sum()) for kind in (Kind.BLOCK, Kind.FSLOPE, Kind.GEAR)]
+
+
+@pytest.mark.parametrize("name", ["pyramid", "house", "stair", "ring"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_all_things_touch_a_free_floor_in_one_piece_outside_of_the_design(name, seed):
+    design = make_design(name)
+    start = make_start(design, 3, np.random.default_rng(seed), spare_blocks=2, spare_slopes=2)
+    grid = start.grid
+    slopes = len(design.of_kind(Kind.BODY)) + 2
+    assert _counts(grid) == [len(design.of_kind(Kind.BLOCK)) + 2, slopes, slopes]
+    own = {target.cell[:2] for target in start.design.targets}
+    things = {(int(x), int(y)) for x, y in np.argwhere(grid.kind[:, :, 1] != Kind.AIR)}
+    assert not own & things
+    free = np.ones(grid.size[:2], np.bool_)
+    free[tuple(np.array(sorted(own | things)).T)] = False
+    largest = max(_pieces(free), key=len)
+    # A court inside of the design is a piece of its own.
+    assert len(_pieces(free)) == 1 + (name == "ring")
+    for x, y, z in np.argwhere(np.isin(grid.kind, (Kind.BLOCK, Kind.FSLOPE))).tolist():
+        assert any(beside((x, y, z), d)[:2] in largest for d in range(4))
+        if grid.kind[x, y, z] == Kind.FSLOPE:
+            assert beside((x, y, z), int(grid.yaw[x, y, z]) + 2)[:2] in largest
+    assert {tuple(car[:2]) for car in grid.cars.tolist()} <= largest
+    assert len({tuple(car[:2]) for car in grid.cars.tolist()}) == 3
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_cell_is_taken_only_where_the_floor_stays_in_one_piece(seed):
+    rng = np.random.default_rng(seed)
+    free = rng.random((7, 7)) < 0.8
+    free = np.isin(np.arange(49), [x * 7 + y for x, y in max(_pieces(free), key=len)]).reshape(7, 7)
+    floor = FreeFloor(free)
+    taken = 0
+    for x, y in rng.permutation(np.argwhere(free)).tolist():
+        taken += floor.take((x, y))
+        assert len(_pieces(floor.free)) == 1
+    assert taken == (free & ~floor.free).sum() > 5
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_start_is_a_sound_world_that_a_blueprint_says_without_a_snapshot(seed):
+    starts = [
+        make_start(make_design("bridge"), 2, np.random.default_rng(seed), barrier=True),
+        random_start(np.random.default_rng(seed), seed / 3),
+        tiny_world(np.random.default_rng(seed)),
+    ]
+    for start in starts:
+        check_grid(start.grid)
+        text = blueprint_text(start.grid)
+        assert "snapshot" not in text
+        again = parse_blueprint(text, "again.yaml").grid(np.random.default_rng(0))
+        assert again.same_visible(start.grid)
+        assert again.same_marks(start.grid)
+        start.design.check_fits(start.grid.size)
+        assert not start.design.satisfied(start.grid)
+
+
+def test_a_barrier_leaves_a_gap_where_the_design_is_and_no_other():
+    start = make_start(make_design("bridge", (3, 2)), 2, np.random.default_rng(0), barrier=True)
+    walls = np.argwhere(start.grid.kind == Kind.WALL)
+    assert len({x for x, _, _ in walls.tolist()}) == 1
+    assert len(walls) == start.grid.size[1] - 2
+    assert not start.grid.kind[tuple(np.array([target.cell for target in start.design.targets]).T)].any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"size": (6, 6, 4)}, "too small for a design of"),
+        ({"size": (12, 12, 2)}, "too small for a design of"),
+        ({"size": (200, 12, 4)}, "allowed: 1 to 128 each way"),
+        ({"size": (11, 11, 4), "spare_blocks": 60}, "no room for 95 blocks, 2 slopes and 2 cars"),
+        ({"spare_blocks": 100_000}, "allowed: 4000 together"),
+        ({"n_cars": 257}, "257 cars; allowed: at most 256"),
+        ({"n_cars": 100, "size": (11, 11, 4)}, "and 100 cars beside the design"),
+    ],
+)
+def test_what_has_no_room_is_refused_with_what_would_do(options, message):
+    options = {"n_cars": 2, "rng": np.random.default_rng(0), **options}
+    with pytest.raises(InputError, match=message):
+        make_start(make_design("pyramid"), **options)
+
+
+def _same(one, other):
+    return (
+        blueprint_text(one.grid) == blueprint_text(other.grid) and one.design.targets == other.design.targets
+    )
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda rng: make_start(make_design("stair"), 2, rng),
+        lambda rng: random_start(rng, 0.7),
+        tiny_world,
+    ],
+)
+def test_the_same_seed_gives_the_same_start_and_another_another(draw):
+    first, again, other = (draw(np.random.default_rng(seed)) for seed in (5, 5, 6))
+    assert _same(first, again)
+    assert not _same(first, other)
+
+
+@pytest.mark.parametrize("difficulty", [0.0, 0.25, 0.6, 0.9])
+def test_one_car_builds_a_random_design_in_its_own_order_by_the_rules(difficulty):
+    start = random_start(np.random.default_rng(3), difficulty)
+    grid, done = build(start.grid, start.steps)
+    assert done == len(start.steps)
+    assert start.design.satisfied(grid)
+
+
+def test_random_designs_stay_within_what_difficulty_allows_and_use_it():
+    found = [random_start(np.random.default_rng(seed), seed / 9) for seed in range(10)]
+    blocks = [len(start.design.of_kind(Kind.BLOCK)) for start in found]
+    ramps = [sum(isinstance(step, Ramp) for step in start.steps) for start in found]
+    assert min(blocks) >= 4
+    assert 13 <= max(blocks) <= 16
+    assert {0, 1, 2} <= {*ramps} <= {0, 1, 2, 3, 4}
+    assert {2, 6} <= {start.grid.n_cars for start in found} <= {2, 3, 4, 5, 6}
+    assert {start.design.size[2] for start in found} == {1, 2, 3}
+    assert all(start.grid.size <= (8, 8, 3) for start in found)
+    assert not any(start.design.floating() for start in found)
+    kept = [len(start.design.of_kind(Kind.BODY)) for start in found]
+    assert kept == [start.ramps for start in found]
+    assert 0 < sum(kept) < sum(ramps), "some belong to designs, some serve for building alone"
+    assert all(_counts(start.grid)[:2] == [n, m] for start, n, m in zip(found, blocks, ramps, strict=True))
+    assert np.mean(blocks[:5]) < np.mean(blocks[5:])
+
+
+def test_a_difficulty_out_of_range_and_too_many_cars_are_refused():
+    with pytest.raises(InputError, match=r"the difficulty is 1\.5; allowed: 0 to 1"):
+        random_start(np.random.default_rng(0), 1.5)
+    with pytest.raises(InputError, match="256 cars have no room"):
+        random_start(np.random.default_rng(0), 0.5, n_cars=256)
+
+
+def test_tiny_worlds_are_tiny_and_their_goals_need_work():
+    for seed in range(30):
+        start = tiny_world(np.random.default_rng(seed))
+        grid, design = start.grid, start.design
+        assert grid.size == SIZE
+        assert 1 <= grid.n_cars <= 2
+        blocks, slopes, _ = _counts(grid)
+        assert 1 <= blocks + slopes <= 3
+        assert len(design.of_kind(Kind.BLOCK)) == blocks
+        assert len(design.of_kind(Kind.FSLOPE)) + len(design.of_kind(Kind.BODY)) == slopes
+        assert not grid.cars[:, CarField.LOAD].any()
+        assert design.floating() == []
+        assert not design.satisfied(grid)

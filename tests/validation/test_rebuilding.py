@@ -87,12 +87,12 @@ def test_cars_out_of_action_are_walls_and_plans_name_the_cars_of_the_real_world(
     assert seen.grid.kind[2, 0, 1] == Kind.WALL
     assert seen.grid.n_cars == 1
     assert seen.in_real_numbers([[(0, Action.LIFT)]]) == [[(1, Action.LIFT)]]
-    assert not seen.reached
 
 
-def test_what_stands_where_a_car_is_out_of_action_is_not_built_again():
+def test_what_stands_where_a_car_is_out_of_action_stays_if_the_design_has_it_there():
     checked = set_up(_world([(2, 0, 1)], [(2, 0), (4, 2)]), SETUP, SEED_0)
-    assert Without.of(checked, _task((2, 0, 1)), [0]).reached
+    assert Without.of(checked, _task((2, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.BLOCK
+    assert Without.of(checked, _task((3, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.WALL
 
 
 def _build(out, start, goal, *words):

@@ -41,7 +41,7 @@ class Without:
         grid.cars = real.cars[list(acting)]
         walled = {cell for car in gone for cell in _cells(checked, car)}
         if task.design is not None:
-            walled -= {target.cell for target, hit in task.design.hits(real) if hit}
+            walled -= {target.cell for target, hit in task.design.hits(real) if hit} - _unreadable(checked)
         walled |= {cell for one in list(walled) for cell in _other_part(real, one)}
         for cell in walled:
             grid.kind[cell], grid.yaw[cell] = Kind.WALL, 0
@@ -61,6 +61,16 @@ def stuck_with(checked: CheckedSite, out: Iterable[int]) -> Iterator[str]:
         for index, placed in enumerate(checked.reading.objects):
             if placed.carrier == car or placed.cell in cells:
                 yield checked.poses.name(index)
+
+
+def _unreadable(checked: CheckedSite) -> set[Cell]:
+    """Return the cells of what stands in them only nearly, such as a slope that is half open."""
+    names = {checked.poses.name(index): placed for index, placed in enumerate(checked.reading.objects)}
+    return {
+        placed.cell
+        for name, placed in names.items()
+        if any(text.startswith(f"{name} ") for text in checked.problems)
+    }
 
 
 def _cells(checked: CheckedSite, car: int) -> set[Cell]:

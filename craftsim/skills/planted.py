@@ -30,7 +30,7 @@ CLEAR_M: Final = 1.8 * CELL_PITCH_M
 """A block is shoved only while no car's centre is nearer to its way, so that it is pushed over the floor alone."""
 _STIFFNESS_HZ: Final = 4.0
 """Of the hand that shoves: what it holds would swing so fast."""
-_LIFTED: Final = 0.9
+_LIFTED: Final = 0.5
 """Share of the block's weight that the hand takes."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Final
 
@@ -15,7 +15,6 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.reading import PLACE_TOLERANCE_M
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.measures import Finished
 from craftsim.planning.planner import Ticks
 
 _HALF_M: Final = CELL_PITCH_M / 2 - PLACE_TOLERANCE_M
@@ -24,40 +23,30 @@ _HALF_M: Final = CELL_PITCH_M / 2 - PLACE_TOLERANCE_M
 
 @dataclass(frozen=True)
 class Without:
-    """A world in which some cars are walls, and what is left to build there."""
+    """A world in which cars out of action are walls."""
 
     grid: Grid
-    task: Task
     cars: tuple[int, ...]
     """The numbers, in the real world, of the cars that act."""
-    reached: bool
-    """Whether nothing is left to build."""
 
     @classmethod
     def of(cls, checked: CheckedSite, task: Task, out: Iterable[int]) -> Without:
         """Return the world as it was read last without the cars that are out of action.
 
-        What stands where one of them is counts as built if the design has it there; nothing there can be moved.
+        What stands where one of them is stays if the design has it there: it bears what comes upon it.
         """
         real, gone = checked.grid, sorted(out)
         acting = tuple(car for car in range(real.n_cars) if car not in gone)
-        if not gone:
-            return cls(real, task, acting, False)
         grid = real.copy()
         grid.cars = real.cars[list(acting)]
         walled = {cell for car in gone for cell in _cells(checked, car)}
+        if task.design is not None:
+            walled -= {target.cell for target, hit in task.design.hits(real) if hit} - _unreadable(checked)
         walled |= {cell for one in list(walled) for cell in _other_part(real, one)}
         for cell in walled:
             grid.kind[cell], grid.yaw[cell] = Kind.WALL, 0
         grid.derive_marks()
-        if task.design is None:
-            return cls(grid, task, acting, task.succeeded(grid))
-        left = tuple(target for target, hit in task.design.hits(real) if not (hit and target.cell in walled))
-        if not left:
-            return cls(grid, task, acting, True)
-        design = replace(task.design, targets=left)
-        rest = replace(task, design=design, success=Finished(design))
-        return cls(grid, rest, acting, rest.succeeded(grid))
+        return cls(grid, acting)
 
     def in_real_numbers(self, ticks: Ticks) -> list[list[tuple[int, Action]]]:
         """Return a plan for this world as one for the real one."""
@@ -72,6 +61,16 @@ def stuck_with(checked: CheckedSite, out: Iterable[int]) -> Iterator[str]:
         for index, placed in enumerate(checked.reading.objects):
             if placed.carrier == car or placed.cell in cells:
                 yield checked.poses.name(index)
+
+
+def _unreadable(checked: CheckedSite) -> set[Cell]:
+    """Return the cells of what stands in them only nearly, such as a slope that is half open."""
+    names = {checked.poses.name(index): placed for index, placed in enumerate(checked.reading.objects)}
+    return {
+        placed.cell
+        for name, placed in names.items()
+        if any(text.startswith(f"{name} ") for text in checked.problems)
+    }
 
 
 def _cells(checked: CheckedSite, car: int) -> set[Cell]:

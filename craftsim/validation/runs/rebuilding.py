@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
@@ -45,17 +45,6 @@ class Rebuilding:
     rounds: int = 60
     """Attempts at each plan."""
     disturb: Disturb | None = None
-
-
-@dataclass(frozen=True)
-class _Start:
-    """What a building begins with."""
-
-    task: Task
-    grid: Grid
-    seed: Seed
-    plans: int
-    """Seed of the plans, and of what is drawn of a disturbance."""
 
 
 def rebuild(
@@ -139,15 +128,9 @@ class _Work:
                 return "gave up", f"not built after {self.replans} further plans"
             self.replans += 1
             seen = Without.of(self.checked, self.task, self.out)
-            if seen.reached:
-                return "built", ""
             try:
                 planned = _plan(
-                    seen.grid,
-                    seen.task,
-                    self.checked.rules,
-                    self.asked.rounds,
-                    self.seed + self.replans,
+                    *(seen.grid, self.task, self.checked.rules, self.asked.rounds, self.seed + self.replans)
                 )
             except NoPlanError as error:
                 return "gave up", str(error)
@@ -185,12 +168,13 @@ class _Work:
     def _problem(self) -> str:
         """Find out which cars are out of action, and return what else cannot be read."""
         self.out |= {car for car, n in self.failures.items() if n >= FAILURES}
-        problems = list(self.checked.problems)
         for car, n in self.failures.items():
-            if n and any(text.startswith(f"car {car} ") for text in problems):
+            if n and any(
+                text.startswith(tuple(_words([car], self.checked))) for text in self.checked.problems
+            ):
                 self.out.add(car)
-        excused = [f"{name} " for name in stuck_with(self.checked, self.out)]
-        return "; ".join(text for text in problems if not text.startswith(tuple(excused)))
+        excused = tuple(_words(self.out, self.checked))
+        return "; ".join(text for text in self.checked.problems if not text.startswith(excused))
 
     def _fold(self) -> None:
         """Let a car fold a slope that was just unfolded, which is in no plan."""
@@ -201,6 +185,11 @@ class _Work:
                 self.folded = f"car {car} folds a slope again at {self.checked.site.time_s:.2f} s"
                 self._do(ticks, make_schedule(grid, ticks, rules))
                 return
+
+
+def _words(cars: Iterable[int], checked: CheckedSite) -> Iterator[str]:
+    """Yield how problems begin that concern cars, or what is stuck with them."""
+    return (f"{name} " for name in stuck_with(checked, cars))
 
 
 def _parted(ticks: Ticks, after_unfolding: bool) -> tuple[Ticks, Ticks]:

@@ -148,7 +148,10 @@ def do_run(run: Run) -> Done:
     follows = run.steps is not None
     return Done(
         agrees=episode.agrees and not (follows and episode.forbidden),
-        attempts=[a for a in episode.attempts if a.legal or follows],
+        # What is left of a plan when another one takes its place says nothing of any action.
+        attempts=[
+            a for a in episode.attempts if (a.legal or follows) and (run.rebuilding is None or a.performed)
+        ],
         bundle=_bundle(run, episode),
         extra=extra,
     )

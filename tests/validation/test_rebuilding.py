@@ -1,0 +1,147 @@
+"""Building with re-planning, what is planted to disturb it, and the planner as a policy."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.settings import setup_of
+from craftsim.checking.world import SEED_0, set_up
+from craftsim.cli import main
+from craftsim.discrete.actions import Action
+from craftsim.discrete.files.design import Design, Target
+from craftsim.discrete.files.saving import write_blueprint
+from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks.measures import Finished
+from craftsim.envs import parallel_env
+from craftsim.envs.planner import PlannerPolicy
+from craftsim.errors import InputError
+from craftsim.skills.planted import Disturbance
+from craftsim.validation.runs.obstacles import Without
+
+SETUP = setup_of(drive="reduced")
+STRIP = make_task("strip")
+
+
+def _world(blocks, cars, size=(5, 3, 1)):
+    grid = Grid.empty(size, len(cars))
+    for cell in blocks:
+        grid.kind[cell] = Kind.BLOCK
+    grid.cars[:, [CarField.X, CarField.Y]] = cars
+    grid.derive_marks()
+    return grid
+
+
+def _task(*cells):
+    design = Design(Path("goal.yaml"), tuple(Target(Kind.BLOCK, cell, 1) for cell in cells))
+    return replace(STRIP, design=design, success=Finished(design))
+
+
+def _disturbed(grid, kind, start_s=0.0) -> CheckedSite:
+    return set_up(grid, replace(SETUP, disturbance=Disturbance(kind, start_s)))
+
+
+def test_a_shoved_block_is_pushed_over_the_floor_to_the_next_cell_and_left_there():
+    checked = _disturbed(_world([(2, 1, 1)], [(4, 2)], (5, 3, 1)), "shove")
+    places = []
+    for _ in range(150):
+        checked.executor.advance()
+        places.append(checked._poses.read().positions[0].copy())
+    way = places[-1][:2] - (np.array([2, 1]) + 0.5) * CELL_PITCH_M
+    assert np.linalg.norm(way) == pytest.approx(CELL_PITCH_M, abs=0.02)
+    # No jump: the fastest of it is what a hand does.
+    steps = np.linalg.norm(np.diff(np.array(places), axis=0), axis=1)
+    assert 0 < steps.max() < 0.03
+    assert "is shoved from (2, 1, 1)" in checked.executor.fleet.happened
+    assert not checked.site.data.xfrc_applied.any()
+
+
+def test_a_block_is_not_shoved_while_a_car_is_near():
+    checked = _disturbed(_world([(2, 1, 1)], [(2, 0)]), "shove")
+    for _ in range(50):
+        checked.executor.advance()
+    assert not checked.executor.fleet.happened
+
+
+def test_after_a_failure_nothing_begins_any_more_if_a_plan_is_followed_until_something_is_wrong():
+    grid = _world([], [(0, 0), (0, 2)])
+    away, back = Action.MOVE_RIGHT, Action.MOVE_LEFT
+    ticks = [[(0, act), (1, act)] for act in (away, back) * 8]
+    dead = _disturbed(grid, "dead-car")
+    attempts = dead.perform_plan(ticks, "until-wrong")
+    failed = {a.car for a in attempts if a.performed and a.skill != "succeeded"}
+    (out,) = failed
+    others = [attempt for attempt in attempts if attempt.car != out]
+    assert others[0].agrees
+    assert not others[-1].performed
+
+
+def test_cars_out_of_action_are_walls_and_plans_name_the_cars_of_the_real_world():
+    checked = set_up(_world([(1, 1, 1)], [(2, 0), (4, 2)]), SETUP)
+    seen = Without.of(checked, _task((3, 1, 1)), [0])
+    assert seen.grid.kind[2, 0, 1] == Kind.WALL
+    assert seen.grid.n_cars == 1
+    assert seen.in_real_numbers([[(0, Action.LIFT)]]) == [[(1, Action.LIFT)]]
+
+
+def test_what_stands_where_a_car_is_out_of_action_stays_if_the_design_has_it_there():
+    checked = set_up(_world([(2, 0, 1)], [(2, 0), (4, 2)]), SETUP, SEED_0)
+    assert Without.of(checked, _task((2, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.BLOCK
+    assert Without.of(checked, _task((3, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.WALL
+
+
+def _build(out, start, goal, *words):
+    return main(["build", str(start), "--goal", str(goal), *words, "--drive", "reduced", "--out", str(out)])
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("building")
+    write_blueprint(_world([(1, 1, 1)], [(0, 0)], (4, 2, 1)), folder / "start.yaml")
+    (folder / "goal.yaml").write_text("block:\n  - {id: 0, x: 2, y: 1, z: 1}\n")
+    (folder / "two.yaml").write_text("block:\n  - {id: 0, x: 2, y: 1, z: 1}\n  - {id: 1, x: 3, y: 1, z: 1}\n")
+    return folder
+
+
+def test_a_design_is_planned_and_built(files, tmp_path):
+    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--rounds", "3") == 0
+    builds = json.loads((tmp_path / "report.json").read_text())["figures"]["builds"]
+    assert (builds["endings"], builds["replans"]) == ({"built": 1}, 0)
+
+
+def test_a_building_whose_only_car_is_out_of_action_ends_as_given_up(files, tmp_path):
+    words = ("--rounds", "3", "--disturb", "dead-car", "--trials", "1")
+    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", *words) == 1
+    (record,) = map(json.loads, (tmp_path / "trials.jsonl").read_text().splitlines())
+    assert record["error"] is None
+    assert record["extra"]["ended"] == "gave up"
+    assert "car 0 is out of action" in record["extra"]["disturbed"]
+
+
+def test_a_design_that_cannot_be_built_is_wrong_input(files, tmp_path, capsys):
+    assert _build(tmp_path, files / "start.yaml", files / "two.yaml", "--rounds", "3") == 2
+    assert "not enough blocks" in capsys.readouterr().err
+
+
+def test_the_planner_plans_again_where_the_world_is_not_as_it_predicts():
+    env = parallel_env("strip", "grid")
+    policy = PlannerPolicy(env, rounds=5)
+    seen, _ = env.reset(seed=0)
+    for _ in range(3):
+        seen, *_ = env.step(policy(seen))
+    # Another world, of which nobody tells the policy.
+    seen, _ = env.reset(seed=0)
+    infos = {}
+    while env.agents:
+        seen, _, _, _, infos = env.step(policy(seen))
+    assert all(info["success"] for info in infos.values())
+
+
+def test_the_planner_refuses_a_task_without_a_goal(files):
+    with pytest.raises(InputError, match="no goal to plan for"):
+        PlannerPolicy(parallel_env(str(files / "start.yaml"), "grid"))

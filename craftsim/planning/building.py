@@ -221,7 +221,9 @@ class Building:
         for other in range(self.crew.n_cars):
             here = tuple(grid.cars[other, :3].tolist())
             if other != car and here in near and self.crew.load(other) == Kind.AIR:
-                sent |= any(self.crew.move_aside(other, near | kept) for kept in (self._around, self._goal_cells))
+                sent |= any(
+                    self.crew.move_aside(other, near | kept) for kept in (self._around, self._goal_cells)
+                )
         return sent and self.crew.take_over(car, job, self._parking(car))
 
     def _way(self, car: int, job: Job) -> set[Cell]:

@@ -95,7 +95,7 @@ class Crew:
         return False
 
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
-        """Let a car that waits go to the nearest cell that is not to be kept free; return whether it could."""
+        """Let a car that waits go to the nearest cell of the floor that is not to be kept free; return whether it could."""
         saved, ready = self.timeline.actions.copy(), self.ready[car]
         self.timeline.write(car, ready, [])
         ways, grid = self._ways(car, Kind.AIR)
@@ -103,6 +103,7 @@ class Crew:
             node
             for node in np.flatnonzero(ways.from_nodes([self.node(car, ready)]) < FAR).tolist()
             if (cell := cell_of_node(self.size, node)[0]) not in keep_free
+            and cell[2] == 1
             and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK)
             and not _car_in(grid, car, cell)
         ]
@@ -143,8 +144,10 @@ class Crew:
         self.timeline.replay(0)
         ways, grid = self._ways(car, Kind.AIR)
         goals = [] if job.hold else parking(ways, grid)
-        if goals:
-            self._go(car, tick, Kind.AIR, ways.to_nodes(goals), -1, 0)
+        left = not goals or self._go(car, tick, Kind.AIR, ways.to_nodes(goals), -1, 0) is not None
+        if not left and job.target.cell[2] > 1:
+            # Whoever stays up there is in the way of all others.
+            return tick
         bad = self.timeline.replay(0)
         return None if bad is None else bad[0]
 

@@ -95,7 +95,7 @@ class Crew:
         return False
 
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
-        """Let a car that waits go to the nearest cell of the floor that is not to be kept free; return whether it could."""
+        """Let a car that waits go to the nearest other cell of the floor, none to be kept free; return whether it could."""
         saved, ready = self.timeline.actions.copy(), self.ready[car]
         self.timeline.write(car, ready, [])
         ways, grid = self._ways(car, Kind.AIR)

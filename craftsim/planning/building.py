@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -49,7 +50,7 @@ class Style:
 
 
 class Building:
-    """An attempt to build; :meth:`run` makes the plan."""
+    """An attempt to build; :meth:`run` makes the plan, unless it takes more ticks than ``last_tick``."""
 
     def __init__(
         self,
@@ -59,11 +60,13 @@ class Building:
         fixed: State,
         style: Style,
         chances: Chances,
+        last_tick: float = math.inf,
     ) -> None:
         self.crew = Crew(start, assembly.rules)
         self.assembly, self.order, self.style, self.chances = assembly, order, style, chances
         self.rng = np.random.default_rng(chances[0][1])
         self.n_turns = 0
+        self._last_tick = last_tick
         self._done: set[int] = set()
         self._standing = set(fixed)
         self._goal_cells = {cell for step in order.steps for cell in step.thing.cells} | {
@@ -108,9 +111,14 @@ class Building:
             if not made and not self._clear():
                 return False
             failures += not made
-            if failures > _FAILURES:
+            if failures > _FAILURES or self.n_ticks > self._last_tick:
                 return False
         return True
+
+    @property
+    def n_ticks(self) -> int:
+        """How many ticks the jobs take that have been planned."""
+        return max(self.crew.ready)
 
     def _note(self, step: Step) -> None:
         if step.taken:

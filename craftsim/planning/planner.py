@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -31,6 +32,9 @@ _ORDERS: Final = 100
 """So many orders of assembly are kept to choose from."""
 _REFINED: Final = 0.4
 """Share of attempts that begin as the best one did."""
+
+_LONGER: Final = 1.1
+"""An attempt is given up when it takes so many times the ticks of the best one."""
 
 Recipe = tuple[Order, State, Style, Chances]
 
@@ -116,7 +120,7 @@ class _Search:
         self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
         self.best: Planned | None = None
         self._best_recipe: Recipe | None = None
-        self._best_turns = 0
+        self._best_turns, self._best_ticks = 0, math.inf
 
     def run(self, rounds: int, time_s: float, report: Callable[[int, Planned | None], None]) -> Planned:
         """Make attempts until rounds or time have run out."""
@@ -168,14 +172,17 @@ class _Search:
         recipe = self._recipe(number)
         if recipe is None:
             return
-        building = Building(self.start, self.assembly, *recipe)
+        # Ticks are not seconds, so an attempt may be a little longer than the best one.
+        longest = _LONGER * self._best_ticks if self.objective == "makespan" else math.inf
+        building = Building(self.start, self.assembly, *recipe, longest)
         if not building.run():
             return
         planned = self._finish(building.crew.timeline.ticks(), number)
         if planned is not None and (
             self.best is None or planned.cost(self.objective) < self.best.cost(self.objective)
         ):
-            self.best, self._best_recipe, self._best_turns = planned, recipe, building.n_turns
+            self.best, self._best_recipe = planned, recipe
+            self._best_turns, self._best_ticks = building.n_turns, building.n_ticks
 
     def _recipe(self, number: int) -> Recipe | None:
         """Return what decides an attempt: new, or the best one's with other chances from some turn on."""

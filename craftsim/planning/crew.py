@@ -82,8 +82,10 @@ class Crew:
         not_before = 0
         for attempt in range(_DELAYS + 1):
             last = attempt == _DELAYS or not_before >= self.timeline.end > 0
-            self.timeline.write(car, ready, [])
-            conflict = self._plan(car, job, not_before, parking)
+            # To wait where one would have stayed anyway disturbs nobody.
+            begin = max(ready, self._last_of(car)) if last else ready
+            self.timeline.write(car, begin, [])
+            conflict = self._plan(car, job, begin, not_before, parking)
             if conflict is None:
                 return True
             self._restore(saved, car, ready)
@@ -95,7 +97,7 @@ class Crew:
         return False
 
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
-        """Let a car that waits go to the nearest other cell of the floor, none to be kept free; return whether it could."""
+        """Let a car that waits go to the nearest cell of the floor outside of some; return whether it could."""
         saved, ready = self.timeline.actions.copy(), self.ready[car]
         self.timeline.write(car, ready, [])
         ways, grid = self._ways(car, Kind.AIR)
@@ -132,10 +134,9 @@ class Crew:
         return Ways(grid, self.rules, load), grid
 
     def _plan(
-        self, car: int, job: Job, not_before: int, parking: Callable[[Ways, Grid], list[int]]
+        self, car: int, job: Job, tick: int, not_before: int, parking: Callable[[Ways, Grid], list[int]]
     ) -> int | None:
-        """Plan a job; return None if all is well, the tick of a conflict, or -1 if there is no way."""
-        tick = self.ready[car]
+        """Plan a job from a tick on; return None if all is well, the tick of a conflict, or -1 if there is no way."""
         bring = self._turn_over if job.stays else self._carry
         tick = bring(car, job, tick, not_before)
         if tick < 0:

@@ -16,6 +16,7 @@ from typing import Final
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import SEED_0, Seed
+from craftsim.cli import main as craftsim_command
 from craftsim.discrete.drawing import LEGEND, world_text
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
@@ -41,6 +42,12 @@ TASK_LOOK: Final = Look((960, 540), quality="paper")
 HERO: Final = "simple_two_story"
 """The task that README opens with, as an animation that shows without a player."""
 HERO_LOOK: Final = Look((720, 360), fps=12, quality="paper", speed=4.0, cards=False)
+BUILDINGS: Final = {
+    "pyramid": ("pyramid", "--cars", "8", "--area", "12", "12", "4", "--spare-slopes", "2"),
+    "house": ("house", "--cars", "8", "--spare-slopes", "1"),
+}
+"""Buildings that are planned and built, and what `craftsim design` is asked for."""
+BUILDING_LOOK: Final = Look((640, 360), fps=12, speed=16.0)
 RULE_LOOK: Final = Look(
     (720, 320), 15, ("overview", "follow:0"), quality="paper", length_s=4.0, cards=False, captions=False
 )
@@ -53,6 +60,7 @@ def main(audits: Sequence[Path], workers: int) -> None:
     FILMS.mkdir(parents=True, exist_ok=True)
     flags = _bundles_by_flag(audits)
     jobs: list[tuple[str, tuple[Path, ...]]] = [(task, ()) for task in TASK_NAMES]
+    jobs += [(building, ()) for building in BUILDINGS]
     jobs += [(flag, tuple(bundles)) for flag, bundles in flags.items()]
     for number, _ in enumerate(spread(_make, jobs, workers)):
         print(f"{number + 1} of {len(jobs)}", flush=True)
@@ -66,6 +74,8 @@ def _make(job: tuple[str, tuple[Path, ...]]) -> None:
     name, bundles = job
     if bundles:
         _make_rule(name, bundles)
+    elif name in BUILDINGS:
+        _make_building(name)
     else:
         _make_task(name)
 
@@ -89,6 +99,50 @@ def _make_task(task: str) -> None:
         f"```{{literalinclude}} ../../craftsim/data/plans/{task}.plan\n:language: text\n```\n",
     ]
     write_whole(GALLERY / f"{task}.md", "\n".join(page))
+
+
+def _make_building(name: str) -> None:
+    folder = ROOT / "out" / "gallery" / name
+    start, goal = folder / "start.yaml", folder / "goal.yaml"
+    design = ["design", *BUILDINGS[name], "--out", str(folder)]
+    build = [
+        "build",
+        str(start),
+        "--goal",
+        str(goal),
+        "--drive",
+        "reduced",
+        "--rounds",
+        "6",
+        "--timeout",
+        "3600",
+    ]
+    for command in (design, [*build, "--video", "--out", str(folder / "build")]):
+        if craftsim_command(command):
+            raise SystemExit(f"craftsim {' '.join(command)} failed")
+    _show_building(name, folder / "build", " ".join(design[:-2]))
+
+
+def _show_building(name: str, built: Path, design: str) -> None:
+    """Film a building from the trajectory of its run, and write its page."""
+    (file,) = (built / "trajectories").glob("*.npz")
+    trajectory = Trajectory.read(file)
+    look = replace(BUILDING_LOOK, title=name)
+    render(trajectory, FILMS / f"{name}.mp4", look)
+    render(trajectory, FILMS / f"{name}.png", replace(look, captions=False), at=(float(trajectory.time[-1]),))
+    out = f"out/{name}"
+    commands = [
+        f"craftsim {design} --out {out}",
+        f"craftsim build {out}/start.yaml --goal {out}/goal.yaml --drive reduced --rounds 6 --video",
+    ]
+    page = [
+        f"{MADE}# {name.capitalize()}\n",
+        "Planned from a start and a design, and built by eight cars at once with the reduced drive.\n",
+        _video(f"{name}.mp4", f"{name}.png"),
+        _figures(trajectory),
+        "\n".join(["```", *commands, "```\n"]),
+    ]
+    write_whole(GALLERY / f"{name}.md", "\n".join(page))
 
 
 def _figures(trajectory: Trajectory) -> str:
@@ -187,11 +241,12 @@ def _write_index(flags: list[str]) -> None:
     tasks = "\n".join(TASK_NAMES)
     text = (
         f"{MADE}# Gallery\n\n"
-        "Every task of the paper, built in contact physics by the shipped plans, and every rule of CraftEnv that "
-        "`craftsim audit` finds to be unsound, in the smallest world in which it fails. All of it is made "
-        "by `make gallery`.\n\n"
+        "Every task of the paper, built in contact physics by the shipped plans, buildings that were planned from a "
+        "design, and every rule of CraftEnv that `craftsim audit` finds to be unsound, in the smallest world in which "
+        "it fails. All of it is made by `make gallery`.\n\n"
         f"```{{toctree}}\n:caption: Tasks\n:maxdepth: 1\n\n{tasks}\n```\n\n"
-        f"```{{toctree}}\n:caption: Unsound rules\n:maxdepth: 1\n\n" + "\n".join(flags) + "\n```\n"
+        f"```{{toctree}}\n:caption: From designs\n:maxdepth: 1\n\n" + "\n".join(BUILDINGS) + "\n```\n\n"
+        "```{toctree}\n:caption: Unsound rules\n:maxdepth: 1\n\n" + "\n".join(flags) + "\n```\n"
     )
     write_whole(GALLERY / "index.md", text)
 

@@ -71,19 +71,19 @@ def check_supplies(start: Grid, building: State) -> None:
             raise NoPlanError(f"no plan: not enough {what}; the design has {count}, the start {have[kind]}")
     taken: dict[Cell, Thing] = {}
     for thing in sorted(building):
-        for cell in thing.cells:
+        # A folded slope may stand as it likes, and its gear may hang or lie beside the area.
+        for cell in thing.cells if thing.kind == Kind.BODY else (thing.cell,):
             if not all(0 <= c < n for c, n in zip(cell, start.kind.shape, strict=True)):
                 raise NoPlanError(f"no plan: {cell} is outside the area of {start.size} cells")
             if start.kind_at(cell) == Kind.WALL:
                 raise NoPlanError(f"no plan: {cell} is to hold {NAMES[thing.kind]}, but there is a wall")
-            if cell in taken and thing.kind != Kind.FSLOPE:
+            if cell in taken:
                 raise NoPlanError(f"no plan: {cell} is to hold two things")
             taken[cell] = thing
-    for cell, thing in taken.items():
+    for cell in taken:
         below = (cell[0], cell[1], cell[2] - 1)
         borne = cell[2] == 1 or (below in taken and taken[below].kind == Kind.BLOCK)
-        # The gear of a folded slope may hang.
-        if not borne and (thing.kind != Kind.FSLOPE or cell == thing.cell):
+        if not borne:
             raise NoPlanError(f"no plan: what is to be at {cell} has nothing below it that bears it")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,6 +20,7 @@ from craftsim.errors import InputError
 from craftsim.planning.assembly import Assembly, Order, State
 from craftsim.planning.bounds import makespan_bound
 from craftsim.planning.building import Building, Chances, Style
+from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
 from craftsim.planning.goals import Goal, NoPlanError, check_supplies, make_goal, platforms
 from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.planning.ordering import find_order
@@ -31,6 +32,11 @@ _ORDERS: Final = 100
 """So many orders of assembly are kept to choose from."""
 _REFINED: Final = 0.4
 """Share of attempts that begin as the best one did."""
+
+_EQUAL: Final = 1e-9
+"""Seconds by which equal times may differ."""
+_FIRST_WORLDS: Final = 20_000
+"""Where the makespan counts, the plan of least work is one to begin with if so many worlds are enough for it."""
 
 Recipe = tuple[Order, State, Style, Chances]
 
@@ -51,6 +57,8 @@ class Planned:
     """No plan has a smaller makespan; 0 where that is not known."""
     rounds: int
     """How many attempts were made."""
+    optimal: bool = False
+    """Whether it is proved that no plan is better, by the objective that was asked for."""
 
     def cost(self, objective: Objective) -> tuple[float, float]:
         """Return what is to be small, the objective first."""
@@ -88,7 +96,7 @@ def plan_building(
     wanted = make_goal(goal)
     if wanted.reached(start):
         schedule = Schedule((), (), start)
-        return Planned((), schedule, 0.0, 0.0, 0.0, 0)
+        return Planned((), schedule, 0.0, 0.0, 0.0, 0, optimal=True)
     if not start.n_cars:
         raise NoPlanError("no plan: there are no cars")
     if objective not in ("makespan", "work"):
@@ -114,6 +122,9 @@ class _Search:
         self._buildings = self._goals()
         self._orders: list[tuple[Order, State]] = []
         self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
+        self._exact = rules.flags.derived_marks and (
+            is_small(start, rules) if goal.building else not goal.platform
+        )
         self.best: Planned | None = None
         self._best_recipe: Recipe | None = None
         self._best_turns = 0
@@ -122,6 +133,12 @@ class _Search:
         """Make attempts until rounds or time have run out."""
         begun = time.monotonic()
         number = 0
+        if self._exact:
+            guided = bool(self.goal.building) and self.objective == "makespan"
+            self._search_worlds(_FIRST_WORLDS if guided else MOST_WORLDS)
+            if self.best is not None and (self.best.optimal or self.goal.building is None):
+                report(0, self.best)
+                return self.best
         try:
             for number in range(1, rounds + 1):
                 self._attempt(number)
@@ -129,14 +146,33 @@ class _Search:
                 late = time.monotonic() - begun
                 if late > time_s and (self.best is not None or late > 6 * time_s):
                     break
-                if self.best is not None and self.best.makespan_s <= self._bound + 1e-9:
+                if self.best is not None and self.best.makespan_s <= self._bound + _EQUAL:
                     break
         except KeyboardInterrupt:
             if self.best is None:
                 raise
+        if self.best is None and self._exact and self.objective == "makespan":
+            self._search_worlds(MOST_WORLDS)
         if self.best is None:
             raise NoPlanError(self._why(number))
         return self.best
+
+    def _search_worlds(self, most: int) -> None:
+        """Look for the plan of least work among so many worlds; raise NoPlanError where that proves there is none."""
+        if self.goal.building is not None:
+            check_supplies(self.start, self.goal.building)
+        exact = least_work(self.start, self.goal, self.rules, most)
+        if exact.steps is not None:
+            planned = self._finish(tuple((step,) for step in exact.steps), 0)
+            if planned is not None:
+                self.best = replace(planned, optimal=planned.optimal or self.objective == "work")
+        elif exact.complete:
+            raise NoPlanError(f"no plan: none of the {exact.n_worlds} worlds that can be reached will do")
+        elif self.goal.building is None:
+            raise NoPlanError(
+                f"no plan found: the goal has no drawing, and none of the first {exact.n_worlds} worlds that cost "
+                "least will do; try a smaller area, fewer cars or a design"
+            )
 
     def _goals(self) -> Iterator[State]:
         """Yield buildings that reach the goal."""
@@ -153,7 +189,7 @@ class _Search:
         building = next(self._buildings, None)
         if building is None:
             raise NoPlanError(
-                "no plan: this goal has no drawing, and the world is too large to be searched through"
+                "no plan: a goal without a drawing is searched for only by rules whose marks follow from what is there"
             )
         check_supplies(self.start, building)
         fixed = building & self.standing
@@ -210,7 +246,9 @@ class _Search:
             return None
         times = timetable(schedule)
         work = float((times[:, 1] - times[:, 0]).sum())
-        return Planned(ticks, schedule, makespan(times), work, self._bound, number)
+        lasting = makespan(times)
+        optimal = self.objective == "makespan" and lasting <= self._bound + _EQUAL
+        return Planned(ticks, schedule, lasting, work, self._bound, number, optimal)
 
     def _reaches(self, ticks: list[list[tuple[int, Action]]]) -> bool:
         grid = self.start

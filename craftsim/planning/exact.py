@@ -1,0 +1,334 @@
+"""The plan of least work in a small world, or the proof that there is none: A* over whole worlds (Hart et al. 1968).
+
+One car's action is one step, and costs what the table of durations says. The heuristic never overestimates: each thing
+that is missing in a building costs at least the lift of some thing, its way in the plane and the drop, each another
+thing's; and somebody must drive to the first of them. A world is kept as the bytes of its cells and cars; marks and
+gears follow from these, so that only rules that derive them will do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.cells import (
+    AIR,
+    BLOCK,
+    BODY,
+    F_LOAD,
+    F_SLOPE,
+    F_X,
+    F_Y,
+    FLAG,
+    FSLOPE,
+    World,
+    pose_of,
+)
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.durations import nominal_durations
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.rules.sets import Rules, world_of
+from craftsim.discrete.rules.table import ACTIONS, DROP, FOLD, LIFT, UNFOLD, apply, legal
+from craftsim.planning.goals import Goal
+from craftsim.planning.things import things_in
+
+MOST_WORLDS: Final = 400_000
+"""So many worlds are looked at unless told otherwise."""
+
+_MOST_CELLS: Final = 64
+_MOST_THINGS: Final = 3
+_MOST_CARS: Final = 2
+_MOST_SORTED: Final = 8
+"""So many things are told apart by the heuristic; where there are more, it is 0."""
+_UNKNOWN: Final = 1 << 40
+_TURNS: Final = (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
+_MOVE: Final = int(Action.MOVE_FORWARD)
+_YAW_SHIFT: Final = 4
+_KIND_BITS: Final = 15
+
+Steps = tuple[tuple[int, Action], ...]
+
+
+@dataclass(frozen=True)
+class Exact:
+    """What a search through a small world came to."""
+
+    steps: Steps | None
+    """The (car, action) pairs of a plan of least work; None where none was found."""
+    n_worlds: int
+    """How many worlds were met."""
+    complete: bool
+    """Whether the search came to its end: without a plan, that proves that there is none."""
+
+
+def is_small(start: Grid, rules: Rules) -> bool:
+    """Return whether a world is small enough for :func:`least_work` to find a building's plan as a rule."""
+    n_things = sum(1 for _ in things_in(start)) + int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
+    return (
+        rules.flags.derived_marks
+        and int(np.prod(start.size)) <= _MOST_CELLS
+        and n_things <= _MOST_THINGS
+        and start.n_cars <= _MOST_CARS
+    )
+
+
+def least_work(start: Grid, goal: Goal, rules: Rules, most_worlds: int = MOST_WORLDS) -> Exact:
+    """Return a plan whose actions take the least time in sum, or that there is none, or that it was not found.
+
+    Args:
+        start: any world; the rules must be of those that derive the marks, as ``physical`` does.
+        goal: what is to be reached; with a building the search is guided, else it goes through all that is cheaper.
+        rules: that hold.
+        most_worlds: the search ends when it has met so many worlds.
+
+    Raises ValueError for rules whose marks do not follow from what is there.
+    """
+    if not rules.flags.derived_marks:
+        raise ValueError("worlds are told apart by what is there, but by these rules their marks count, too")
+    search = _Worlds(start, goal, rules)
+    first = search.pack(start)
+    found: dict[bytes, tuple[int, bytes, int]] = {first: (0, first, -1)}
+    queue = [(0, 0, 0, first)]
+    while queue:
+        estimate, past, _, world = heappop(queue)
+        if -past != found[world][0]:
+            continue
+        if (goal.building is None or estimate == -past) and goal.reached(search.grid(world)):
+            return Exact(_way(found, world), len(found), True)
+        for following, cost, rest, step in search.after(world):
+            work = cost - past
+            known = found.get(following)
+            if known is None or work < known[0]:
+                found[following] = work, world, step
+                heappush(queue, (work + rest, -work, len(found), following))
+        if len(found) > most_worlds:
+            return Exact(None, len(found), False)
+    return Exact(None, len(found), True)
+
+
+def _way(found: dict[bytes, tuple[int, bytes, int]], world: bytes) -> Steps:
+    steps = []
+    while found[world][2] >= 0:
+        _, before, step = found[world]
+        car, action = divmod(step, len(Action))
+        steps.append((car, Action(action)))
+        world = before
+    return tuple(reversed(steps))
+
+
+class _Worlds:
+    """Worlds as bytes: first the cells above the ground, kind and yaw in one, then the cars."""
+
+    def __init__(self, start: Grid, goal: Goal, rules: Rules) -> None:
+        self._grid = start.copy()
+        self._world = world_of(self._grid, rules.flags)
+        self._n_cells = start.kind[:, :, 1:].size
+        actions = [action for action, spec in ACTIONS.items() if spec.performed and action != Action.STOP]
+        slopes = (
+            np.isin(start.kind, (Kind.FSLOPE, Kind.BODY)).any()
+            or (start.cars[:, CarField.LOAD] == Kind.FSLOPE).any()
+        )
+        if goal.building is not None and not slopes:
+            # Without slopes no rule asks where a car heads.
+            actions = [action for action in actions if action not in _TURNS]
+        self._actions = np.array(actions, np.int64)
+        self._costs = np.rint(nominal_durations() * 1000).astype(np.int64)
+        things = list(things_in(start))
+        carried = int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
+        sortable = goal.building is not None and len(things) + carried <= _MOST_SORTED
+        targets = sorted(goal.building or ()) if sortable else []
+        self._targets = np.array([(t.kind, *t.cell) for t in targets], np.int64).reshape(-1, 4)
+        self._best = np.zeros((2, 1 << _MOST_SORTED), np.int64)
+        self._things = np.zeros((_MOST_SORTED + start.n_cars, 5), np.int64)
+        most = start.n_cars * len(actions)
+        self._rows = np.zeros((most + 1, self._n_cells + start.cars.size), np.uint8)
+        self._steps = np.zeros((most, 3), np.int64)
+
+    def pack(self, grid: Grid) -> bytes:
+        """Return a world as bytes."""
+        cells = grid.kind[:, :, 1:].astype(np.uint8) | (grid.yaw[:, :, 1:].astype(np.uint8) << _YAW_SHIFT)
+        return cells.tobytes() + grid.cars.astype(np.uint8).tobytes()
+
+    def grid(self, world: bytes) -> Grid:
+        """Return a world from its bytes."""
+        self._rows[-1] = np.frombuffer(world, np.uint8)
+        _unpack(self._rows[-1], self._world)
+        grid = self._grid.copy()
+        grid.derive_marks()
+        return grid
+
+    def after(self, world: bytes) -> list[tuple[bytes, int, int, int]]:
+        """Return what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
+        self._rows[-1] = np.frombuffer(world, np.uint8)
+        count = _expand(
+            *(self._world, self._actions, self._costs, self._targets),
+            *(self._things, self._best, self._rows, self._steps),
+        )
+        raw, size = self._rows[:count].tobytes(), self._rows.shape[1]
+        return [
+            (raw[i * size : (i + 1) * size], cost, rest, step)
+            for i, (cost, rest, step) in enumerate(self._steps[:count].tolist())
+        ]
+
+
+@compiled
+def _unpack(row: NDArray[np.uint8], w: World) -> None:
+    length, width, layers = w.kind.shape
+    i = 0
+    for x in range(length):
+        for y in range(width):
+            for z in range(1, layers):
+                w.kind[x, y, z] = row[i] & _KIND_BITS
+                w.yaw[x, y, z] = row[i] >> _YAW_SHIFT
+                i += 1
+    for car in range(w.cars.shape[0]):
+        for field in range(w.cars.shape[1]):
+            w.cars[car, field] = row[i]
+            i += 1
+
+
+@compiled
+def _pack(w: World, row: NDArray[np.uint8]) -> None:
+    length, width, layers = w.kind.shape
+    i = 0
+    for x in range(length):
+        for y in range(width):
+            for z in range(1, layers):
+                row[i] = w.kind[x, y, z] | (w.yaw[x, y, z] << _YAW_SHIFT)
+                i += 1
+    for car in range(w.cars.shape[0]):
+        for field in range(w.cars.shape[1]):
+            row[i] = w.cars[car, field]
+            i += 1
+
+
+@compiled
+def _expand(
+    w: World,
+    actions: NDArray[np.int64],
+    costs: NDArray[np.int64],
+    targets: NDArray[np.int64],
+    things: NDArray[np.int64],
+    best: NDArray[np.int64],
+    rows: NDArray[np.uint8],
+    steps: NDArray[np.int64],
+) -> int:
+    """Write the worlds after the one in the last row, and for each the cost, the least work left and the step."""
+    count = 0
+    before = rows[rows.shape[0] - 1]
+    _unpack(before, w)
+    for car in range(w.cars.shape[0]):
+        for i in range(actions.shape[0]):
+            pose = pose_of(w, car)
+            if not legal(w, car, pose, actions[i]):
+                continue
+            apply(w, car, actions[i])
+            sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
+            column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
+            _pack(w, rows[count])
+            steps[count, 0] = costs[actions[i], column]
+            steps[count, 1] = _least_left(w, costs, targets, things, best)
+            steps[count, 2] = car * costs.shape[0] + actions[i]
+            count += 1
+            _unpack(before, w)
+    return count
+
+
+@compiled
+def _least_left(
+    w: World,
+    costs: NDArray[np.int64],
+    targets: NDArray[np.int64],
+    things: NDArray[np.int64],
+    best: NDArray[np.int64],
+) -> int:
+    """Return work that is left at least: the cheapest way to give each target a thing of its own, and to begin."""
+    if targets.shape[0] == 0:
+        return 0
+    n_things, carrying = _list_things(w, things)
+    # best[k & 1, taken]: the least work for the first k targets with the things in the set ``taken``.
+    n_sets = 1 << n_things
+    for taken in range(n_sets):
+        best[0, taken] = _UNKNOWN
+    best[0, 0] = 0
+    for k in range(targets.shape[0]):
+        here, there = k & 1, (k + 1) & 1
+        for taken in range(n_sets):
+            best[there, taken] = _UNKNOWN
+        for taken in range(n_sets):
+            if best[here, taken] >= _UNKNOWN:
+                continue
+            for i in range(n_things):
+                if taken >> i & 1:
+                    continue
+                work = best[here, taken] + _least_for(costs, targets, k, things, i)
+                best[there, taken | 1 << i] = min(best[there, taken | 1 << i], work)
+    least = _UNKNOWN
+    for taken in range(n_sets):
+        least = min(least, best[targets.shape[0] & 1, taken])
+    if least == 0 or least >= _UNKNOWN or carrying:
+        return least
+    nearest = _UNKNOWN
+    for car in range(w.cars.shape[0]):
+        for i in range(n_things):
+            way = abs(w.cars[car, F_X] - things[i, 1]) + abs(w.cars[car, F_Y] - things[i, 2])
+            nearest = min(nearest, way)
+    return least + nearest * costs[_MOVE, 0]
+
+
+@compiled
+def _list_things(w: World, things: NDArray[np.int64]) -> tuple[int, bool]:
+    """Write kind, place and whether it is carried of each thing; return how many, and whether any is carried."""
+    count = 0
+    length, width, layers = w.kind.shape
+    for x in range(length):
+        for y in range(width):
+            for z in range(1, layers):
+                kind = w.kind[x, y, z]
+                if kind in (BLOCK, FLAG, FSLOPE, BODY):
+                    things[count, 0], things[count, 1], things[count, 2] = kind, x, y
+                    things[count, 3], things[count, 4] = z, 0
+                    count += 1
+    carrying = False
+    for car in range(w.cars.shape[0]):
+        if w.cars[car, F_LOAD] != AIR:
+            things[count, 0] = w.cars[car, F_LOAD]
+            things[count, 1], things[count, 2] = w.cars[car, F_X], w.cars[car, F_Y]
+            things[count, 3], things[count, 4] = 0, 1
+            count += 1
+            carrying = True
+    return count, carrying
+
+
+@compiled
+def _least_for(
+    costs: NDArray[np.int64], targets: NDArray[np.int64], k: int, things: NDArray[np.int64], i: int
+) -> int:
+    """Return what it takes at least to make a thing one target's, whatever its yaw; a flag may stay on its car."""
+    kind, wanted = things[i, 0], targets[k, 0]
+    slope = kind in (FSLOPE, BODY)
+    if kind != wanted and not (slope and wanted in (FSLOPE, BODY)):
+        return _UNKNOWN
+    way = abs(things[i, 1] - targets[k, 1]) + abs(things[i, 2] - targets[k, 2])
+    moved = way > 0 or things[i, 4] == 1 or things[i, 3] != targets[k, 3]
+    work = 0
+    if moved:
+        work += way * costs[_MOVE, 1]
+        if things[i, 4] == 0:
+            work += costs[LIFT, 0]
+        if wanted != FLAG:
+            work += costs[DROP, 1]
+        if kind == BODY:
+            work += costs[FOLD, 0]
+        if wanted == BODY:
+            work += costs[UNFOLD, 0]
+    elif kind == BODY and wanted == FSLOPE:
+        work += costs[FOLD, 0]
+    elif kind == FSLOPE and wanted == BODY:
+        work += costs[UNFOLD, 0]
+    return work

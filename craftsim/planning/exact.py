@@ -46,7 +46,6 @@ _MOST_CARS: Final = 2
 _MOST_SORTED: Final = 8
 """So many things are told apart by the heuristic; where there are more, it is 0."""
 _UNKNOWN: Final = 1 << 40
-_TURNS: Final = (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
 _MOVE: Final = int(Action.MOVE_FORWARD)
 _YAW_SHIFT: Final = 4
 _KIND_BITS: Final = 15
@@ -93,9 +92,9 @@ def least_work(start: Grid, goal: Goal, rules: Rules, most_worlds: int = MOST_WO
     search = _Worlds(start, goal, rules)
     first = search.pack(start)
     found: dict[bytes, tuple[int, bytes, int]] = {first: (0, first, -1)}
-    queue = [(0, 0, 0, first)]
+    queue = [(0, 0, first)]
     while queue:
-        estimate, past, _, world = heappop(queue)
+        estimate, past, world = heappop(queue)
         if -past != found[world][0]:
             continue
         if (goal.building is None or estimate == -past) and goal.reached(search.grid(world)):
@@ -105,7 +104,7 @@ def least_work(start: Grid, goal: Goal, rules: Rules, most_worlds: int = MOST_WO
             known = found.get(following)
             if known is None or work < known[0]:
                 found[following] = work, world, step
-                heappush(queue, (work + rest, -work, len(found), following))
+                heappush(queue, (work + rest, -work, following))
         if len(found) > most_worlds:
             return Exact(None, len(found), False)
     return Exact(None, len(found), True)
@@ -129,13 +128,6 @@ class _Worlds:
         self._world = world_of(self._grid, rules.flags)
         self._n_cells = start.kind[:, :, 1:].size
         actions = [action for action, spec in ACTIONS.items() if spec.performed and action != Action.STOP]
-        slopes = (
-            np.isin(start.kind, (Kind.FSLOPE, Kind.BODY)).any()
-            or (start.cars[:, CarField.LOAD] == Kind.FSLOPE).any()
-        )
-        if goal.building is not None and not slopes:
-            # Without slopes no rule asks where a car heads.
-            actions = [action for action in actions if action not in _TURNS]
         self._actions = np.array(actions, np.int64)
         self._costs = np.rint(nominal_durations() * 1000).astype(np.int64)
         things = list(things_in(start))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from heapq import heappop, heappush
+from itertools import count
 
 import numpy as np
 
@@ -20,6 +21,7 @@ def least_work_by_force(
     costs = np.rint(nominal_durations() * 1000).astype(int)
     queue = [(0, 0, start)]
     known = {_key(start): 0}
+    number = count(1)
     while queue:
         work, _, grid = heappop(queue)
         if work > known[_key(grid)]:
@@ -34,7 +36,7 @@ def least_work_by_force(
             key = _key(after)
             if then < known.get(key, then + 1):
                 known[key] = then
-                heappush(queue, (then, len(known), after))
+                heappush(queue, (then, next(number), after))
                 if len(known) > most:
                     raise RuntimeError(f"more than {most} worlds")
     return None

@@ -40,6 +40,8 @@ from craftsim.planning.things import things_in
 MOST_WORLDS: Final = 400_000
 """So many worlds are looked at unless told otherwise."""
 
+_MOST_BYTES: Final = 1 << 28
+"""Worlds that are kept take no more than that; only large ones come to it before their number counts."""
 _MOST_CELLS: Final = 64
 _MOST_THINGS: Final = 3
 _MOST_CARS: Final = 2
@@ -83,7 +85,7 @@ def least_work(start: Grid, goal: Goal, rules: Rules, most_worlds: int = MOST_WO
         start: any world; the rules must be of those that derive the marks, as ``physical`` does.
         goal: what is to be reached; with a building the search is guided, else it goes through all that is cheaper.
         rules: that hold.
-        most_worlds: the search ends when it has met so many worlds.
+        most_worlds: the search ends when it has met so many worlds, or fewer where worlds are large.
 
     Raises ValueError for rules whose marks do not follow from what is there.
     """
@@ -91,6 +93,7 @@ def least_work(start: Grid, goal: Goal, rules: Rules, most_worlds: int = MOST_WO
         raise ValueError("worlds are told apart by what is there, but by these rules their marks count, too")
     search = _Worlds(start, goal, rules)
     first = search.pack(start)
+    most_worlds = min(most_worlds, _MOST_BYTES // len(first))
     found: dict[bytes, tuple[int, bytes, int]] = {first: (0, first, -1)}
     queue = [(0, 0, first)]
     while queue:

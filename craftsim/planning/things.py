@@ -49,7 +49,7 @@ def put(grid: Grid, things: Iterable[Thing]) -> None:
         grid.kind[thing.cell], grid.yaw[thing.cell] = thing.kind, thing.yaw
         if thing.kind in SECOND_PART:
             second = thing.cells[1]
-            if thing.kind == Kind.BODY or grid.kind_at(second) == Kind.AIR:
+            if _is_inside(grid, second) and (thing.kind == Kind.BODY or grid.kind[second] == Kind.AIR):
                 grid.kind[second], grid.yaw[second] = SECOND_PART[thing.kind], thing.yaw
 
 
@@ -57,8 +57,13 @@ def take(grid: Grid, things: Iterable[Thing]) -> None:
     """Take things out of a world, in place."""
     for thing in things:
         for cell in thing.cells:
-            if cell == thing.cell or grid.kind[cell] in (Kind.GEAR, Kind.FOOT):
+            if cell == thing.cell or (_is_inside(grid, cell) and grid.kind[cell] in (Kind.GEAR, Kind.FOOT)):
                 grid.kind[cell], grid.yaw[cell] = Kind.AIR, 0
+
+
+def _is_inside(grid: Grid, cell: Cell) -> bool:
+    """Return whether a cell is in the area; the gear of a folded slope may not be."""
+    return all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))
 
 
 def with_car(grid: Grid, cell: Cell, yaw: int, load: Kind = Kind.AIR) -> Grid:

@@ -84,3 +84,11 @@ def test_worlds_are_told_apart_only_where_marks_follow_from_what_is_there():
     assert not is_small(start, Rules("published"))
     with pytest.raises(ValueError, match="marks"):
         least_work(start, make_goal(lambda grid: False), Rules("published"))
+
+
+def test_the_plan_of_least_work_is_one_to_begin_with_where_the_makespan_counts():
+    world = tiny_world(np.random.default_rng(1))  # the design's slope may have its gear beside the area
+    least = plan_building(world.grid, world.design, PHYSICAL, objective="work")
+    quick = plan_building(world.grid, world.design, PHYSICAL, rounds=1)
+    assert quick.makespan_s <= least.makespan_s
+    assert not quick.schedule.forbidden

@@ -2,8 +2,8 @@
 
 One car's action is one step, and costs what the table of durations says. The heuristic never overestimates: each thing
 that is missing in a building costs at least the lift of some thing, its way in the plane and the drop, each another
-thing's; and somebody must drive to the first of them. A world is kept as the bytes of its cells and cars; marks and
-gears follow from these, so that only rules that derive them will do.
+thing's; somebody must drive to the first of them, and what is above the floor needs a ramp. A world is kept as the
+bytes of its cells and cars; marks follow from these, so that only rules that derive them will do.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from craftsim.discrete.cells import (
     F_SLOPE,
     F_X,
     F_Y,
+    F_Z,
     FLAG,
     FSLOPE,
     World,
+    kind_at,
     pose_of,
 )
 from craftsim.discrete.compiled import compiled
@@ -266,7 +268,11 @@ def _least_left(
     least = _UNKNOWN
     for taken in range(n_sets):
         least = min(least, best[targets.shape[0] & 1, taken])
-    if least == 0 or least >= _UNKNOWN or carrying:
+    if least == 0 or least >= _UNKNOWN:
+        return least
+    if _must_unfold(w, targets, things, n_things):
+        least += costs[UNFOLD, 0]
+    if carrying:
         return least
     nearest = _UNKNOWN
     for car in range(w.cars.shape[0]):
@@ -274,6 +280,24 @@ def _least_left(
             way = abs(w.cars[car, F_X] - things[i, 1]) + abs(w.cars[car, F_Y] - things[i, 2])
             nearest = min(nearest, way)
     return least + nearest * costs[_MOVE, 0]
+
+
+@compiled
+def _must_unfold(w: World, targets: NDArray[np.int64], things: NDArray[np.int64], n_things: int) -> bool:
+    """Return whether a slope must still be unfolded that no target asks for: to get up at all."""
+    for i in range(n_things):
+        if things[i, 0] == BODY:
+            return False
+    for car in range(w.cars.shape[0]):
+        if w.cars[car, F_Z] > 1:
+            return False
+    missing = False
+    for k in range(targets.shape[0]):
+        if targets[k, 0] == BODY:
+            return False
+        if targets[k, 3] > 1 and kind_at(w, targets[k, 1], targets[k, 2], targets[k, 3]) != targets[k, 0]:
+            missing = True
+    return missing
 
 
 @compiled

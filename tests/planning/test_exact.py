@@ -48,6 +48,18 @@ def test_a_ramp_is_put_up_with_the_least_work():
     assert round(1000 * planned.work_s) == least_work_by_force(start, unfolded, PHYSICAL)
 
 
+def test_a_tower_is_built_with_the_least_work():
+    things = (Kind.BLOCK, (0, 0, 1)), (Kind.FSLOPE, (2, 0, 1)), (Kind.BLOCK, (3, 0, 1))
+    start = corridor(*things, (Kind.GEAR, (1, 0, 1)), size=(4, 2, 2), car=(0, 1, 1))
+    start.yaw[1:3, 0, 1] = 2
+    start.derive_marks()
+    tower = Grid.empty(start.size)
+    tower.kind[3, 0, 1:] = Kind.BLOCK
+    planned = plan_building(start, design_in(tower), PHYSICAL, objective="work")
+    assert planned.optimal
+    assert round(1000 * planned.work_s) == least_work_by_force(start, design_in(tower).satisfied, PHYSICAL)
+
+
 def test_a_goal_without_a_drawing_is_searched_for():
     def beside_the_wall(grid):
         return bool(grid.kind[2, 0, 1] == Kind.BLOCK and grid.cars[0, CarField.X] == 0)

@@ -68,7 +68,8 @@ def plan(
     if not planned.ticks:
         say("the goal is reached already; there is nothing to do")
         return 0
-    say(f"best: {_figures(planned)}; none can take less than {planned.bound_s:.1f} s")
+    known = "proved to be the best" if planned.optimal else f"none can take less than {planned.bound_s:.1f} s"
+    say(f"best: {_figures(planned)}; {known}")
     file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
     if file is not out:
         _draw(planned, out, task.name, video)

@@ -18,17 +18,17 @@ import numpy as np
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind, beside
 from craftsim.discrete.rules.sets import Rules
-from craftsim.planning.things import Thing, put, take, with_car
+from craftsim.planning.things import BuildingPart, put, take, with_car
 from craftsim.planning.ways import FAR, Nodes, Ways, is_free
 
-State = frozenset[Thing]
+State = frozenset[BuildingPart]
 
 
 @dataclass(frozen=True)
-class Step:
+class Placing:
     """A thing put to its place, or taken away."""
 
-    thing: Thing
+    thing: BuildingPart
     taken: bool = False
 
     def after(self, state: State) -> State:
@@ -40,7 +40,7 @@ class Step:
 class Order:
     """The steps of a building, in an order in which all of them can be made."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[Placing, ...]
 
 
 class Assembly:
@@ -66,13 +66,13 @@ class Assembly:
         ways = Ways(grid, self.rules, load)
         return ways, ways.from_nodes(_outside(grid, ways, load))
 
-    def possible(self, state: State, step: Step) -> bool:
+    def possible(self, state: State, step: Placing) -> bool:
         """Return whether a step can be made by a car that comes from free floor and goes back there."""
         if step.taken:
             return self._can_take(state, step.thing)
         return self._can_put(state, step.thing)
 
-    def _can_put(self, state: State, thing: Thing) -> bool:
+    def _can_put(self, state: State, thing: BuildingPart) -> bool:
         grid = self.grid(state)
         ways, distances = self._ways(state, thing.load)
         slope = thing.load == Kind.FSLOPE
@@ -84,7 +84,7 @@ class Assembly:
             return False
         return self._gets_out(state | {thing}, [ways.node(thing.cell, yaw) for yaw in yaws])
 
-    def _can_take(self, state: State, thing: Thing) -> bool:
+    def _can_take(self, state: State, thing: BuildingPart) -> bool:
         grid = self.grid(state)
         ways, distances = self._ways(state, Kind.AIR)
         slope = thing.load == Kind.FSLOPE
@@ -123,7 +123,7 @@ def _outside(grid: Grid, ways: Ways, load: Kind) -> list[int]:
     ]
 
 
-def has_room(grid: Grid, rules: Rules, thing: Thing) -> bool:
+def has_room(grid: Grid, rules: Rules, thing: BuildingPart) -> bool:
     """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
     cells = thing.cells if thing.kind == Kind.BODY else thing.cells[:1]
     for cell in cells:
@@ -145,19 +145,19 @@ def has_room(grid: Grid, rules: Rules, thing: Thing) -> bool:
     return rules.legal(with_car(folded, thing.cell, yaw), 0, Action.UNFOLD)
 
 
-def ramp_places(grid: Grid, rules: Rules) -> Iterator[Thing]:
+def ramp_places(grid: Grid, rules: Rules) -> Iterator[BuildingPart]:
     """Yield where an unfolded slope has room and leads up to a block, the lowest first."""
     for z in range(1, grid.size[2] + 1):
         for x, y in np.argwhere(grid.kind[:, :, z] == Kind.BLOCK).tolist():
             if grid.kind_at((x, y, z + 1)) not in (Kind.AIR, Kind.BLOCK, Kind.FLAG):
                 continue
             for yaw in range(4):
-                ramp = Thing(Kind.BODY, beside((x, y, z), yaw), yaw)
+                ramp = BuildingPart(Kind.BODY, beside((x, y, z), yaw), yaw)
                 if has_room(grid, rules, ramp):
                     yield ramp
 
 
-def taken_out(grid: Grid, things: list[Thing]) -> Grid:
+def taken_out(grid: Grid, things: list[BuildingPart]) -> Grid:
     """Return a copy of a world without some things."""
     rest = grid.copy()
     take(rest, things)

@@ -6,7 +6,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.durations import nominal_durations
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.planning.assembly import State
-from craftsim.planning.things import Thing, things_in
+from craftsim.planning.things import BuildingPart, things_in
 
 
 def makespan_bound(start: Grid, building: State) -> float:
@@ -36,5 +36,5 @@ def makespan_bound(start: Grid, building: State) -> float:
     return float(max([sum(work) / max(start.n_cars, 1), *work], default=0.0))
 
 
-def _least(source: Thing, target: Thing, move: float) -> float:
+def _least(source: BuildingPart, target: BuildingPart, move: float) -> float:
     return float(move * sum(abs(a - b) for a, b in zip(source.cell[:2], target.cell[:2], strict=True)))

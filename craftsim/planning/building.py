@@ -12,9 +12,9 @@ import numpy as np
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
-from craftsim.planning.assembly import Assembly, Order, State, Step, has_room, taken_out
-from craftsim.planning.crew import FLAP_TICKS, Crew, Job, cells_on_way
-from craftsim.planning.things import Thing, put, things_in, with_car
+from craftsim.planning.assembly import Assembly, Order, Placing, State, has_room, taken_out
+from craftsim.planning.crew import FLAP_TICKS, Crew, Errand, cells_on_way
+from craftsim.planning.things import BuildingPart, put, things_in, with_car
 from craftsim.planning.ways import FAR, Nodes, Ways
 
 _FAILURES: Final = 40
@@ -49,7 +49,7 @@ class Style:
     """Whether cars keep what they clear, if it can be used later."""
 
 
-class Building:
+class Construction:
     """An attempt to build; :meth:`run` makes the plan, unless it takes more ticks than ``last_tick``."""
 
     def __init__(
@@ -120,7 +120,7 @@ class Building:
         """How many ticks the jobs take that have been planned."""
         return max(self.crew.ready)
 
-    def _note(self, step: Step) -> None:
+    def _note(self, step: Placing) -> None:
         if step.taken:
             self._standing.discard(step.thing)
         else:
@@ -148,11 +148,11 @@ class Building:
             state = step.after(state)
         return True
 
-    def _options(self) -> list[tuple[float, int, int, Job]]:
+    def _options(self) -> list[tuple[float, int, int, Errand]]:
         """Return what can be done next: cost, car, step and job, the cheapest first."""
         grid = self.crew.end
         walking = Ways(grid, self.assembly.rules)
-        costs: list[tuple[float, int, int, Job]] = []
+        costs: list[tuple[float, int, int, Errand]] = []
         to_cells = {car: self._distances(walking, car) for car in self._cars}
         sources = self._sources(grid)
         loaded: dict[Kind, Ways] = {}
@@ -185,12 +185,12 @@ class Building:
                     if near < FAR:
                         work = near + far + 2 + swings * (FLAP_TICKS + 1)
                         cost = self._cost(car, work) - swings * self.style.haste * FLAP_TICKS * 2
-                        costs.append((cost, car, k, Job(source, target)))
+                        costs.append((cost, car, k, Errand(source, target)))
             for car in self._cars:
                 if self.crew.load(car) == load and not step.taken:
                     far = int(onward[self.crew.node(car, self.crew.ready[car])])
                     if far < FAR:
-                        costs.append((self._cost(car, far + 1), car, k, Job(None, target)))
+                        costs.append((self._cost(car, far + 1), car, k, Errand(None, target)))
         return sorted(costs, key=lambda cost: cost[0])
 
     def _cost(self, car: int, work: int) -> float:
@@ -200,9 +200,9 @@ class Building:
     def _distances(self, walking: Ways, car: int) -> Nodes:
         return walking.from_nodes([self.crew.node(car, self.crew.ready[car])])
 
-    def _sources(self, grid: Grid) -> dict[Kind, list[Thing]]:
+    def _sources(self, grid: Grid) -> dict[Kind, list[BuildingPart]]:
         """Return what stands free to be used, by the load that it makes."""
-        found: dict[Kind, list[Thing]] = {}
+        found: dict[Kind, list[BuildingPart]] = {}
         for thing in things_in(grid):
             if thing in self._standing or (
                 thing.kind == Kind.BLOCK and thing._replace(yaw=0) in self._standing
@@ -212,12 +212,12 @@ class Building:
                 found.setdefault(thing.load, []).append(thing)
         return found
 
-    def _can_be_taken(self, grid: Grid, thing: Thing) -> bool:
+    def _can_be_taken(self, grid: Grid, thing: BuildingPart) -> bool:
         yaw = (thing.yaw + 2) % 4 if thing.load == Kind.FSLOPE else 0
         action = Action.FOLD if thing.kind == Kind.BODY else Action.LIFT
         return self.assembly.rules.legal(with_car(grid, thing.cell, yaw), 0, action)
 
-    def _take_over(self, car: int, job: Job) -> bool:
+    def _take_over(self, car: int, job: Errand) -> bool:
         """Let a car take over a job; cars that wait in its way are sent aside once."""
         if self.crew.take_over(car, job, self._parking(car)):
             return True
@@ -234,7 +234,7 @@ class Building:
                 )
         return sent and self.crew.take_over(car, job, self._parking(car))
 
-    def _way(self, car: int, job: Job) -> set[Cell]:
+    def _way(self, car: int, job: Errand) -> set[Cell]:
         """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
         grid, rules = self.crew.end, self.assembly.rules
         node = self.crew.node(car, self.crew.ready[car])
@@ -263,7 +263,7 @@ class Building:
 
         return places
 
-    def _aside(self, grid: Grid, thing: Thing, fits: Callable[[Grid], bool]) -> Thing | None:
+    def _aside(self, grid: Grid, thing: BuildingPart, fits: Callable[[Grid], bool]) -> BuildingPart | None:
         """Return where a thing could stand out of the way: the nearest such place with which a world will do."""
         load = thing.load
         rest = taken_out(grid, [thing])
@@ -272,7 +272,7 @@ class Building:
         places = []
         for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
             for yaw in range(4) if load == Kind.FSLOPE else [0]:
-                there = Thing(load, (x, y, 1), yaw)
+                there = BuildingPart(load, (x, y, 1), yaw)
                 far = min(int(distances[node]) for node in _nodes_at(ways, there))
                 free = set(there.cells).isdisjoint(self._keep_free)
                 if (
@@ -305,7 +305,7 @@ class Building:
                 free = [car for car in self._cars if self.crew.load(car) == Kind.AIR]
                 hold = self.style.hold and len(free) > 1 and self._is_wanted(thing.load)
                 for car in sorted(free, key=lambda car: self.crew.ready[car]):
-                    if self._take_over(car, Job(thing, aside, hold)):
+                    if self._take_over(car, Errand(thing, aside, hold)):
                         return True
         return False
 
@@ -318,7 +318,7 @@ class Building:
         )
         return wanted > sum(self.crew.load(car) == load for car in self._cars)
 
-    def _barring(self, grid: Grid, loose: list[Thing], k: int) -> list[Thing]:
+    def _barring(self, grid: Grid, loose: list[BuildingPart], k: int) -> list[BuildingPart]:
         """Return the loose things that must go before a step can be made; none of the others need to."""
         step = self.order.steps[k]
         if step.taken:
@@ -333,7 +333,7 @@ class Building:
                 gone = fewer
         return gone
 
-    def _reaches(self, grid: Grid, gone: list[Thing], target: Thing) -> bool:
+    def _reaches(self, grid: Grid, gone: list[BuildingPart], target: BuildingPart) -> bool:
         """Return whether a load can be driven to a place from somewhere else, once some things are gone."""
         rest = taken_out(grid, gone)
         if not has_room(rest, self.assembly.rules, target):
@@ -356,18 +356,18 @@ class Building:
         return False
 
 
-def _nodes_at(ways: Ways, thing: Thing) -> list[int]:
+def _nodes_at(ways: Ways, thing: BuildingPart) -> list[int]:
     """Return the states in which a car is below a thing."""
     yaws = [(thing.yaw + 2) % 4] if thing.load == Kind.FSLOPE else range(4)
     return [ways.node(thing.cell, yaw) for yaw in yaws]
 
 
-def _nearest(distances: Nodes, ways: Ways, thing: Thing) -> int:
+def _nearest(distances: Nodes, ways: Ways, thing: BuildingPart) -> int:
     """Return the distance of the states below a thing."""
     return min(int(distances[node]) for node in _nodes_at(ways, thing))
 
 
-def _onward(distances: Nodes, ways: Ways, grid: Grid, thing: Thing) -> int:
+def _onward(distances: Nodes, ways: Ways, grid: Grid, thing: BuildingPart) -> int:
     """Return the distance from a thing that has been taken up: from there, or from the next cell that is free."""
     far = _nearest(distances, ways, thing)
     for direction in range(4):

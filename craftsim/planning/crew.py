@@ -18,7 +18,7 @@ from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.assembly import taken_out
 from craftsim.planning.paths import WAIT, PathFinder
-from craftsim.planning.things import Thing
+from craftsim.planning.things import BuildingPart
 from craftsim.planning.timeline import NOTHING_DONE, Timeline
 from craftsim.planning.ways import FAR, Nodes, Ways, cell_of_node, node_number
 
@@ -31,12 +31,12 @@ _DELAYS: Final = 6
 
 
 @dataclass(frozen=True)
-class Job:
+class Errand:
     """A thing brought from where it stands, or from the car that carries it, to where it is to stand."""
 
-    source: Thing | None
+    source: BuildingPart | None
     """None: the car carries it."""
-    target: Thing
+    target: BuildingPart
     hold: bool = False
     """Whether the car keeps it there, and waits."""
 
@@ -73,7 +73,7 @@ class Crew:
         """Return what a car carries once its last job has ended."""
         return Kind(int(self.timeline.worlds.stack.cars[self.ready[car], car, CarField.LOAD]))
 
-    def take_over(self, car: int, job: Job, parking: Callable[[Ways, Grid], list[int]]) -> bool:
+    def take_over(self, car: int, job: Errand, parking: Callable[[Ways, Grid], list[int]]) -> bool:
         """Plan a job of a car as early as it can be; return whether there was a way.
 
         ``parking`` returns the states in which a car may stay when the job is done.
@@ -134,7 +134,7 @@ class Crew:
         return Ways(grid, self.rules, load), grid
 
     def _plan(
-        self, car: int, job: Job, tick: int, not_before: int, parking: Callable[[Ways, Grid], list[int]]
+        self, car: int, job: Errand, tick: int, not_before: int, parking: Callable[[Ways, Grid], list[int]]
     ) -> int | None:
         """Plan a job from a tick on; return None if all is well, the tick of a conflict, or -1 if there is no way."""
         bring = self._turn_over if job.stays else self._carry
@@ -152,7 +152,7 @@ class Crew:
         bad = self.timeline.replay(0)
         return None if bad is None else bad[0]
 
-    def _turn_over(self, car: int, job: Job, tick: int, not_before: int) -> int:
+    def _turn_over(self, car: int, job: Errand, tick: int, not_before: int) -> int:
         """Fold or unfold a slope where it stands; return the tick after, or -1."""
         ways, _ = self._ways(car, Kind.AIR)
         action = Action.UNFOLD if job.target.kind == Kind.BODY else Action.FOLD
@@ -163,7 +163,7 @@ class Crew:
         self.timeline.actions[after - 1, car] = WAIT
         return self._swing(car, after - 1, action)
 
-    def _carry(self, car: int, job: Job, tick: int, not_before: int) -> int:
+    def _carry(self, car: int, job: Errand, tick: int, not_before: int) -> int:
         """Bring a thing to its place; return the tick after, or -1."""
         if job.source is not None:
             tick = self._fetch(car, job.source, job.target, tick, not_before)
@@ -180,7 +180,7 @@ class Crew:
             return -1 if after is None else after
         return self._swing(car, after, Action.UNFOLD) if job.target.kind == Kind.BODY else after
 
-    def _fetch(self, car: int, source: Thing, target: Thing, tick: int, not_before: int) -> int:
+    def _fetch(self, car: int, source: BuildingPart, target: BuildingPart, tick: int, not_before: int) -> int:
         """Drive to a thing and take it up; return the tick after, or -1."""
         ways, _ = self._ways(car, Kind.AIR)
         nodes = self._pick_up(ways, source, target, self.node(car, tick))
@@ -204,7 +204,7 @@ class Crew:
         self.timeline.write(car, tick, actions)
         self.timeline.replay(max(0, tick - 1))
 
-    def _pick_up(self, ways: Ways, source: Thing, target: Thing, start: int) -> list[int]:
+    def _pick_up(self, ways: Ways, source: BuildingPart, target: BuildingPart, start: int) -> list[int]:
         """Return the states in which to take up a thing so that the way there and on to its place is short."""
         load = target.load
         loaded = loaded_ways(self.end, self.rules, source)
@@ -259,7 +259,7 @@ def cells_on_way(ways: Ways, node: int, distances: Nodes) -> set[Cell]:
     return cells
 
 
-def loaded_ways(grid: Grid, rules: Rules, source: Thing) -> Ways:
+def loaded_ways(grid: Grid, rules: Rules, source: BuildingPart) -> Ways:
     """Return the ways of a car that has taken up a thing."""
     return Ways(taken_out(grid, [source]), rules, source.load)
 

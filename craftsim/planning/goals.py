@@ -15,7 +15,7 @@ from craftsim.discrete.tasks.measures import FlagAtGoal, OnePlatform
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import State
-from craftsim.planning.things import Thing, things_in
+from craftsim.planning.things import BuildingPart, things_in
 
 
 class NoPlanError(InputError):
@@ -23,7 +23,7 @@ class NoPlanError(InputError):
 
 
 @dataclass(frozen=True)
-class Goal:
+class BuildingGoal:
     """A goal of a plan."""
 
     reached: Callable[[Grid], bool]
@@ -34,7 +34,7 @@ class Goal:
     """How many blocks are to form one platform, wherever; 0 if none are."""
 
 
-def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> Goal:
+def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingGoal:
     """Return the goal that a design, a task or a function of a world stands for."""
     if isinstance(goal, Task):
         if not goal.has_goal:
@@ -45,19 +45,19 @@ def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> Goal:
         if goal.design is not None:
             return make_goal(goal.design)
         if isinstance(measure, FlagAtGoal):
-            flag = Thing(Kind.FLAG, measure.nearness.goal)
-            return Goal(goal.succeeded, frozenset({flag}))
+            flag = BuildingPart(Kind.FLAG, measure.nearness.goal)
+            return BuildingGoal(goal.succeeded, frozenset({flag}))
         if isinstance(measure, OnePlatform):
-            return Goal(goal.succeeded, platform=measure.n_blocks)
-        return Goal(goal.succeeded)
+            return BuildingGoal(goal.succeeded, platform=measure.n_blocks)
+        return BuildingGoal(goal.succeeded)
     if isinstance(goal, Design):
         things = frozenset(
-            Thing(target.kind, target.cell, max(goal.yaw(target), 0))
+            BuildingPart(target.kind, target.cell, max(goal.yaw(target), 0))
             for target in goal.targets
             if target.kind != Kind.FOOT
         )
-        return Goal(goal.satisfied, things)
-    return Goal(lambda grid: bool(goal(grid)))
+        return BuildingGoal(goal.satisfied, things)
+    return BuildingGoal(lambda grid: bool(goal(grid)))
 
 
 def check_supplies(start: Grid, building: State) -> None:
@@ -69,21 +69,21 @@ def check_supplies(start: Grid, building: State) -> None:
         if count > have[kind]:
             what = {Kind.BLOCK: "blocks", Kind.FLAG: "flags", Kind.FSLOPE: "slopes"}[kind]
             raise NoPlanError(f"no plan: not enough {what}; the design has {count}, the start {have[kind]}")
-    taken: dict[Cell, Thing] = {}
+    taken: dict[Cell, BuildingPart] = {}
     for thing in sorted(building):
-        for cell in thing.cells:
+        # A folded slope may stand as it likes, and its gear may hang or lie beside the area.
+        for cell in thing.cells if thing.kind == Kind.BODY else (thing.cell,):
             if not all(0 <= c < n for c, n in zip(cell, start.kind.shape, strict=True)):
                 raise NoPlanError(f"no plan: {cell} is outside the area of {start.size} cells")
             if start.kind_at(cell) == Kind.WALL:
                 raise NoPlanError(f"no plan: {cell} is to hold {NAMES[thing.kind]}, but there is a wall")
-            if cell in taken and thing.kind != Kind.FSLOPE:
+            if cell in taken:
                 raise NoPlanError(f"no plan: {cell} is to hold two things")
             taken[cell] = thing
-    for cell, thing in taken.items():
+    for cell in taken:
         below = (cell[0], cell[1], cell[2] - 1)
         borne = cell[2] == 1 or (below in taken and taken[below].kind == Kind.BLOCK)
-        # The gear of a folded slope may hang.
-        if not borne and (thing.kind != Kind.FSLOPE or cell == thing.cell):
+        if not borne:
             raise NoPlanError(f"no plan: what is to be at {cell} has nothing below it that bears it")
 
 
@@ -119,4 +119,4 @@ def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[
             ]
             chosen.add(edge[int(np.argmax(scores))])
         if len(chosen) == n_blocks:
-            yield frozenset(Thing(Kind.BLOCK, cell) for cell in chosen)
+            yield frozenset(BuildingPart(Kind.BLOCK, cell) for cell in chosen)

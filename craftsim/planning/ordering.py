@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from craftsim.discrete.grid import Kind
-from craftsim.planning.assembly import Assembly, Order, State, Step, ramp_places
-from craftsim.planning.things import Thing
+from craftsim.planning.assembly import Assembly, Order, Placing, State, ramp_places
+from craftsim.planning.things import BuildingPart
 
 _TRIES = 200
 """Steps backwards that a search may take beyond six for each thing..."""
@@ -37,14 +37,14 @@ def find_order(
 
 def _search(
     assembly: Assembly, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator, from_below: bool
-) -> list[Step] | None:
+) -> list[Placing] | None:
     """Return the steps from the last to the first; ``from_below``: the lowest level may go while others stand."""
 
-    def options(state: State) -> Iterator[Step]:
+    def options(state: State) -> Iterator[Placing]:
         return _options(assembly, state, fixed, n_slopes, rng, from_below)
 
     seen: set[State] = {goal}
-    path: list[Step] = []
+    path: list[Placing] = []
     states, branches = [goal], [options(goal)]
     for _ in range(_TRIES + 6 * len(goal)):
         if states[-1] == fixed:
@@ -66,14 +66,14 @@ def _search(
     return None
 
 
-def _before(state: State, step: Step) -> State:
+def _before(state: State, step: Placing) -> State:
     """Return what stood before a step."""
     return state | {step.thing} if step.taken else state - {step.thing}
 
 
 def _options(
     assembly: Assembly, state: State, fixed: State, n_slopes: int, rng: np.random.Generator, from_below: bool
-) -> Iterator[Step]:
+) -> Iterator[Placing]:
     """Yield the steps that may have come last, the likeliest first."""
     rest = sorted(state - fixed)
     rest = [rest[i] for i in rng.permutation(len(rest))]
@@ -84,14 +84,14 @@ def _options(
     things = [thing for thing in rest if thing.kind != Kind.BODY]
     upper = [thing for thing in things if thing.cell[2] > 1]
     for thing in useless:
-        step = Step(thing)
+        step = Placing(thing)
         if assembly.possible(state - {thing}, step):
             yield step
-    barren: dict[Step, None] = {}
+    barren: dict[Placing, None] = {}
     for level in range(highest, 1, -1):
         here = [thing for thing in upper if thing.cell[2] == level]
         for thing in here:
-            step = Step(thing)
+            step = Placing(thing)
             if assembly.possible(state - {thing}, step):
                 yield step
         if n_ramps < n_slopes and here:
@@ -103,24 +103,24 @@ def _options(
     # A ramp elsewhere may do; the floor level comes last, for what stands on it is driven on.
     ramps = [thing for thing in rest if thing.kind == Kind.BODY and thing not in useless]
     for thing in ramps:
-        step = Step(thing)
+        step = Placing(thing)
         if assembly.possible(state - {thing}, step):
             yield step
     yield from barren
     if from_below or not upper:
         for thing in things:
-            step = Step(thing)
+            step = Placing(thing)
             if thing not in upper and assembly.possible(state - {thing}, step):
                 yield step
 
 
 def _ramps(
-    assembly: Assembly, state: State, upper: list[Thing], rng: np.random.Generator
-) -> Iterator[tuple[Step, bool]]:
+    assembly: Assembly, state: State, upper: list[BuildingPart], rng: np.random.Generator
+) -> Iterator[tuple[Placing, bool]]:
     """Yield ramps that may have been taken away last, and whether something is in reach with each."""
     places = list(ramp_places(assembly.grid(state), assembly.rules))
     for i in rng.permutation(len(places)):
         before = state | {places[i]}
-        step = Step(places[i], taken=True)
+        step = Placing(places[i], taken=True)
         if assembly.possible(before, step):
-            yield step, any(assembly.possible(before - {thing}, Step(thing)) for thing in upper)
+            yield step, any(assembly.possible(before - {thing}, Placing(thing)) for thing in upper)

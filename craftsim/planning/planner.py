@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,11 +20,12 @@ from craftsim.discrete.timetable import makespan, timetable
 from craftsim.errors import InputError
 from craftsim.planning.assembly import Assembly, Order, State
 from craftsim.planning.bounds import makespan_bound
-from craftsim.planning.building import Building, Chances, Style
-from craftsim.planning.goals import Goal, NoPlanError, check_supplies, make_goal, platforms
+from craftsim.planning.building import Chances, Construction, Style
+from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
+from craftsim.planning.goals import BuildingGoal, NoPlanError, check_supplies, make_goal, platforms
 from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.planning.ordering import find_order
-from craftsim.planning.things import Thing, things_in, without_things
+from craftsim.planning.things import BuildingPart, things_in, without_things
 
 Ticks = tuple[tuple[tuple[int, Action], ...], ...]
 
@@ -35,6 +36,10 @@ _REFINED: Final = 0.4
 
 _LONGER: Final = 1.1
 """An attempt is given up when it takes so many times the ticks of the best one."""
+_EQUAL: Final = 1e-9
+"""Seconds by which equal times may differ."""
+_FIRST_WORLDS: Final = 20_000
+"""Where the makespan counts, the plan of least work is one to begin with if so many worlds are enough for it."""
 
 Recipe = tuple[Order, State, Style, Chances]
 
@@ -55,6 +60,8 @@ class Planned:
     """No plan has a smaller makespan; 0 where that is not known."""
     rounds: int
     """How many attempts were made."""
+    optimal: bool = False
+    """Whether it is proved that no plan is better, by the objective that was asked for."""
 
     def cost(self, objective: Objective) -> tuple[float, float]:
         """Return what is to be small, the objective first."""
@@ -92,7 +99,7 @@ def plan_building(
     wanted = make_goal(goal)
     if wanted.reached(start):
         schedule = Schedule((), (), start)
-        return Planned((), schedule, 0.0, 0.0, 0.0, 0)
+        return Planned((), schedule, 0.0, 0.0, 0.0, 0, optimal=True)
     if not start.n_cars:
         raise NoPlanError("no plan: there are no cars")
     if objective not in ("makespan", "work"):
@@ -105,7 +112,7 @@ class _Search:
     """The attempts at one plan."""
 
     def __init__(
-        self, start: Grid, goal: Goal, rules: Rules, objective: Objective, rng: np.random.Generator
+        self, start: Grid, goal: BuildingGoal, rules: Rules, objective: Objective, rng: np.random.Generator
     ) -> None:
         self.start, self.goal, self.rules, self.objective, self.rng = start, goal, rules, objective, rng
         self.assembly = Assembly(without_things(start), rules)
@@ -118,6 +125,9 @@ class _Search:
         self._buildings = self._goals()
         self._orders: list[tuple[Order, State]] = []
         self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
+        self._exact = rules.flags.derived_marks and (
+            is_small(start, rules) if goal.building else not goal.platform
+        )
         self.best: Planned | None = None
         self._best_recipe: Recipe | None = None
         self._best_turns, self._best_ticks = 0, math.inf
@@ -126,6 +136,12 @@ class _Search:
         """Make attempts until rounds or time have run out."""
         begun = time.monotonic()
         number = 0
+        if self._exact:
+            guided = bool(self.goal.building) and self.objective == "makespan"
+            self._search_worlds(_FIRST_WORLDS if guided else MOST_WORLDS)
+            if self.best is not None and (self.best.optimal or self.goal.building is None):
+                report(0, self.best)
+                return self.best
         try:
             for number in range(1, rounds + 1):
                 self._attempt(number)
@@ -133,14 +149,33 @@ class _Search:
                 late = time.monotonic() - begun
                 if late > time_s and (self.best is not None or late > 6 * time_s):
                     break
-                if self.best is not None and self.best.makespan_s <= self._bound + 1e-9:
+                if self.best is not None and self.best.makespan_s <= self._bound + _EQUAL:
                     break
         except KeyboardInterrupt:
             if self.best is None:
                 raise
+        if self.best is None and self._exact and self.objective == "makespan":
+            self._search_worlds(MOST_WORLDS)
         if self.best is None:
             raise NoPlanError(self._why(number))
         return self.best
+
+    def _search_worlds(self, most: int) -> None:
+        """Look for the plan of least work among so many worlds; raise NoPlanError where that proves there is none."""
+        if self.goal.building is not None:
+            check_supplies(self.start, self.goal.building)
+        exact = least_work(self.start, self.goal, self.rules, most)
+        if exact.steps is not None:
+            planned = self._finish(tuple((step,) for step in exact.steps), 0)
+            if planned is not None:
+                self.best = replace(planned, optimal=planned.optimal or self.objective == "work")
+        elif exact.complete:
+            raise NoPlanError(f"no plan: none of the {exact.n_worlds} worlds that can be reached will do")
+        elif self.goal.building is None:
+            raise NoPlanError(
+                f"no plan found: the goal has no drawing, and none of the first {exact.n_worlds} worlds that cost "
+                "least will do; try a smaller area, fewer cars or a design"
+            )
 
     def _goals(self) -> Iterator[State]:
         """Yield buildings that reach the goal."""
@@ -157,11 +192,11 @@ class _Search:
         building = next(self._buildings, None)
         if building is None:
             raise NoPlanError(
-                "no plan: this goal has no drawing, and the world is too large to be searched through"
+                "no plan: a goal without a drawing is searched for only by rules whose marks follow from what is there"
             )
         check_supplies(self.start, building)
         fixed = building & self.standing
-        for kept in dict.fromkeys([fixed, frozenset[Thing]()]):
+        for kept in dict.fromkeys([fixed, frozenset[BuildingPart]()]):
             order = find_order(self.assembly, building, kept, self.n_slopes, self.rng)
             if order is not None:
                 self._orders.append((order, kept))
@@ -174,7 +209,7 @@ class _Search:
             return
         # Ticks are not seconds, so an attempt may be a little longer than the best one.
         longest = _LONGER * self._best_ticks if self.objective == "makespan" else math.inf
-        building = Building(self.start, self.assembly, *recipe, longest)
+        building = Construction(self.start, self.assembly, *recipe, longest)
         if not building.run():
             return
         planned = self._finish(building.crew.timeline.ticks(), number)
@@ -217,7 +252,9 @@ class _Search:
             return None
         times = timetable(schedule)
         work = float((times[:, 1] - times[:, 0]).sum())
-        return Planned(ticks, schedule, makespan(times), work, self._bound, number)
+        lasting = makespan(times)
+        optimal = self.objective == "makespan" and lasting <= self._bound + _EQUAL
+        return Planned(ticks, schedule, lasting, work, self._bound, number, optimal)
 
     def _reaches(self, ticks: list[list[tuple[int, Action]]]) -> bool:
         grid = self.start

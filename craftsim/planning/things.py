@@ -12,7 +12,7 @@ from craftsim.discrete.grid import SECOND_PART, Cell, Grid, Kind, beside
 MOVABLE = (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
 
 
-class Thing(NamedTuple):
+class BuildingPart(NamedTuple):
     """A block, a flag, a folded slope or, as BODY, an unfolded one."""
 
     kind: Kind
@@ -30,10 +30,10 @@ class Thing(NamedTuple):
         return Kind.FSLOPE if self.kind == Kind.BODY else self.kind
 
 
-def things_in(grid: Grid) -> Iterator[Thing]:
+def things_in(grid: Grid) -> Iterator[BuildingPart]:
     """Yield what stands in a world and can be moved."""
     for x, y, z in np.argwhere(np.isin(grid.kind, MOVABLE)).tolist():
-        yield Thing(Kind(grid.kind[x, y, z]), (x, y, z), int(grid.yaw[x, y, z]))
+        yield BuildingPart(Kind(grid.kind[x, y, z]), (x, y, z), int(grid.yaw[x, y, z]))
 
 
 def without_things(grid: Grid) -> Grid:
@@ -43,22 +43,27 @@ def without_things(grid: Grid) -> Grid:
     return bare
 
 
-def put(grid: Grid, things: Iterable[Thing]) -> None:
+def put(grid: Grid, things: Iterable[BuildingPart]) -> None:
     """Put things into a world, in place; a gear gives way to what stands."""
     for thing in things:
         grid.kind[thing.cell], grid.yaw[thing.cell] = thing.kind, thing.yaw
         if thing.kind in SECOND_PART:
             second = thing.cells[1]
-            if thing.kind == Kind.BODY or grid.kind_at(second) == Kind.AIR:
+            if _is_inside(grid, second) and (thing.kind == Kind.BODY or grid.kind[second] == Kind.AIR):
                 grid.kind[second], grid.yaw[second] = SECOND_PART[thing.kind], thing.yaw
 
 
-def take(grid: Grid, things: Iterable[Thing]) -> None:
+def take(grid: Grid, things: Iterable[BuildingPart]) -> None:
     """Take things out of a world, in place."""
     for thing in things:
         for cell in thing.cells:
-            if cell == thing.cell or grid.kind[cell] in (Kind.GEAR, Kind.FOOT):
+            if cell == thing.cell or (_is_inside(grid, cell) and grid.kind[cell] in (Kind.GEAR, Kind.FOOT)):
                 grid.kind[cell], grid.yaw[cell] = Kind.AIR, 0
+
+
+def _is_inside(grid: Grid, cell: Cell) -> bool:
+    """Return whether a cell is in the area; the gear of a folded slope may not be."""
+    return all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))
 
 
 def with_car(grid: Grid, cell: Cell, yaw: int, load: Kind = Kind.AIR) -> Grid:

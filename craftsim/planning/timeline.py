@@ -30,7 +30,7 @@ _NOWHERE: Final = -9
 _FIRST_TICKS: Final = 64
 
 
-class Worlds:
+class Snapshots:
     """The worlds before tick 0, 1, 2, ...; those of a plan that grows."""
 
     def __init__(self, grid: Grid, rules: Rules) -> None:
@@ -49,7 +49,7 @@ class Worlds:
         while len(self._arrays[0]) <= n_ticks:
             self._arrays = [np.concatenate([part, part]) for part in self._arrays]
 
-    def copy_from(self, other: Worlds, tick: int) -> None:
+    def copy_from(self, other: Snapshots, tick: int) -> None:
         """Take over the world before a tick."""
         for mine, its in zip(self._arrays, other._arrays, strict=True):
             mine[tick] = its[tick]
@@ -66,8 +66,8 @@ class Timeline:
     def __init__(self, grid: Grid, rules: Rules) -> None:
         self.n_cars = grid.n_cars
         self.actions = np.full((_FIRST_TICKS, grid.n_cars), NOTHING_DONE, np.int8)
-        self.worlds = Worlds(grid, rules)
-        self._others = Worlds(grid, rules)
+        self.worlds = Snapshots(grid, rules)
+        self._others = Snapshots(grid, rules)
         self.end = 0
         """The first tick in which nothing is done any more."""
 

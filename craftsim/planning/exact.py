@@ -1,0 +1,221 @@
+"""The plan of least work in a small world, or the proof that there is none: A* over whole worlds (Hart et al. 1968).
+
+One car's action is one step, and costs what the table of durations says. The heuristic never overestimates: each thing
+that is missing in a building costs at least the lift of some thing, its way in the plane and the drop, each another
+thing's; somebody must drive to the first of them, and what is above the floor needs a ramp. A world is kept as the
+bytes of its cells and cars; marks follow from these, so that only rules that derive them will do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.cells import AIR, F_SLOPE, World, pose_of
+from craftsim.discrete.compiled import compiled
+from craftsim.discrete.durations import nominal_durations
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.rules.sets import Rules, world_of
+from craftsim.discrete.rules.table import ACTIONS, apply, legal
+from craftsim.planning.goals import BuildingGoal
+from craftsim.planning.least import least_left
+from craftsim.planning.things import things_in
+
+MOST_WORLDS: Final = 400_000
+"""So many worlds are looked at unless told otherwise."""
+
+_MOST_BYTES: Final = 1 << 28
+"""Worlds that are kept take no more than that; only large ones come to it before their number counts."""
+_MOST_CELLS: Final = 64
+_MOST_THINGS: Final = 3
+_MOST_CARS: Final = 2
+_MOST_SORTED: Final = 8
+"""So many things are told apart by the heuristic; where there are more, it is 0."""
+_YAW_SHIFT: Final = 4
+_KIND_BITS: Final = 15
+
+Steps = tuple[tuple[int, Action], ...]
+
+
+@dataclass(frozen=True)
+class Exact:
+    """What a search through a small world came to."""
+
+    steps: Steps | None
+    """The (car, action) pairs of a plan of least work; None where none was found."""
+    n_worlds: int
+    """How many worlds were met."""
+    complete: bool
+    """Whether the search came to its end: without a plan, that proves that there is none."""
+
+
+def is_small(start: Grid, rules: Rules) -> bool:
+    """Return whether a world is small enough for :func:`least_work` to find a building's plan as a rule."""
+    n_things = sum(1 for _ in things_in(start)) + int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
+    return (
+        rules.flags.derived_marks
+        and int(np.prod(start.size)) <= _MOST_CELLS
+        and n_things <= _MOST_THINGS
+        and start.n_cars <= _MOST_CARS
+    )
+
+
+def least_work(start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int = MOST_WORLDS) -> Exact:
+    """Return a plan whose actions take the least time in sum, or that there is none, or that it was not found.
+
+    Args:
+        start: any world; the rules must be of those that derive the marks, as ``physical`` does.
+        goal: what is to be reached; with a building the search is guided, else it goes through all that is cheaper.
+        rules: that hold.
+        most_worlds: the search ends when it has met so many worlds, or fewer where worlds are large.
+
+    Raises ValueError for rules whose marks do not follow from what is there.
+    """
+    if not rules.flags.derived_marks:
+        raise ValueError("worlds are told apart by what is there, but by these rules their marks count, too")
+    search = _Worlds(start, goal, rules)
+    first = search.pack(start)
+    most_worlds = min(most_worlds, _MOST_BYTES // len(first))
+    found: dict[bytes, tuple[int, bytes, int]] = {first: (0, first, -1)}
+    queue = [(0, 0, first)]
+    while queue:
+        estimate, past, world = heappop(queue)
+        if -past != found[world][0]:
+            continue
+        if (goal.building is None or estimate == -past) and goal.reached(search.grid(world)):
+            return Exact(_way(found, world), len(found), True)
+        for following, cost, rest, step in search.after(world):
+            work = cost - past
+            known = found.get(following)
+            if known is None or work < known[0]:
+                found[following] = work, world, step
+                heappush(queue, (work + rest, -work, following))
+        if len(found) > most_worlds:
+            return Exact(None, len(found), False)
+    return Exact(None, len(found), True)
+
+
+def _way(found: dict[bytes, tuple[int, bytes, int]], world: bytes) -> Steps:
+    steps = []
+    while found[world][2] >= 0:
+        _, before, step = found[world]
+        car, action = divmod(step, len(Action))
+        steps.append((car, Action(action)))
+        world = before
+    return tuple(reversed(steps))
+
+
+class _Worlds:
+    """Worlds as bytes: first the cells above the ground, kind and yaw in one, then the cars."""
+
+    def __init__(self, start: Grid, goal: BuildingGoal, rules: Rules) -> None:
+        self._grid = start.copy()
+        self._world = world_of(self._grid, rules.flags)
+        self._n_cells = start.kind[:, :, 1:].size
+        actions = [action for action, spec in ACTIONS.items() if spec.performed and action != Action.STOP]
+        self._actions = np.array(actions, np.int64)
+        self._costs = np.rint(nominal_durations() * 1000).astype(np.int64)
+        things = list(things_in(start))
+        carried = int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
+        sortable = goal.building is not None and len(things) + carried <= _MOST_SORTED
+        targets = sorted(goal.building or ()) if sortable else []
+        self._targets = np.array([(t.kind, *t.cell) for t in targets], np.int64).reshape(-1, 4)
+        self._best = np.zeros((2, 1 << _MOST_SORTED), np.int64)
+        self._things = np.zeros((_MOST_SORTED + start.n_cars, 5), np.int64)
+        most = start.n_cars * len(actions)
+        self._rows = np.zeros((most + 1, self._n_cells + start.cars.size), np.uint8)
+        self._steps = np.zeros((most, 3), np.int64)
+
+    def pack(self, grid: Grid) -> bytes:
+        """Return a world as bytes."""
+        cells = grid.kind[:, :, 1:].astype(np.uint8) | (grid.yaw[:, :, 1:].astype(np.uint8) << _YAW_SHIFT)
+        return cells.tobytes() + grid.cars.astype(np.uint8).tobytes()
+
+    def grid(self, world: bytes) -> Grid:
+        """Return a world from its bytes."""
+        self._rows[-1] = np.frombuffer(world, np.uint8)
+        _unpack(self._rows[-1], self._world)
+        grid = self._grid.copy()
+        grid.derive_marks()
+        return grid
+
+    def after(self, world: bytes) -> list[tuple[bytes, int, int, int]]:
+        """Return what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
+        self._rows[-1] = np.frombuffer(world, np.uint8)
+        count = _expand(
+            *(self._world, self._actions, self._costs, self._targets),
+            *(self._things, self._best, self._rows, self._steps),
+        )
+        raw, size = self._rows[:count].tobytes(), self._rows.shape[1]
+        return [
+            (raw[i * size : (i + 1) * size], cost, rest, step)
+            for i, (cost, rest, step) in enumerate(self._steps[:count].tolist())
+        ]
+
+
+@compiled
+def _unpack(row: NDArray[np.uint8], w: World) -> None:
+    length, width, layers = w.kind.shape
+    i = 0
+    for x in range(length):
+        for y in range(width):
+            for z in range(1, layers):
+                w.kind[x, y, z] = row[i] & _KIND_BITS
+                w.yaw[x, y, z] = row[i] >> _YAW_SHIFT
+                i += 1
+    for car in range(w.cars.shape[0]):
+        for field in range(w.cars.shape[1]):
+            w.cars[car, field] = row[i]
+            i += 1
+
+
+@compiled
+def _pack(w: World, row: NDArray[np.uint8]) -> None:
+    length, width, layers = w.kind.shape
+    i = 0
+    for x in range(length):
+        for y in range(width):
+            for z in range(1, layers):
+                row[i] = w.kind[x, y, z] | (w.yaw[x, y, z] << _YAW_SHIFT)
+                i += 1
+    for car in range(w.cars.shape[0]):
+        for field in range(w.cars.shape[1]):
+            row[i] = w.cars[car, field]
+            i += 1
+
+
+@compiled
+def _expand(
+    w: World,
+    actions: NDArray[np.int64],
+    costs: NDArray[np.int64],
+    targets: NDArray[np.int64],
+    things: NDArray[np.int64],
+    best: NDArray[np.int64],
+    rows: NDArray[np.uint8],
+    steps: NDArray[np.int64],
+) -> int:
+    """Write the worlds after the one in the last row, and for each the cost, the least work left and the step."""
+    count = 0
+    before = rows[rows.shape[0] - 1]
+    _unpack(before, w)
+    for car in range(w.cars.shape[0]):
+        for i in range(actions.shape[0]):
+            pose = pose_of(w, car)
+            if not legal(w, car, pose, actions[i]):
+                continue
+            apply(w, car, actions[i])
+            sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
+            column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
+            _pack(w, rows[count])
+            steps[count, 0] = costs[actions[i], column]
+            steps[count, 1] = least_left(w, costs, targets, things, best)
+            steps[count, 2] = car * costs.shape[0] + actions[i]
+            count += 1
+            _unpack(before, w)
+    return count

@@ -1,0 +1,106 @@
+"""The plan of least work in small worlds: as good as a plain search's, and a proof where there is none."""
+
+import numpy as np
+import pytest
+from by_force import least_work_by_force
+
+from craftsim.designs.tiny import tiny_world
+from craftsim.discrete.files.design import design_in
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.rules.sets import Rules
+from craftsim.planning import NoPlanError, plan_building
+from craftsim.planning.exact import is_small, least_work
+from craftsim.planning.goals import make_goal
+
+PHYSICAL = Rules("physical")
+
+
+def corridor(*things, size=(3, 1, 2), car=(0, 0, 1)):
+    """Return a world with one car and (kind, cell) things."""
+    grid = Grid.empty(size, n_cars=1)
+    grid.cars[0, :3] = car
+    for kind, cell in things:
+        grid.kind[cell] = kind
+    grid.derive_marks()
+    return grid
+
+
+@pytest.mark.parametrize("seed", [0, 3, 8, 24, 26, 37])
+def test_no_plan_takes_less_work_than_the_planner_s(seed):
+    world = tiny_world(np.random.default_rng(seed))
+    planned = plan_building(world.grid, world.design, PHYSICAL, objective="work")
+    assert planned.optimal
+    assert round(1000 * planned.work_s) == least_work_by_force(
+        world.grid, world.design.satisfied, PHYSICAL, 30_000
+    )
+
+
+def test_a_ramp_is_put_up_with_the_least_work():
+    start = corridor((Kind.FSLOPE, (2, 0, 1)), size=(4, 2, 2))
+    start.kind[3, 0, 1], start.yaw[2, 0, 1] = Kind.GEAR, 0
+    start.derive_marks()
+
+    def unfolded(grid):
+        return bool((grid.kind == Kind.BODY).any())
+
+    planned = plan_building(start, unfolded, PHYSICAL, objective="work")
+    assert planned.optimal
+    assert round(1000 * planned.work_s) == least_work_by_force(start, unfolded, PHYSICAL)
+
+
+def test_a_tower_is_built_with_the_least_work():
+    things = (Kind.BLOCK, (0, 0, 1)), (Kind.FSLOPE, (2, 0, 1)), (Kind.BLOCK, (3, 0, 1))
+    start = corridor(*things, (Kind.GEAR, (1, 0, 1)), size=(4, 2, 2), car=(0, 1, 1))
+    start.yaw[1:3, 0, 1] = 2
+    start.derive_marks()
+    tower = Grid.empty(start.size)
+    tower.kind[3, 0, 1:] = Kind.BLOCK
+    planned = plan_building(start, design_in(tower), PHYSICAL, objective="work")
+    assert planned.optimal
+    assert round(1000 * planned.work_s) == least_work_by_force(start, design_in(tower).satisfied, PHYSICAL)
+
+
+def test_a_goal_without_a_drawing_is_searched_for():
+    def beside_the_wall(grid):
+        return bool(grid.kind[2, 0, 1] == Kind.BLOCK and grid.cars[0, CarField.X] == 0)
+
+    start = corridor((Kind.BLOCK, (0, 0, 1)))
+    planned = plan_building(start, beside_the_wall, PHYSICAL)
+    assert beside_the_wall(planned.schedule.final)
+    assert round(1000 * planned.work_s) == least_work_by_force(start, beside_the_wall, PHYSICAL)
+
+
+def test_what_cannot_be_is_proved_impossible():
+    start = corridor((Kind.BLOCK, (0, 0, 1)), (Kind.BLOCK, (2, 0, 1)))
+    with pytest.raises(NoPlanError, match=r"none of the \d+ worlds that can be reached will do"):
+        plan_building(start, lambda grid: grid.kind[1, 0, 2] == Kind.BLOCK, PHYSICAL)
+    tower = start.copy()
+    tower.kind[0, 0, 1], tower.kind[2, 0, 2] = Kind.AIR, Kind.BLOCK
+    tower.derive_marks()
+    for objective in ("work", "makespan"):
+        with pytest.raises(NoPlanError, match=r"none of the \d+ worlds that can be reached will do"):
+            plan_building(start, design_in(tower), PHYSICAL, objective=objective)
+
+
+def test_the_bound_of_worlds_is_held():
+    start = corridor((Kind.BLOCK, (0, 0, 1)), size=(6, 6, 1))
+    found = least_work(start, make_goal(lambda grid: False), PHYSICAL, 500)
+    assert found.steps is None
+    assert not found.complete
+    assert 500 < found.n_worlds <= 500 + 15 * start.n_cars
+
+
+def test_worlds_are_told_apart_only_where_marks_follow_from_what_is_there():
+    start = corridor((Kind.BLOCK, (0, 0, 1)))
+    assert is_small(start, PHYSICAL)
+    assert not is_small(start, Rules("published"))
+    with pytest.raises(ValueError, match="marks"):
+        least_work(start, make_goal(lambda grid: False), Rules("published"))
+
+
+def test_the_plan_of_least_work_is_one_to_begin_with_where_the_makespan_counts():
+    world = tiny_world(np.random.default_rng(1))  # the design's slope may have its gear beside the area
+    least = plan_building(world.grid, world.design, PHYSICAL, objective="work")
+    quick = plan_building(world.grid, world.design, PHYSICAL, rounds=1)
+    assert quick.makespan_s <= least.makespan_s
+    assert not quick.schedule.forbidden

@@ -11,7 +11,7 @@ import tyro
 from craftsim.commands.options import File
 from craftsim.commands.text import say
 from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
-from craftsim.storage.limits import PLAN_ROUNDS, SEED
+from craftsim.storage.limits import PLAN_ROUNDS, PLAN_TIME_S, SEED
 
 if TYPE_CHECKING:
     from craftsim.planning import Planned
@@ -23,7 +23,7 @@ def plan(
     start: Annotated[str, tyro.conf.Positional],
     goal: File = None,
     objective: Objective = "makespan",
-    time_s: Annotated[float, tyro.conf.arg(name="time")] = DEFAULT_TIME_S,
+    time_s: Annotated[float, tyro.conf.arg(name="time"), PLAN_TIME_S] = DEFAULT_TIME_S,
     rounds: Annotated[int, PLAN_ROUNDS] = DEFAULT_ROUNDS,
     seed: Annotated[int, SEED] = 0,
     video: bool = False,

@@ -46,7 +46,15 @@ Recipe = tuple[Order, State, Style, Chances]
 
 @dataclass(frozen=True)
 class Planned:
-    """A plan, legal under the rules in the order of its actions."""
+    """A plan, legal under the rules in the order of its actions.
+
+    Example:
+        >>> import craftsim, numpy as np
+        >>> task = craftsim.make_task("strip")
+        >>> planned = craftsim.plan(task.draw(np.random.default_rng(0)), task, rounds=1)
+        >>> planned.makespan_s < planned.work_s
+        True
+    """
 
     ticks: Ticks
     """For each tick the (car, action) pairs in acting order."""
@@ -94,6 +102,12 @@ def plan_building(
             that plan is returned.
 
     Raises NoPlanError, which says why.
+
+    Example:
+        >>> import craftsim, numpy as np
+        >>> task = craftsim.make_task("strip")
+        >>> planned = craftsim.plan(task.draw(np.random.default_rng(0)), task, rounds=5)
+        >>> craftsim.write_plan(planned.ticks, folder / "strip.plan", planned.schedule)
     """
     rules = rules or Rules("physical")
     wanted = make_goal(goal)
@@ -284,9 +298,6 @@ class _Search:
 
     def _why(self, rounds: int) -> str:
         if not self._orders:
-            upper = [thing for thing in self.goal.building or () if thing.cell[2] > 1]
-            if upper and not self.n_slopes:
-                return f"no plan: {upper[0].cell} is above the floor, and there is no slope to drive up"
             return (
                 "no plan: no order was found in which everything can be put to its place: some place cannot be "
                 "reached by a car with its load, whatever is built first; try more slopes, or more free floor around"
@@ -295,3 +306,7 @@ class _Search:
             f"no plan found in {rounds} attempts, though there is an order to build in: things cannot be reached, or "
             "cars have no room to get by; try fewer cars, a larger area or another seed"
         )
+
+
+plan = plan_building
+"""Its public name."""

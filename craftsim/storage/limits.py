@@ -165,6 +165,7 @@ DESIGN_SIDE: Final = Range(1, 128)
 EPISODE_TICKS: Final = Range(1, 100_000)
 REPLANS: Final = Range(0, 1000)
 PLAN_ROUNDS: Final = Range(1, 1_000_000)
+PLAN_TIME_S: Final = Range(0, 604_800)
 BATCH: Final = Range(1, 100_000)
 """Worlds that are stepped side by side on the grid."""
 BENCH_S: Final = Range(0.001, 3600)

@@ -1,0 +1,150 @@
+"""Plans from designs: legal, whole, reproducible, and refused with a reason."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from craftsim import cli
+from craftsim.designs.drawn import random_start
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.schedule import make_schedule
+from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.planning import NoPlanError, plan_building
+from craftsim.planning.assembly import Assembly
+from craftsim.planning.ordering import find_order
+from craftsim.planning.things import BuildingPart, put, without_things
+
+RULES = Rules("physical")
+ROUNDS = 6
+
+
+def yard(size, n_cars, blocks=(), slopes=()):
+    """A world with things on its floor, and cars along its lower edge."""
+    grid = Grid.empty(size, n_cars)
+    put(grid, [BuildingPart(Kind.BLOCK, cell) for cell in blocks])
+    put(grid, [BuildingPart(Kind.FSLOPE, cell, yaw) for cell, yaw in slopes])
+    grid.cars[:, CarField.X] = range(n_cars)
+    grid.derive_marks()
+    return grid
+
+
+def obeys(grid, planned, reached):
+    schedule = make_schedule(grid, planned.ticks, RULES)
+    return not schedule.forbidden and reached(schedule.final)
+
+
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_a_task_is_planned_by_the_rules(name):
+    task = make_task(name)
+    grid = task.draw(np.random.default_rng(0))
+    planned = plan_building(grid, task, RULES, rounds=40, time_s=60)
+    assert obeys(grid, planned, task.succeeded)
+    assert planned.bound_s <= planned.makespan_s <= planned.work_s
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_random_design_is_planned_by_the_rules(seed):
+    start = random_start(np.random.default_rng(seed), 0.3)
+    planned = plan_building(start.grid, start.design, RULES, rounds=ROUNDS)
+    assert obeys(start.grid, planned, start.design.satisfied)
+
+
+def test_the_same_seed_is_the_same_plan():
+    task = make_task("simple_two_story")
+    grid = task.draw(np.random.default_rng(0))
+    plans = [plan_building(grid, task, RULES, rounds=ROUNDS, time_s=60, seed=3).ticks for _ in range(2)]
+    assert plans[0] == plans[1]
+
+
+def test_more_attempts_are_not_worse():
+    task = make_task("block")
+    grid = task.draw(np.random.default_rng(0))
+    seen = []
+    plan_building(
+        grid, task, RULES, rounds=12, time_s=60, report=lambda number, best: seen.append(best.makespan_s)
+    )
+    assert all(later <= earlier for earlier, later in pairwise(seen))
+
+
+def test_who_interrupts_gets_the_best_so_far():
+    task = make_task("strip")
+    grid = task.draw(np.random.default_rng(0))
+
+    def report(number, best):
+        if best is not None:
+            raise KeyboardInterrupt
+
+    assert obeys(grid, plan_building(grid, task, RULES, report=report), task.succeeded)
+
+
+def test_what_a_car_carries_at_the_start_is_used():
+    grid = yard((4, 4, 2), 1)
+    grid.cars[0, CarField.LOAD] = Kind.BLOCK
+    design = Design.of("one", [(2, 2, 1)], [])
+    assert obeys(grid, plan_building(grid, design, RULES, rounds=ROUNDS), design.satisfied)
+
+
+def test_what_stands_in_the_way_is_moved():
+    # A corridor of walls, whose only way in leads through the cell of a block that stands there already.
+    grid = yard((6, 3, 2), 1, blocks=[(1, 2, 1), (3, 0, 1), (5, 2, 1)])
+    grid.cars[0, : CarField.YAW] = (0, 1, 1)
+    grid.kind[2:, 1, 1] = Kind.WALL
+    grid.derive_marks()
+    design = Design.of("corridor", [(5, 0, 1), (4, 0, 1), (3, 0, 1)], [])
+    assert obeys(grid, plan_building(grid, design, RULES, rounds=ROUNDS), design.satisfied)
+
+
+def test_nothing_is_done_where_the_goal_is_reached():
+    grid = yard((4, 4, 2), 1, blocks=[(2, 2, 1)])
+    assert plan_building(grid, Design.of("one", [(2, 2, 1)], []), RULES).ticks == ()
+
+
+def test_a_pyramid_has_an_order_whose_steps_can_be_made():
+    blocks = [(3 + x, 3 + y, 1) for x in range(5) for y in range(5)]
+    blocks += [(4 + x, 4 + y, 2) for x in range(3) for y in range(3)]
+    goal = frozenset(BuildingPart(Kind.BLOCK, cell) for cell in [*blocks, (5, 5, 3)])
+    assembly = Assembly(without_things(yard((12, 12, 4), 0)), RULES)
+    order = find_order(assembly, goal, frozenset(), 2, np.random.default_rng(0))
+    state = frozenset()
+    for step in order.steps:
+        assert assembly.possible(state, step)
+        state = step.after(state)
+    assert state == goal
+
+
+IMPOSSIBLE = {
+    "not enough blocks": ([(1, 1, 1), (2, 1, 1), (3, 1, 1)], []),
+    "nothing below": ([(1, 1, 2), (2, 2, 1)], []),
+    "outside": ([(1, 9, 1)], []),
+    "no slope": ([(2, 2, 1), (2, 2, 2)], []),
+    "a wall": ([(4, 4, 1)], []),
+}
+
+
+@pytest.mark.parametrize("reason", IMPOSSIBLE)
+def test_why_there_is_no_plan_is_said(reason):
+    grid = yard((5, 5, 2), 1, blocks=[(3, 0, 1), (3, 1, 1)])
+    grid.kind[4, 4, 1] = Kind.WALL
+    with pytest.raises(NoPlanError, match=reason):
+        plan_building(grid, Design.of("it", *IMPOSSIBLE[reason]), RULES, rounds=2)
+
+
+def test_the_command_writes_a_plan_that_can_be_read(tmp_path, capsys):
+    assert cli.main(["plan", "strip", "--rounds", "3", "--out", str(tmp_path / "made")]) == 0
+    plan = read_plan(tmp_path / "made" / "strip.plan", 2)
+    assert plan.after
+    assert (tmp_path / "made" / "report.json").exists()
+    assert (tmp_path / "made" / "strip-gantt.svg").exists()
+    assert cli.main(["plan", "strip", "--rounds", "1", "--out", str(tmp_path / "only.plan")]) == 0
+    assert [path.name for path in tmp_path.glob("*.plan")] == ["only.plan"]
+
+
+def test_the_command_refuses_what_cannot_be(tmp_path, capsys):
+    goal = tmp_path / "goal.yaml"
+    goal.write_text("block:\n" + "".join(f"  - {{id: {i}, x: {i}, y: 0, z: 1}}\n" for i in range(4)))
+    assert cli.main(["plan", "simple_two_story", "--goal", str(goal), "--out", str(tmp_path / "x")]) == 2
+    assert "not enough blocks" in capsys.readouterr().err

@@ -69,12 +69,6 @@ def check_supplies(start: Grid, building: State) -> None:
         if count > have[kind]:
             what = {Kind.BLOCK: "blocks", Kind.FLAG: "flags", Kind.FSLOPE: "slopes"}[kind]
             raise NoPlanError(f"no plan: not enough {what}; the design has {count}, the start {have[kind]}")
-    there = {(thing.kind, thing.cell) for thing in things_in(start)}
-    upper = [
-        thing for thing in sorted(building) if thing.cell[2] > 1 and (thing.kind, thing.cell) not in there
-    ]
-    if upper and not have[Kind.FSLOPE] and (start.cars[:, CarField.Z] == 1).all():
-        raise NoPlanError(f"no plan: {upper[0].cell} is above the floor, and there is no slope to drive up")
     taken: dict[Cell, BuildingPart] = {}
     for thing in sorted(building):
         # A folded slope may stand as it likes, and its gear may hang or lie beside the area.
@@ -91,6 +85,12 @@ def check_supplies(start: Grid, building: State) -> None:
         borne = cell[2] == 1 or (below in taken and taken[below].kind == Kind.BLOCK)
         if not borne:
             raise NoPlanError(f"no plan: what is to be at {cell} has nothing below it that bears it")
+    there = {(thing.kind, thing.cell) for thing in things_in(start)}
+    upper = [
+        thing for thing in sorted(building) if thing.cell[2] > 1 and (thing.kind, thing.cell) not in there
+    ]
+    if upper and not have[Kind.FSLOPE] and (start.cars[:, CarField.Z] == 1).all():
+        raise NoPlanError(f"no plan: {upper[0].cell} is above the floor, and there is no slope to drive up")
 
 
 def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[State]:

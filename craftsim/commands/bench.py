@@ -20,7 +20,7 @@ DEPTH: Final = 20
 
 def bench(
     what: tyro.conf.Positional[
-        Literal["rules", "env", "physics", "steps", "trials", "workers", "render", "durations"]
+        Literal["rules", "env", "physics", "steps", "trials", "workers", "render", "plans", "durations"]
     ],
     rules: RuleSet = "published",
     worlds: Annotated[int, BATCH] = 1000,
@@ -59,16 +59,19 @@ def bench(
     render: frames a second of a film with its captions, encoded, beside a bare loop over MuJoCo's renderer; two
     processes against one; what recording a run adds to its CPU time.
 
+    plans: the makespan of the planner's plans for the paper's tasks beside that of the shipped ones; how many random
+    designs it plans; and what four cars gain over one.
+
     durations: how long actions take in physics, as craftsim/data/durations.yaml holds it for the grid environments.
 
     Args:
         what: what to measure.
         rules: the rule set to run; rules only.
         worlds: how many worlds a batch has.
-        seconds: how long each measurement on the grid runs, and each play of a task in physics.
+        seconds: how long each measurement on the grid runs, each play of a task in physics, and each search for a plan.
         memory_worlds: how many worlds to make for the memory figure; rules only.
         episode: ticks of the episode that is timed in physics, 2 or more; env only.
-        runs: how often the task is built; workers only.
+        runs: how often the task is built, or how many random designs are planned; workers and plans only.
         contexts: how many contexts of the audit are tried; steps and trials only.
         drive: of the cars; steps and trials only.
         seed: decides starts, actions and orders.
@@ -120,6 +123,11 @@ def bench(
             from craftsim.commands.bench_render import bench_render
 
             wall = bench_render(console, seed, out)
+        case "plans":
+            from craftsim.commands.bench_plans import bench_plans
+
+            config |= {"runs": runs, "seconds": seconds}
+            wall = bench_plans(console, seconds, runs, seed, out)
         case "durations":
             import yaml
 

@@ -153,7 +153,7 @@ class _Shove:
         share = min((site.time_s - self._begun_s) / SHOVE_S, 1.0)
         target = self._from + (self._to - self._from) * 0.5 * (1 - math.cos(math.pi * share))
         position, _ = site.free_body_state(self._block)
-        speed = site.data.qvel[self._block.dof : self._block.dof + 2]
+        speed = site.data.qvel[self._block.dof : self._block.dof + 2].copy()
         rate = 2 * math.pi * _STIFFNESS_HZ
         pull = self._mass * (rate**2 * (target - position[:2]) - 2 * rate * speed)
         force = site.data.xfrc_applied[self._block.body]

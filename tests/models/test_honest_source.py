@@ -39,6 +39,8 @@ ALLOWED = {
 }
 """Site.awake_copy writes a copy, and leaves the Site as it is (tests/checking/test_contact_log.py); what is posed
 has data of its own, to be drawn; a mirror shows robots elsewhere, and is never stepped."""
+DECLARED = {"craftsim/skills/planted.py": {"_Shove.push", "_Shove.over"}}
+"""Where a force is applied that somebody asked for as a disturbance (``craftsim build --disturb shove``)."""
 
 
 def live_view(node: ast.AST) -> bool:
@@ -126,14 +128,15 @@ def names_forbidden(node: ast.AST) -> bool:
     return False
 
 
-def violations(source: str, allowed: set[str]) -> list[int]:
+def violations(source: str, allowed: set[str], declared: frozenset[str] = frozenset()) -> list[int]:
     """Return the lines that write the state outside the allowed functions, or apply a forbidden help anywhere."""
     found = []
 
     def visit(node: ast.AST, where: tuple[str, ...]) -> None:
         if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             where = (*where, node.name)
-        if names_forbidden(node) or (writes_state(node) and ".".join(where) not in allowed):
+        helps = names_forbidden(node) and ".".join(where) not in declared
+        if helps or (writes_state(node) and ".".join(where) not in allowed):
             found.append(getattr(node, "lineno", 0))
         for child in ast.iter_child_nodes(node):
             visit(child, where)
@@ -208,7 +211,8 @@ def test_only_reset_and_restore_write_positions_and_velocities():
     found = {}
     for path in paths:
         name = path.relative_to(package.parent).as_posix()
-        lines = violations(path.read_text(encoding="utf-8"), ALLOWED.get(name, set()))
+        declared = frozenset(DECLARED.get(name, ()))
+        lines = violations(path.read_text(encoding="utf-8"), ALLOWED.get(name, set()), declared)
         if lines:
             found[name] = lines
     assert found == {}

@@ -74,12 +74,12 @@ def test_what_cannot_be_is_proved_impossible():
     start = corridor((Kind.BLOCK, (0, 0, 1)), (Kind.BLOCK, (2, 0, 1)))
     with pytest.raises(NoPlanError, match=r"none of the \d+ worlds that can be reached will do"):
         plan_building(start, lambda grid: grid.kind[1, 0, 2] == Kind.BLOCK, PHYSICAL)
-    tower = start.copy()
-    tower.kind[0, 0, 1], tower.kind[2, 0, 2] = Kind.AIR, Kind.BLOCK
-    tower.derive_marks()
+    walled = corridor((Kind.BLOCK, (1, 0, 1)), (Kind.WALL, (3, 0, 1)), size=(5, 1, 2))
+    beyond = walled.copy()
+    beyond.kind[1, 0, 1], beyond.kind[4, 0, 1] = Kind.AIR, Kind.BLOCK
     for objective in ("work", "makespan"):
         with pytest.raises(NoPlanError, match=r"none of the \d+ worlds that can be reached will do"):
-            plan_building(start, design_in(tower), PHYSICAL, objective=objective)
+            plan_building(walled, design_in(beyond), PHYSICAL, objective=objective)
 
 
 def test_the_bound_of_worlds_is_held():

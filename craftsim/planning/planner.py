@@ -299,7 +299,7 @@ class _Search:
     def _why(self, rounds: int) -> str:
         if not self._orders:
             return (
-                "no plan: no order was found in which everything can be put to its place: some place cannot be "
+                "no plan found: no order in which everything can be put to its place; perhaps some place cannot be "
                 "reached by a car with its load, whatever is built first; try more slopes, or more free floor around"
             )
         return (

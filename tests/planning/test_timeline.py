@@ -1,0 +1,59 @@
+"""A plan under way is what the rules make of it."""
+
+import numpy as np
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.tasks import make_task
+from craftsim.planning.assembly import Assembly, Placing
+from craftsim.planning.things import BuildingPart, without_things
+from craftsim.planning.timeline import Timeline
+
+RULES = Rules("physical")
+
+
+def start():
+    return make_task("strip").draw(np.random.default_rng(0))
+
+
+def test_the_worlds_are_those_of_the_rules():
+    grid = start()
+    timeline = Timeline(grid, RULES)
+    rng = np.random.default_rng(1)
+    for tick in range(90):
+        joint = []
+        for car in range(grid.n_cars):
+            legal = np.flatnonzero(RULES.mask(grid)[car])
+            action = int(rng.choice(legal[legal != Action.STOP]))
+            if RULES.tick(grid, [*joint, (car, action)])[1].all():
+                joint.append((car, action))
+                timeline.write(car, tick, [action])
+        grid, _ = RULES.tick(grid, joint)
+    assert timeline.replay(0) is None
+    assert timeline.worlds.grid(90).same_visible(grid)
+    assert [len(joint) for joint in timeline.ticks()] == [2] * 90
+
+
+def test_what_is_forbidden_is_found():
+    timeline = Timeline(start(), RULES)
+    timeline.write(0, 0, [Action.MOVE_RIGHT, Action.DROP])
+    assert timeline.replay(0) == (1, 0)
+
+
+def test_without_a_car_the_others_do_as_before():
+    grid = start()
+    timeline = Timeline(grid, RULES)
+    timeline.write(1, 0, [Action.MOVE_RIGHT, Action.LIFT])
+    timeline.replay(0)
+    others = timeline.without(0, 0)
+    assert (others.cars[2, 1] == timeline.worlds.grid(2).cars[1]).all()
+    assert (others.cars[2, 0, :3] < 0).all()
+
+
+def test_what_bears_something_is_not_taken():
+    low, high = BuildingPart(Kind.BLOCK, (1, 1, 1)), BuildingPart(Kind.BLOCK, (1, 1, 2))
+    assembly = Assembly(without_things(start()), RULES)
+    assert assembly.possible(frozenset({low}), Placing(low, taken=True))
+    assert not assembly.possible(frozenset({low, high}), Placing(low, taken=True))
+    assert not assembly.possible(frozenset({high}), Placing(low))

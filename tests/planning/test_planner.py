@@ -41,7 +41,7 @@ def obeys(grid, planned, reached):
 def test_a_task_is_planned_by_the_rules(name):
     task = make_task(name)
     grid = task.draw(np.random.default_rng(0))
-    planned = plan_building(grid, task, RULES, rounds=40, time_s=60)
+    planned = plan_building(grid, task, RULES, rounds=12, time_s=60)
     assert obeys(grid, planned, task.succeeded)
     assert planned.bound_s <= planned.makespan_s <= planned.work_s
 

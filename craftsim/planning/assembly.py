@@ -74,32 +74,28 @@ class Assembly:
 
     def _can_put(self, state: State, thing: BuildingPart) -> bool:
         grid = self.grid(state)
-        ways, distances = self._ways(state, thing.load)
-        slope = thing.load == Kind.FSLOPE
-        yaws = [yaw for yaw in range(4) if not slope or yaw == (thing.yaw + 2) % 4]
-        yaws = [yaw for yaw in yaws if distances[ways.node(thing.cell, yaw)] < FAR]
-        if not yaws:
-            return False
-        if not has_room(grid, self.rules, thing):
-            return False
-        return self._gets_out(state | {thing}, [ways.node(thing.cell, yaw) for yaw in yaws])
+        nodes = self._reached_below(state, thing, thing.load)
+        return bool(nodes) and has_room(grid, self.rules, thing) and self._gets_out(state | {thing}, nodes)
 
     def _can_take(self, state: State, thing: BuildingPart) -> bool:
         grid = self.grid(state)
-        ways, distances = self._ways(state, Kind.AIR)
-        slope = thing.load == Kind.FSLOPE
-        yaws = [yaw for yaw in range(4) if not slope or yaw == (thing.yaw + 2) % 4]
-        yaws = [yaw for yaw in yaws if distances[ways.node(thing.cell, yaw)] < FAR]
-        if not yaws:
+        nodes = self._reached_below(state, thing, Kind.AIR)
+        if not nodes:
             return False
+        yaw = thing.yaws[0]
         rest = state - {thing}
         if thing.kind == Kind.BODY:
-            if not self.rules.legal(with_car(grid, thing.cell, yaws[0]), 0, Action.FOLD):
+            if not self.rules.legal(with_car(grid, thing.cell, yaw), 0, Action.FOLD):
                 return False
             grid = self.grid(rest | {thing._replace(kind=Kind.FSLOPE)})
-        if not self.rules.legal(with_car(grid, thing.cell, yaws[0]), 0, Action.LIFT):
+        if not self.rules.legal(with_car(grid, thing.cell, yaw), 0, Action.LIFT):
             return False
-        return self._gets_out(rest, [ways.node(thing.cell, yaw) for yaw in yaws], thing.load)
+        return self._gets_out(rest, nodes, thing.load)
+
+    def _reached_below(self, state: State, thing: BuildingPart, load: Kind) -> list[int]:
+        """Return the states below a thing, or its place, that a car with a load can reach from free floor."""
+        ways, distances = self._ways(state, load)
+        return [node for node in ways.nodes(thing.cell, thing.yaws) if distances[node] < FAR]
 
     def _gets_out(self, state: State, nodes: list[int], load: Kind = Kind.AIR) -> bool:
         ways, _ = self._ways(state, load)
@@ -134,7 +130,7 @@ def has_room(grid: Grid, rules: Rules, thing: BuildingPart) -> bool:
             return False
     if thing.load != Kind.FSLOPE:
         return True
-    yaw = (thing.yaw + 2) % 4
+    yaw = thing.yaws[0]
     if not rules.legal(with_car(grid, thing.cell, yaw, Kind.FSLOPE), 0, Action.DROP):
         return False
     if thing.kind == Kind.FSLOPE:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.durations import nominal_durations
-from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.planning.assembly import State
 from craftsim.planning.things import BuildingPart, things_in
 
@@ -19,8 +19,13 @@ def makespan_bound(start: Grid, building: State) -> float:
     lift, drop, unfold = table[Action.LIFT, 0], table[Action.DROP, 1], table[Action.UNFOLD, 0]
     move = table[Action.MOVE_FORWARD, 1]
     there = list(things_in(start))
+    carried = set(start.cars[:, CarField.LOAD].tolist())
     work = []
     for thing in building:
+        if thing.load in carried:
+            # It may be above its place already.
+            work.append(0.0)
+            continue
         if any((other.kind, other.cell) == (thing.kind, thing.cell) for other in there):
             continue
         work.append(

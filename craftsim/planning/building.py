@@ -167,14 +167,14 @@ class Construction:
             load = target.load
             if load not in loaded:
                 loaded[load] = Ways(grid, self.assembly.rules, load)
-            onward = loaded[load].to_nodes(_nodes_at(loaded[load], target))
+            onward = loaded[load].to_nodes(loaded[load].nodes(target.cell, target.yaws))
             for source in [step.thing] if step.taken else sources.get(load, []):
                 rest = taken_out(grid, [source])
                 far = _onward(onward, walking, grid, source)
                 if load == Kind.FSLOPE:
                     # It stands in two cells, and can only be driven out of in one direction: so exactly.
                     ways = Ways(rest, self.assembly.rules, load)
-                    far = _nearest(ways.to_nodes(_nodes_at(ways, target)), ways, source)
+                    far = _nearest(ways.to_nodes(ways.nodes(target.cell, target.yaws)), ways, source)
                 if far >= FAR or not has_room(rest, self.assembly.rules, target):
                     continue
                 swings = (source.kind == Kind.BODY) + (target.kind == Kind.BODY)
@@ -213,7 +213,7 @@ class Construction:
         return found
 
     def _can_be_taken(self, grid: Grid, thing: BuildingPart) -> bool:
-        yaw = (thing.yaw + 2) % 4 if thing.load == Kind.FSLOPE else 0
+        yaw = thing.yaws[0]
         action = Action.FOLD if thing.kind == Kind.BODY else Action.LIFT
         return self.assembly.rules.legal(with_car(grid, thing.cell, yaw), 0, action)
 
@@ -241,12 +241,12 @@ class Construction:
         cells = {job.target.cell}
         if job.source is not None:
             ways = Ways(grid, rules)
-            cells |= cells_on_way(ways, node, ways.to_nodes(_nodes_at(ways, job.source)))
+            cells |= cells_on_way(ways, node, ways.to_nodes(ways.nodes(job.source.cell, job.source.yaws)))
             grid = taken_out(grid, [job.source])
         ways = Ways(grid, rules, job.target.load)
-        distances = ways.to_nodes(_nodes_at(ways, job.target))
+        distances = ways.to_nodes(ways.nodes(job.target.cell, job.target.yaws))
         if job.source is not None:
-            node = min(_nodes_at(ways, job.source), key=lambda node: int(distances[node]))
+            node = min(ways.nodes(job.source.cell, job.source.yaws), key=lambda node: int(distances[node]))
         return cells | cells_on_way(ways, node, distances)
 
     def _parking(self, car: int) -> Callable[[Ways, Grid], list[int]]:
@@ -268,12 +268,12 @@ class Construction:
         load = thing.load
         rest = taken_out(grid, [thing])
         ways = Ways(rest, self.assembly.rules, load)
-        distances = ways.from_nodes(_nodes_at(ways, thing))
+        distances = ways.from_nodes(ways.nodes(thing.cell, thing.yaws))
         places = []
         for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
             for yaw in range(4) if load == Kind.FSLOPE else [0]:
                 there = BuildingPart(load, (x, y, 1), yaw)
-                far = min(int(distances[node]) for node in _nodes_at(ways, there))
+                far = min(int(distances[node]) for node in ways.nodes(there.cell, there.yaws))
                 free = set(there.cells).isdisjoint(self._keep_free)
                 if (
                     free
@@ -339,7 +339,7 @@ class Construction:
         if not has_room(rest, self.assembly.rules, target):
             return False
         ways = Ways(rest, self.assembly.rules, target.load)
-        distances = ways.to_nodes(_nodes_at(ways, target))
+        distances = ways.to_nodes(ways.nodes(target.cell, target.yaws))
         walking = Ways(rest, self.assembly.rules)
         reached = np.min([self._distances(walking, car) for car in self._cars], axis=0)
         for thing in things_in(grid):
@@ -350,21 +350,15 @@ class Construction:
                     return True
             else:
                 carrying = Ways(taken_out(rest, [thing]), self.assembly.rules, target.load)
-                far = _nearest(carrying.to_nodes(_nodes_at(carrying, target)), carrying, thing)
+                far = _nearest(carrying.to_nodes(carrying.nodes(target.cell, target.yaws)), carrying, thing)
                 if far < FAR and _nearest(reached, ways, thing) < FAR:
                     return True
         return False
 
 
-def _nodes_at(ways: Ways, thing: BuildingPart) -> list[int]:
-    """Return the states in which a car is below a thing."""
-    yaws = [(thing.yaw + 2) % 4] if thing.load == Kind.FSLOPE else range(4)
-    return [ways.node(thing.cell, yaw) for yaw in yaws]
-
-
 def _nearest(distances: Nodes, ways: Ways, thing: BuildingPart) -> int:
     """Return the distance of the states below a thing."""
-    return min(int(distances[node]) for node in _nodes_at(ways, thing))
+    return min(int(distances[node]) for node in ways.nodes(thing.cell, thing.yaws))
 
 
 def _onward(distances: Nodes, ways: Ways, grid: Grid, thing: BuildingPart) -> int:

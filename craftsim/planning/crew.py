@@ -156,8 +156,8 @@ class Crew:
         """Fold or unfold a slope where it stands; return the tick after, or -1."""
         ways, _ = self._ways(car, Kind.AIR)
         action = Action.UNFOLD if job.target.kind == Kind.BODY else Action.FOLD
-        node = ways.node(job.target.cell, (job.target.yaw + 2) % 4)
-        after = self._go(car, tick, Kind.AIR, ways.to_nodes([node]), action, not_before)
+        nodes = ways.nodes(job.target.cell, job.target.yaws)
+        after = self._go(car, tick, Kind.AIR, ways.to_nodes(nodes), action, not_before)
         if after is None:
             return -1
         self.timeline.actions[after - 1, car] = WAIT
@@ -171,8 +171,7 @@ class Crew:
                 return -1
         load = job.target.load
         ways, _ = self._ways(car, load)
-        yaws = [(job.target.yaw + 2) % 4] if load == Kind.FSLOPE else range(4)
-        goals = [ways.node(job.target.cell, yaw) for yaw in yaws]
+        goals = ways.nodes(job.target.cell, job.target.yaws)
         not_before = 0 if job.source is not None else not_before
         last = -1 if job.hold else int(Action.DROP)
         after = self._go(car, tick, load, ways.to_nodes(goals), last, not_before)
@@ -206,13 +205,10 @@ class Crew:
 
     def _pick_up(self, ways: Ways, source: BuildingPart, target: BuildingPart, start: int) -> list[int]:
         """Return the states in which to take up a thing so that the way there and on to its place is short."""
-        load = target.load
         loaded = loaded_ways(self.end, self.rules, source)
         there = ways.from_nodes([start])
-        yaws = [(source.yaw + 2) % 4] if load == Kind.FSLOPE else range(4)
-        goal_yaws = [(target.yaw + 2) % 4] if load == Kind.FSLOPE else range(4)
-        onward = loaded.to_nodes([loaded.node(target.cell, yaw) for yaw in goal_yaws])
-        nodes = [ways.node(source.cell, yaw) for yaw in yaws]
+        onward = loaded.to_nodes(loaded.nodes(target.cell, target.yaws))
+        nodes = ways.nodes(source.cell, source.yaws)
         costs = {n: int(there[n]) + int(onward[n]) for n in nodes if there[n] < FAR and onward[n] < FAR}
         return [node for node, cost in costs.items() if cost == min(costs.values())]
 

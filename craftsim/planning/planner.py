@@ -93,7 +93,7 @@ def plan_building(
     Args:
         start: any world that the rules know; cars may carry something.
         goal: a design, a task with a goal, or a function of a world.
-        rules: ``physical`` unless told otherwise.
+        rules: ``physical`` unless others are given.
         objective: what is to be small, the time until all is done or the sum of all actions' durations.
         rounds: attempts; with the same seed and rounds the plan is the same unless time runs out.
         time_s: no attempt begins after so many seconds, once there is a plan.

@@ -25,6 +25,11 @@ class BuildingPart(NamedTuple):
         return (self.cell, beside(self.cell, self.yaw)) if self.kind in SECOND_PART else (self.cell,)
 
     @property
+    def yaws(self) -> tuple[int, ...]:
+        """The headings of a car below it: a slope's car heads uphill, half a turn from where it points."""
+        return ((self.yaw + 2) % 4,) if self.kind in SECOND_PART else (0, 1, 2, 3)
+
+    @property
     def load(self) -> Kind:
         """What it is on a car."""
         return Kind.FSLOPE if self.kind == Kind.BODY else self.kind

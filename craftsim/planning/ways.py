@@ -6,6 +6,7 @@ asked of the rules; distances are counted in actions.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -44,6 +45,10 @@ class Ways:
     def node(self, cell: Cell, yaw: int) -> int:
         """Return the number of a state."""
         return node_number(self.size, cell, yaw)
+
+    def nodes(self, cell: Cell, yaws: Iterable[int]) -> list[int]:
+        """Return the numbers of the states in a cell with some yaws."""
+        return [self.node(cell, yaw) for yaw in yaws]
 
     def from_nodes(self, nodes: list[int]) -> Nodes:
         """Return how many steps each state is from the nearest of some, shape (nodes,); FAR where no way leads."""

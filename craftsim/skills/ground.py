@@ -1,8 +1,8 @@
 """What cars feel of their floor: by how much they lean where it should be level.
 
 A car's pitch and roll are averaged over a while, and the floor is uneven when their mean is too large beyond doubt: how
-noisy the sensors are shows in how they scatter. Slopes are left out, which the map shows. Nobody is told what the floor
-is like.
+noisy the sensors are shows in how they scatter. Slopes are left out, which the map shows. No car knows the
+floor.
 """
 
 from __future__ import annotations

@@ -92,6 +92,13 @@ def test_what_a_car_carries_at_the_start_is_used():
     assert obeys(grid, plan_building(grid, design, RULES, rounds=ROUNDS), design.satisfied)
 
 
+def test_no_plan_is_faster_than_the_bound_where_a_car_carries_what_is_needed():
+    grid = yard((6, 6, 2), 1, blocks=[(5, 5, 1)])
+    grid.cars[0, CarField.LOAD] = Kind.BLOCK
+    planned = plan_building(grid, Design.of("one", [(1, 0, 1)], []), RULES, rounds=ROUNDS)
+    assert planned.bound_s <= planned.makespan_s < 3
+
+
 def test_what_stands_in_the_way_is_moved():
     # A corridor of walls, whose only way in leads through the cell of a block that stands there already.
     grid = yard((6, 3, 2), 1, blocks=[(1, 2, 1), (3, 0, 1), (5, 2, 1)])

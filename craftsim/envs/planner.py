@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.schedule import ScheduledAction
-from craftsim.envs.parallel import ParallelConstruction
+from craftsim.envs.core import Core
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
 
 ROUNDS: Final = 60
 """Attempts at each plan; more of them take longer and find shorter ones."""
+
+
+class Playable(Protocol):
+    """Any form of the environment that runs one world."""
+
+    core: Core
 
 
 class PlannerPolicy:
@@ -34,7 +40,7 @@ class PlannerPolicy:
         True
     """
 
-    def __init__(self, env: ParallelConstruction, rounds: int = ROUNDS, seed: int = 0) -> None:
+    def __init__(self, env: Playable, rounds: int = ROUNDS, seed: int = 0) -> None:
         """Play in an environment, whose whole world is looked at.
 
         Args:
@@ -56,7 +62,7 @@ class PlannerPolicy:
 
     def __call__(self, observations: Mapping[str, Any]) -> dict[str, int]:
         """Return one action for each agent."""
-        grid = self._env.grid
+        grid = self._env.core.grid
         if self._predicted is None or not self._predicted.same_visible(grid):
             self._plan(grid)
         ready: dict[int, tuple[int, Action]] = {}

@@ -134,7 +134,7 @@ def legal_words(grid: Grid, masks: NDArray[np.int8], rules: Rules) -> str:
 
 
 def _effect(grid: Grid, rules: Rules, car: int, action: Action) -> str:
-    """Return what an action leads to, in brackets; nothing for STOP, and where only the action helper knows it."""
+    """Return what an action leads to, in brackets; nothing where that goes without saying."""
     after = rules.apply(grid, car, action)
     old, new = grid.cars[car].tolist(), after.cars[car].tolist()
     if action in (Action.LIFT, Action.DROP):

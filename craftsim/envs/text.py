@@ -71,12 +71,12 @@ class TextConstruction(gymnasium.Env[str, str]):
     def __init__(self, task: Task | str, render_mode: Any = None, **options: Any) -> None:
         """Prepare a task; ``options`` are the fields of :class:`craftsim.envs.options.Options`.
 
-        Those of observations, ``observe`` and ``images``, are left out. Raises InputError for a task, an option or an
-        option value that there is not.
+        ``observe``, ``images`` and ``helper_depth`` are none of them: texts are observed, and an answer is what is done
+        now. Raises InputError for a task, an option or an option value that there is not.
         """
-        for name in ("observe", "images"):
+        for name in ("observe", "images", "helper_depth"):
             if options.get(name) is not None:
-                raise InputError(f"the text form observes texts only; leave '{name}' out")
+                raise InputError(f"the text form knows no '{name}'; leave it out")
         chosen = Options.named(render_mode=render_mode, **options)
         self.core = Core(task, chosen)
         self.metadata = type(self).metadata | {"render_fps": chosen.render_fps}
@@ -145,7 +145,7 @@ class TextConstruction(gymnasium.Env[str, str]):
                 continue
             if "reason" not in info:
                 why = self.core.rules.explain(grid, car, action).why
-            told[car] = Feedback(car, action, FORBIDDEN, why or "the action helper finds no way there")
+            told[car] = Feedback(car, action, FORBIDDEN, why)
         return tuple(told[car] for car in range(len(chosen)))
 
     def render(self) -> Any:

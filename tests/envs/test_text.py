@@ -160,9 +160,21 @@ def test_the_instructions_name_every_cell_of_the_design():
     assert "one platform" in TextConstruction("free_building", backend="grid").instructions
 
 
-def test_observations_other_than_text_are_refused():
-    with pytest.raises(InputError, match="leave 'observe' out"):
-        TextConstruction("strip", observe=1)
+@pytest.mark.parametrize("option", ["observe", "images", "helper_depth"])
+def test_an_option_that_texts_have_no_place_for_is_refused(option):
+    with pytest.raises(InputError, match=f"knows no '{option}'; leave it out"):
+        TextConstruction("strip", **{option: 8})
+
+
+def test_a_world_that_cannot_be_read_any_more_is_told_as_such():
+    env = TextConstruction("strip", backend="physics")
+    env.reset(seed=0)
+    site = env.core.backend.checked.site
+    site.data.qpos[site.blocks[0].qpos] += 0.06  # what no skill would do
+    text, reward, terminated, truncated, info = env.step("car_0: move left")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert f"The world cannot be read any more: {'; '.join(info['problems'])}." in text
+    assert "The episode is over; the goal is not reached." in text
 
 
 def test_the_page_shows_what_is_read():

@@ -1,9 +1,9 @@
 """Build in words: whoever reads the world answers what the cars do, as a language model would; here the planner."""
 
 from craftsim.envs.answers import answer_text
+from craftsim.envs.conversation import converse
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import TextConstruction
-from craftsim.errors import InputError
 
 env = TextConstruction("strip", backend="physics")
 agents = [f"car_{car}" for car in range(env.core.n_cars)]
@@ -15,20 +15,10 @@ def answer(instructions, text):
     return answer_text(policy(dict.fromkeys(agents)))
 
 
-text, info = env.reset(seed=0)
-print(env.instructions, text, sep="\n\n", end="\n\n")
-over = False
-while not over:
-    said = answer(env.instructions, text)
-    print(said)
-    try:
-        text, reward, terminated, truncated, info = env.step(said)
-    except InputError as error:  # nothing has happened; the message says what to answer instead
-        text = str(error)
-        continue
-    over = terminated or truncated
-    for feedback in info["feedback"]:
-        if not feedback.done:
-            print(feedback)
+print(env.instructions)
+talk = converse(env, answer, seed=0)
+for turn in talk.turns:
+    print(turn.answer, *(f"  {one}" for one in turn.feedback if not one.done), sep="\n")
+print(f"built: {talk.success} in {len(talk.turns)} ticks, {talk.duration_s:.0f} s of simulated time")
+print(f"unreadable {talk.unreadable}, forbidden {talk.forbidden}, failed {talk.failed}")
 env.close()
-print("built:", info["success"])

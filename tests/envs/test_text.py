@@ -10,6 +10,7 @@ from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import parallel_env
 from craftsim.envs.answers import OFFERED, answer_text, read_answer, words_of
+from craftsim.envs.conversation import converse
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import TextConstruction
 from craftsim.errors import InputError
@@ -131,6 +132,7 @@ def test_a_skill_that_fails_says_what_happened():
     text, *_, info = env.step("car_0: move left; car_1: stop")
     first, second = info["feedback"]
     assert (first.result, second.result) == ("failed", "as predicted")
+    assert (first.done, second.done) == (False, True)
     assert f"  car_0: move left: failed: {first.why}\n  car_1: stop: done\n" in text
     assert first.why.startswith(("blocked", "slipped"))
 
@@ -139,16 +141,31 @@ def test_a_skill_that_fails_says_what_happened():
 def test_a_planner_that_speaks_builds(task):
     env = TextConstruction(task, backend="grid")
     policy = PlannerPolicy(env, rounds=8)
-    env.reset(seed=0)
-    over = False
-    while not over:
-        answer = answer_text(policy(dict.fromkeys(AGENTS)))
-        text, _, terminated, truncated, info = env.step(answer)
-        over = terminated or truncated
-    assert info["success"]
-    assert "The goal is reached." in text
-    assert "Legal actions" not in text
-    assert "missing" not in text
+    texts = []
+
+    def answer(instructions, text):
+        assert instructions == env.instructions
+        texts.append(text)
+        return answer_text(policy(dict.fromkeys(AGENTS)))
+
+    talk = converse(env, answer, seed=0)
+    assert talk.success
+    assert (talk.unreadable, talk.forbidden, talk.failed) == (0, 0, 0)
+    assert [turn.text for turn in talk.turns] == texts
+    assert all(text.count("Legal actions:") == 1 for text in texts)
+
+
+def test_an_answer_that_cannot_be_read_costs_the_tick_and_is_told():
+    env = TextConstruction("strip", backend="grid")
+    answers = iter(["car_0: jump", "car_0: lift; car_1: stop"])
+    talk = converse(env, lambda instructions, text: next(answers, "car_0: stop"), seed=0)
+    first, second, *rest = talk.turns
+    assert "unknown action 'jump'" in first.unreadable
+    assert second.text.startswith(
+        f"Your answer could not be read, and all cars stopped: {first.unreadable}\nWhat happened:\n"
+    )
+    assert len(rest) == 18
+    assert (talk.unreadable, talk.forbidden, talk.failed, talk.success) == (1, 1, 0, False)
 
 
 def test_the_instructions_name_every_cell_of_the_design():

@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest packages libraries clean
+.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest recipes packages libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -87,6 +87,10 @@ newest:  ## Lint and run quick tests with the newest packages that pyproject.tom
 	.venv-newest/bin/python -m pip --disable-pip-version-check list
 	.venv-newest/bin/pytest -n 2 --dist worksteal $(or $(ARGS),$(QUICK))
 
+recipes:  ## Run the recipes whose libraries want other versions, each in a virtual environment of its own
+	scripts/run-recipe RLlib ray.rllib.algorithms 'ray[rllib]' '$(TORCH)'
+	scripts/run-recipe BenchMARL benchmarl 'benchmarl>=1.5' '$(TORCH)'
+
 packages:  ## Look the versions of constraints.txt up among known vulnerabilities (pip-audit, needs the network)
 	scripts/make-venv .venv-audit
 	.venv-audit/bin/python -m pip install --quiet --disable-pip-version-check --upgrade pip-audit
@@ -96,7 +100,7 @@ libraries: $(VENV)/installed  ## Check for the system libraries of off-screen re
 	@scripts/system-libraries $(BIN)/python
 
 clean:  ## Remove the virtual environment, outputs and caches
-	rm -rf $(VENV) .venv-newest .venv-audit out build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-newest .venv-recipe .venv-audit out build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp files make a second call quick; both are made again when the packaging changes.

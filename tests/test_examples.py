@@ -18,6 +18,7 @@ SAYS = {
     "heavier_car": r"shipped: 24 of 24 actions[^\n]*\nheavier: 24 of 24 actions",
     "my_gains": r"shipped gains: a move takes .*agrees: True\nmy gains: a move takes .*agrees: True",
     "own_action": r"now: \[.*'MOVE_RIGHT'.*(?s:.)*then: \[.*'LIFT'",
+    "speak_a_plan": r"car_0: lift; car_1: lift\n(?s:.)*built: True",
     "train_my_task": r"\n2 \[",
     "two_machines": r"car 0 with 2\.5 Nm a wheel: .*\n.*car 1 with 1\.2 Nm a wheel: ",
     "validate_my_plan": r"MOVE_RIGHT",

@@ -33,6 +33,7 @@ from craftsim.training.extra import need_torch
 
 if TYPE_CHECKING:
     from craftsim.discrete.tasks import Task
+    from craftsim.training.tensorboard_log import TensorboardLog
     from craftsim.training.trainer import Trainer
 
 INTERRUPTED: Final = 130
@@ -56,6 +57,7 @@ def train(
     starts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     episodes: Annotated[int, TRAIN_EPISODES] = 1000,
     record: bool = False,
+    tensorboard: bool = False,
     resume: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
@@ -83,6 +85,7 @@ def train(
         starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
         episodes: how many episodes the final evaluation has.
         record: write the trajectories of the final evaluation's episodes, in physics only.
+        tensorboard: write the learning curve for TensorBoard, too, into tensorboard/ of the output folder.
         resume: go on with the run in the output folder, begun with the same options.
         out: folder for policy.pt, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not given.
     """
@@ -121,8 +124,9 @@ def train(
     trainer = _trainer(config, learnt, starts, folder, resume, workers)
     begun = time.perf_counter()
     with closing(trainer):
+        log = _log(folder, trainer) if tensorboard else None
         try:
-            _run(trainer, console, steps, until, folder)
+            _run(trainer, console, steps, until, folder, log)
         except KeyboardInterrupt:
             trainer.save(folder)
             say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}")
@@ -150,7 +154,15 @@ def _trainer(
     return Trainer(config, other, task, workers)
 
 
-def _run(trainer: Trainer, console: Console, steps: int, until: float, folder: Path) -> None:
+def _log(folder: Path, trainer: Trainer) -> TensorboardLog:
+    from craftsim.training.tensorboard_log import TensorboardLog
+
+    return TensorboardLog(folder, trainer.curve)
+
+
+def _run(
+    trainer: Trainer, console: Console, steps: int, until: float, folder: Path, log: TensorboardLog | None
+) -> None:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -173,6 +185,8 @@ def _run(trainer: Trainer, console: Console, steps: int, until: float, folder: P
                 point = trainer.curve[-1]
                 success, earned = f"{point.success:.2f}", f"{point.mean_return:.2f}"
                 trainer.save(folder)
+                if log is not None:
+                    log.write(point)
             bar.update(row, completed=trainer.steps, rate=rate, success=success, earned=earned)
             if not console.is_terminal and now - printed >= LINE_EVERY_S:
                 printed = now

@@ -37,6 +37,8 @@ class CoreStep:
     """The time is up, or the world cannot be read as a grid any more."""
     infos: list[dict[str, Any]]
     """By car."""
+    order: NDArray[np.int64]
+    """(n,): the cars in the order in which they acted."""
 
 
 class Core:
@@ -172,6 +174,7 @@ class Core:
             terminated=terminated,
             truncated=truncated,
             infos=infos,
+            order=order,
         )
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | str | None:

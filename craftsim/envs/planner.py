@@ -1,20 +1,68 @@
-"""The planner as a policy: plans at an episode's start, and again whenever the world is not as its plan predicts."""
+"""Plans as policies: one that is given, or the planner's, made again whenever the world is not as the plan predicts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, Protocol
 
 from craftsim.discrete.actions import Action
+from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.schedule import ScheduledAction
-from craftsim.envs.parallel import ParallelConstruction
+from craftsim.discrete.schedule import ScheduledAction, make_schedule
+from craftsim.envs.core import Core
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
 
 ROUNDS: Final = 60
 """Attempts at each plan; more of them take longer and find shorter ones."""
+
+
+class Playable(Protocol):
+    """Any form of the environment that runs one world."""
+
+    core: Core
+
+
+class _Carried:
+    """A schedule that is being carried out: each car acts as soon as the actions that its own depends on are done."""
+
+    def __init__(self, steps: Sequence[ScheduledAction] = ()) -> None:
+        self._steps = steps
+        self._done: set[int] = set()
+
+    def due(self) -> dict[int, Action]:
+        """Return what cars are to do now, by car, and count it as done; any acting order of it will do."""
+        ready: dict[int, int] = {}
+        for index, step in enumerate(self._steps):
+            if index not in self._done and step.waits_for <= self._done and step.car not in ready:
+                ready[step.car] = index
+        self._done.update(ready.values())
+        return {car: self._steps[index].action for car, index in ready.items()}
+
+
+def _answer(chosen: Mapping[int, Action], agents: Iterable[str]) -> dict[str, int]:
+    return {agent: int(chosen.get(int(agent[4:]), Action.STOP)) for agent in agents}
+
+
+class PlanPolicy:
+    """Plays one episode by a plan, whatever comes of it.
+
+    Each car acts as soon as the actions that its own depends on have been tried, so that the order in which the cars of
+    a tick act plays no part; the plan may take other numbers of ticks. What the rules forbid is left out.
+    """
+
+    def __init__(self, env: Playable, plan: Plan) -> None:
+        """Play in an environment, from the world in which the first call finds it."""
+        self._env, self._plan = env, plan
+        self._carried: _Carried | None = None
+
+    def __call__(self, observations: Mapping[str, Any]) -> dict[str, int]:
+        """Return one action for each agent."""
+        if self._carried is None:
+            core, plan = self._env.core, self._plan
+            self._carried = _Carried(make_schedule(core.grid, plan.ticks, core.rules, after=plan.after).steps)
+        return _answer(self._carried.due(), observations)
 
 
 class PlannerPolicy:
@@ -34,7 +82,7 @@ class PlannerPolicy:
         True
     """
 
-    def __init__(self, env: ParallelConstruction, rounds: int = ROUNDS, seed: int = 0) -> None:
+    def __init__(self, env: Playable, rounds: int = ROUNDS, seed: int = 0) -> None:
         """Play in an environment, whose whole world is looked at.
 
         Args:
@@ -51,28 +99,21 @@ class PlannerPolicy:
         self._env, self._rounds, self._seed = env, rounds, seed
         self._rules = env.core.rules
         self._predicted: Grid | None = None
-        self._steps: tuple[ScheduledAction, ...] = ()
-        self._done: set[int] = set()
+        self._carried = _Carried()
 
     def __call__(self, observations: Mapping[str, Any]) -> dict[str, int]:
         """Return one action for each agent."""
-        grid = self._env.grid
+        grid = self._env.core.grid
         if self._predicted is None or not self._predicted.same_visible(grid):
             self._plan(grid)
-        ready: dict[int, tuple[int, Action]] = {}
-        for index, step in enumerate(self._steps):
-            if index not in self._done and step.waits_for <= self._done and step.car not in ready:
-                ready[step.car] = index, step.action
-        # What is ready at the same time does not depend on each other: any acting order does.
-        for car, (index, action) in ready.items():
+        chosen = self._carried.due()
+        for car, action in chosen.items():
             grid = self._rules.apply(grid, car, action)
-            self._done.add(index)
         self._predicted = grid
-        chosen = {car: action for car, (_, action) in ready.items()}
-        return {agent: int(chosen.get(int(agent[4:]), Action.STOP)) for agent in observations}
+        return _answer(chosen, observations)
 
     def _plan(self, grid: Grid) -> None:
-        self._done = set()
+        self._carried = _Carried()
         try:
             planned = plan_building(
                 *(grid, self._env.core.task, self._rules),
@@ -81,6 +122,5 @@ class PlannerPolicy:
                 seed=self._seed,
             )
         except NoPlanError:
-            self._steps = ()
-        else:
-            self._steps = planned.schedule.steps
+            return
+        self._carried = _Carried(planned.schedule.steps)

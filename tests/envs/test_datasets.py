@@ -1,0 +1,114 @@
+"""A dataset that Minari loads holds what was played, bit for bit, and is whole or not there."""
+
+import json
+
+import numpy as np
+import pytest
+
+from craftsim.cli import main
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.envs import parallel_env
+from craftsim.envs.datasets import write_dataset
+from craftsim.envs.planner import PlanPolicy
+from craftsim.errors import InputError
+from craftsim.testing import random_policy
+
+minari = pytest.importorskip("minari")
+pytest.importorskip("h5py")
+
+NAME = "craftsim/strip/test-v3"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    return tmp_path
+
+
+def _random(seed):
+    return random_policy(np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("backend", ["grid", "physics"])
+def test_the_environment_that_a_dataset_names_plays_its_episodes_again(folder, backend):
+    task = make_task("strip")
+    episodes = 3 if backend == "grid" else 1
+    written = write_dataset(parallel_env(task, backend), _random, folder, NAME, episodes, seed=7)
+    dataset = minari.load_dataset(NAME)
+    assert (dataset.total_episodes, dataset.total_steps) == (written.episodes, written.steps)
+    env = dataset.recover_environment()
+    assert env.unwrapped.core.options.backend == backend
+    assert dataset.observation_space == env.observation_space
+    assert dataset.action_space == env.action_space
+    for number, episode in enumerate(dataset.iterate_episodes()):
+        seen, info = env.reset(seed=7 + number)
+        for step, action in enumerate([*episode.actions, None]):
+            for key, value in episode.observations.items():
+                np.testing.assert_array_equal(value[step], seen[key])
+            for key in ("success", "duration_s", "illegal") if step else ():
+                np.testing.assert_array_equal(episode.infos[key][step], info[key])
+            if action is not None:
+                seen, reward, ended, cut, info = env.step(action)
+                told = episode.rewards[step], episode.terminations[step], episode.truncations[step]
+                assert told == (reward, ended, cut)
+        assert ended or cut
+    env.close()
+
+
+def test_an_episode_is_the_same_whatever_else_is_written(folder):
+    env = parallel_env("strip", "grid")
+    write_dataset(env, _random, folder, "all-v0", 3, seed=4)
+    write_dataset(env, _random, folder, "last-v0", 1, seed=6)
+    third, alone = minari.load_dataset("all-v0")[2], minari.load_dataset("last-v0")[0]
+    np.testing.assert_array_equal(third.actions, alone.actions)
+    np.testing.assert_array_equal(third.observations["observation"], alone.observations["observation"])
+
+
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_a_shipped_plan_builds_whatever_order_the_cars_act_in(folder, task):
+    env = parallel_env(task, "grid")
+    plan = read_plan(task, env.core.n_cars)
+    written = write_dataset(env, lambda seed: PlanPolicy(env, plan), folder, NAME, 3)
+    assert written.successes == 3
+    assert minari.load_dataset(NAME)[0].infos["as_predicted"].all()
+
+
+def test_a_task_that_a_name_does_not_say_names_no_environment(folder):
+    write_dataset(parallel_env(make_task("strip", max_steps=3), "grid"), _random, folder, NAME, 1)
+    assert minari.load_dataset(NAME).spec.env_spec is None
+
+
+def test_a_policy_that_breaks_leaves_nothing_behind(folder):
+    def breaks(seed):
+        if seed == 1:
+            raise RuntimeError("broken")
+        return _random(seed)
+
+    with pytest.raises(RuntimeError, match="broken"):
+        write_dataset(parallel_env("strip", "grid"), breaks, folder, NAME, 2)
+    assert not [path for path in folder.rglob("*") if path.is_file() or "test" in path.name]
+
+
+@pytest.mark.parametrize("name", ["strip", "../strip-v0", "strip v0", "/strip-v0", "-v", ""])
+def test_a_name_that_minari_would_not_find_is_refused(folder, name):
+    with pytest.raises(InputError, match="no name of a dataset"):
+        write_dataset(parallel_env("strip", "grid"), _random, folder, name, 1)
+
+
+def test_the_command_writes_what_loads_and_overwrites_nothing(folder, capsys):
+    words = ["export", "strip", "--plan", "strip", "--episodes", "2", "--out", str(folder)]
+    assert main(words) == 0
+    report = json.loads((folder / "craftsim/strip/plan-v0/report.json").read_text())
+    assert (report["command"], report["figures"]["success"]["rate"]) == ("export", 1.0)
+    assert minari.load_dataset("craftsim/strip/plan-v0").total_episodes == 2
+    assert main(words) == 2
+    assert "exists already; choose another name" in capsys.readouterr().err
+    assert main([*words, "--policy", "random"]) == 2
+    assert "give one of them" in capsys.readouterr().err
+
+
+def test_without_minari_the_command_says_how_to_get_it(folder, capsys, monkeypatch):
+    monkeypatch.setattr("craftsim.envs.datasets.find_spec", lambda name: None)
+    assert main(["export", "strip", "--out", str(folder)]) == 2
+    assert "pip install '.[minari]'" in capsys.readouterr().err

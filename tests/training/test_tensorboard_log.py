@@ -1,0 +1,31 @@
+"""What TensorBoard shows is the learning curve, also of a run that was interrupted."""
+
+import pytest
+
+from craftsim.cli import main
+from craftsim.training.curve import Point
+from craftsim.training.tensorboard_log import FOLDER, TensorboardLog
+
+
+def _point(steps):
+    return Point(10, steps // 100, 0.5, 12.0, steps=steps)
+
+
+def test_every_point_is_there_once_after_a_run_went_on(tmp_path):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    curve = [_point(100)]
+    TensorboardLog(tmp_path, []).write(curve[0])
+    curve.append(_point(200))  # whose event was not written any more
+    TensorboardLog(tmp_path, curve).write(_point(300))
+    events = EventAccumulator(str(tmp_path / FOLDER)).Reload()
+    assert set(events.Tags()["scalars"]) == {"eval/success", "eval/return", "eval/ticks"}
+    shown = [(event.step, event.value) for event in events.Scalars("eval/success")]
+    assert shown == [(100, pytest.approx(0.1)), (200, pytest.approx(0.2)), (300, pytest.approx(0.3))]
+
+
+def test_without_tensorboard_the_command_says_how_to_get_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("craftsim.training.tensorboard_log.find_spec", lambda name: None)
+    assert main(["train", "--tensorboard", "--out", str(tmp_path / "run")]) == 2
+    assert "pip install tensorboard" in capsys.readouterr().err

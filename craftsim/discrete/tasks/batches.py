@@ -51,6 +51,11 @@ class Starts(NamedTuple):
         """Return copies of some of them."""
         return Starts(*(array[rows] for array in self))
 
+    def put(self, rows: NDArray[np.integer], others: Starts) -> None:
+        """Replace some of them by others, each by the one of the same place."""
+        for name in self._fields:
+            getattr(self, name)[rows] = getattr(others, name)
+
     def grid(self, i: int) -> Grid:
         """Return a copy of one world."""
         return Grid(self.kind[i], self.yaw[i], self.cars[i], self.top[i], self.back[i]).copy()

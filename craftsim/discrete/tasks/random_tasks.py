@@ -54,8 +54,7 @@ class Placing:
             if not len(missing):
                 return starts
             again, wrong = self._place(rng, len(missing))
-            for array, other in zip(starts, again, strict=True):
-                array[missing] = other
+            starts.put(missing, again)
             missing = missing[wrong]
         plan = self.blueprint
         raise InputError(

@@ -24,7 +24,6 @@ SPLITS: Final[tuple[str, ...]] = get_args(Split)
 _TEST_EVERY: Final = 8
 """One digest of so many is held out."""
 _FOLDER: Final = Path(__file__).parents[2] / "data" / "splits"
-_STORED: Final = ("kind", "yaw", "cars", "designs")
 
 
 def belongs(digests: Sequence[bytes], split: Split) -> NDArray[np.bool_]:
@@ -72,9 +71,10 @@ def split_path(task: str, split: Split) -> Path:
 def read_split(task: str, split: Split) -> tuple[Starts, NDArray[np.int64]]:
     """Return the shipped starts of a task and a split, and the ticks of a plan for each."""
     arrays = read_arrays(split_path(task, split), STARTS)
-    kind, yaw, cars, designs = (np.ascontiguousarray(arrays[name]) for name in _STORED)
+    kind, yaw = arrays["kind"].astype(np.int8), arrays["yaw"].astype(np.int8)
     top, back = np.empty(kind.shape, np.int16), np.empty(kind.shape, np.bool_)
-    starts = Starts(kind, yaw, top, back, cars.astype(np.int64), designs.astype(np.int64))
+    cars, designs = arrays["cars"].astype(np.int64), arrays["designs"].astype(np.int64)
+    starts = Starts(kind, yaw, top, back, cars, designs)
     _derive_all_marks(starts.worlds)
     return starts, arrays["ticks"].astype(np.int64)
 
@@ -83,7 +83,7 @@ def write_split(task: str, split: Split, starts: Starts, ticks: NDArray[np.integ
     """Write the starts that are shipped with a task and a split; return the file."""
     path = split_path(task, split)
     path.parent.mkdir(exist_ok=True)
-    arrays = {name: getattr(starts, name).astype(np.int8) for name in _STORED}
+    arrays = {name: getattr(starts, name).astype(np.int8) for name in ("kind", "yaw", "cars", "designs")}
     with whole(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays, ticks=ticks.astype(np.int16))
     return path

@@ -115,8 +115,10 @@ class Task:
     @property
     def goal_cells(self) -> list[Cell]:
         """Cells of the floor to mark for people: the building's plan, or where the flag goes."""
-        goals = [t.cell for t in self.design.targets] if self.design else [self.starts[0].goal]
-        return [cell for cell in goals if cell is not None and cell[2] == 1]
+        if self.design is not None:
+            return self.design.floor
+        goal = self.starts[0].goal
+        return [] if goal is None or goal[2] != 1 else [goal]
 
     @property
     def success_measure(self) -> Measure:

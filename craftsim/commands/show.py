@@ -48,6 +48,7 @@ def show(
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.files.design import read_design
     from craftsim.discrete.files.plan import read_plan
+    from craftsim.discrete.grid import Kind
     from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task, shipped_blueprint
 
     name, rng = str(blueprint), np.random.default_rng(seed)
@@ -65,7 +66,10 @@ def show(
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
     say(LEGEND)
     length, width, height = drawing.size
-    counts = f"{drawing.n_cars} cars, {drawing.n_blocks} blocks, {drawing.n_slopes} slopes"
+    blocks, slopes = drawing.n_blocks, drawing.n_slopes
+    if varied:
+        blocks, slopes = (int((grid.kind == kind).sum()) for kind in (Kind.BLOCK, Kind.FSLOPE))
+    counts = f"{drawing.n_cars} cars, {blocks} blocks, {slopes} slopes"
     say(f"{length} x {width} cells, {height} levels: {counts}")
     for note in drawing.notes:
         say(f"note: {note}")

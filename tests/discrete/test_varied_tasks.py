@@ -1,4 +1,4 @@
-"""Tasks that vary: every start is a sound one, no start is in two splits, and each world is judged by its own design."""
+"""Tasks that vary: every start is sound, no start is in two splits, and each world is judged by its own design."""
 
 import numpy as np
 import pytest

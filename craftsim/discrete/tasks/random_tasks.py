@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -62,17 +63,24 @@ class Placing:
             f"blocks in an area of {plan.size[:2]} cells; try a larger one, or fewer of them"
         )
 
+    @cached_property
+    def _bare(self) -> Starts:
+        """The world before anything is placed."""
+        plan = self.blueprint
+        bare = replace(plan, n_cars=0, n_blocks=plan.listed(Kind.BLOCK), n_slopes=0)
+        grid = bare.grid(np.random.default_rng(0))
+        grid.cars = np.zeros((plan.n_cars, len(CarField)), np.int64)
+        grid.cars[:, CarField.Z] = 1
+        return Starts.of([grid], target_array(self.task.design))
+
     def _place(self, rng: np.random.Generator, n: int) -> tuple[Starts, NDArray[np.int64]]:
         """Return n starts, and which of them will not do."""
-        listed, plan = self.blueprint.listed(Kind.BLOCK), self.blueprint
-        bare = replace(plan, n_cars=0, n_blocks=listed, n_slopes=0).grid(rng)
-        bare.cars = np.zeros((plan.n_cars, len(CarField)), np.int64)
-        bare.cars[:, CarField.Z] = 1
-        starts = Starts.of([bare] * n, target_array(self.task.design))
-        n_things = (self.flag_x >= 0) + plan.n_slopes + plan.n_blocks - listed
+        plan = self.blueprint
+        starts, blocks = self._bare.take(np.zeros(n, np.int64)), plan.n_blocks - plan.listed(Kind.BLOCK)
+        n_things = (self.flag_x >= 0) + plan.n_slopes + blocks
         found_room = np.zeros(n, np.bool_)
         place_all(
-            *(starts.worlds, plan.n_slopes, plan.n_blocks - listed, self.flag_x),
+            *(starts.worlds, plan.n_slopes, blocks, self.flag_x),
             *(rng.random((n, n_things + 2 * plan.n_cars)), found_room),
         )
         done = self.task.success_measure.of_episodes(starts.worlds, starts.designs) != 0

@@ -137,6 +137,11 @@ class Task:
         fixed = self._fixed[start]
         return self.starts[start].grid(rng, self.placement) if fixed is None else fixed.copy()
 
+    @cached_property
+    def _only(self) -> Starts:
+        """The start of all episodes."""
+        return Starts.of([self.draw(np.random.default_rng(0))], target_array(self.design))
+
     @property
     def always_starts_the_same(self) -> bool:
         """Whether every episode starts with the same world."""
@@ -144,8 +149,9 @@ class Task:
 
     def draw_starts(self, rng: np.random.Generator, n: int) -> Starts:
         """Return the starts of n new episodes, one or more, and what is to be built in each."""
-        grids = [self.draw(rng)] * n if self.always_starts_the_same else [self.draw(rng) for _ in range(n)]
-        return Starts.of(grids, target_array(self.design))
+        if self.always_starts_the_same:
+            return self._only.take(np.zeros(n, np.int64))
+        return Starts.of([self.draw(rng) for _ in range(n)], target_array(self.design))
 
     @property
     def n_targets(self) -> int:

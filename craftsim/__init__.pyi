@@ -2,6 +2,7 @@
 
 from .checking.attempt import Attempt as Attempt
 from .checking.perform import perform as perform
+from .designs.tasks import designs_task as designs_task
 from .discrete.actions import Action as Action
 from .discrete.files.blueprint import Blueprint as Blueprint
 from .discrete.files.blueprint import read_blueprint as read_blueprint
@@ -12,6 +13,7 @@ from .discrete.files.saving import write_blueprint as write_blueprint
 from .discrete.grid import Grid as Grid
 from .discrete.grid import Kind as Kind
 from .discrete.rules.sets import Rules as Rules
+from .discrete.tasks.random_tasks import random_task as random_task
 from .discrete.tasks.registry import register_task as register_task
 from .discrete.tasks.task import Task as Task
 from .discrete.tasks.task import make_task as make_task

@@ -51,8 +51,9 @@ def plan(
     from craftsim.planning import plan_building
     from craftsim.validation.builds import read_goal
 
-    task = read_goal(start, goal)
-    grid = task.draw(np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    task = read_goal(start, goal).for_episode(rng)
+    grid = task.draw(rng)
     begun = time.monotonic()
     best = np.inf
 

@@ -34,8 +34,9 @@ def show(
     action that is forbidden, or 2 for wrong input.
 
     Args:
-        blueprint: start file, or the name of a shipped one such as simple_two_story.
-        seed: decides what the file leaves to chance.
+        blueprint: start file, or the name of a shipped one such as simple_two_story, or of a task that varies, such as
+            random_strip.
+        seed: decides what is left to chance.
         goal: goal file whose cells are marked in the picture; that of a shipped task unless given.
         plan: plan file, or the name of a shipped plan such as simple_two_story; judged by the physical rules.
         out: folder for the picture, which is named after the blueprint, and those of the plan.
@@ -47,22 +48,28 @@ def show(
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.files.design import read_design
     from craftsim.discrete.files.plan import read_plan
-    from craftsim.discrete.tasks import TASK_NAMES, make_task, shipped_blueprint
+    from craftsim.discrete.grid import Kind
+    from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task, shipped_blueprint
 
-    shipped = str(blueprint) in TASK_NAMES
-    path = shipped_blueprint(str(blueprint)) if shipped else blueprint
-    drawing = read_blueprint(path)
-    design = make_task(str(blueprint)).design if shipped else None
+    name, rng = str(blueprint), np.random.default_rng(seed)
+    shipped, varied = name in TASK_NAMES, name.partition("@")[0] in VARIED_NAMES
+    path = shipped_blueprint(name) if shipped else blueprint
+    task = as_task(name).for_episode(rng) if shipped or varied else None
+    drawing = read_blueprint(path) if task is None else task.starts[0]
+    design = task.design if task is not None else None
     if goal is not None:
         design = read_design(goal)
     if design is not None:
         design.check_fits(drawing.size)
-    grid = drawing.grid(np.random.default_rng(seed))
+    grid = drawing.grid(rng) if task is None else task.draw(rng)
     read = None if plan is None else read_plan(plan, grid.n_cars)
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
     say(LEGEND)
     length, width, height = drawing.size
-    counts = f"{drawing.n_cars} cars, {drawing.n_blocks} blocks, {drawing.n_slopes} slopes"
+    blocks, slopes = drawing.n_blocks, drawing.n_slopes
+    if varied:
+        blocks, slopes = (int((grid.kind == kind).sum()) for kind in (Kind.BLOCK, Kind.FSLOPE))
+    counts = f"{drawing.n_cars} cars, {blocks} blocks, {slopes} slopes"
     say(f"{length} x {width} cells, {height} levels: {counts}")
     for note in drawing.notes:
         say(f"note: {note}")

@@ -68,7 +68,8 @@ def train(
     --resume goes on as if it had never stopped. Exit status 0 when training ended by itself.
 
     Args:
-        task: one of the paper's six, or a task of one's own: a registered name, a file, or module:factory.
+        task: one of the paper's six, one that varies such as random_strip, or a task of one's own: a registered name, a
+            file, or module:factory.
         algo: independent or multi-agent PPO, QMIX, VDN, or independent Q-learning.
         seed: decides everything that is drawn.
         steps: ticks to play at most, all worlds together.

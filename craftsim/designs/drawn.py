@@ -105,13 +105,13 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
         raise InputError(f"{cars} cars have no room in a random design; allowed: fewer than {_SIDE**2}")
     while True:
         for _ in range(_TRIES):
-            found = _try(size, cars, rng)
+            found = start_of(size, cars, rng)
             if found is not None:
                 return found
         size = _easier(size, cars, rng)
 
 
-def _try(size: Size, n_cars: int, rng: np.random.Generator) -> DrawnStart | None:
+def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DrawnStart | None:
     """Return a start of a size, or None where the building, or its things beside it, found no room."""
     growth = next(filter(None, (_grow(size, rng) for _ in range(_GROWTHS))), None)
     if growth is None:

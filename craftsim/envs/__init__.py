@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium
 
-from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
+from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, Task, as_task
 from craftsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -126,9 +126,10 @@ def vector_env(
 
 
 GYMNASIUM_IDS: Final = {
-    name: f"craftsim/{''.join(word.capitalize() for word in name.split('_'))}-v0" for name in TASK_NAMES
+    name: f"craftsim/{''.join(word.capitalize() for word in name.split('_'))}-v0"
+    for name in (*TASK_NAMES, *VARIED_NAMES)
 }
-"""What each of the six tasks is called in ``gymnasium.make`` and ``gymnasium.make_vec``."""
+"""What craftsim's tasks are called in ``gymnasium.make`` and ``gymnasium.make_vec``."""
 
 for _name, _id in GYMNASIUM_IDS.items():
     gymnasium.register(

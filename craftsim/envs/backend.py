@@ -8,6 +8,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.worlds import Worlds
 
@@ -35,8 +36,11 @@ class Backend(Protocol):
     What is seen of it is kept in a batch of one of :class:`Worlds`, together with what the action helper has queued.
     """
 
-    def start(self, grid: Grid, rng: np.random.Generator) -> Grid:
-        """Begin an episode as a grid says and return the world as it is seen; ``rng`` draws what is imperfect."""
+    def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
+        """Begin an episode as a grid says and return the world as it is seen; ``rng`` draws what is imperfect.
+
+        ``design`` is given where each episode has its own: it is marked for people, and changes nothing else.
+        """
 
     def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""

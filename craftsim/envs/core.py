@@ -14,6 +14,8 @@ from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
+from craftsim.discrete.tasks.batches import Targets
+from craftsim.discrete.tasks.measures import target_array
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.discrete.tasks.starts import check_start
 from craftsim.discrete.tasks.worlds import Worlds
@@ -52,7 +54,8 @@ class Core:
         self.n_cars = self.layout.n_cars
         self.backend = backend or options.make_backend(self.task)
         self.rules = Rules(options.rule_set)
-        self._success = self.task.success_measure
+        self.played = self.task
+        """The task of the running episode: the task, or where each has a design of its own, the one with that."""
         self._worlds: Worlds | None = None
         self._runs = False
         self._pictures: list[NDArray[np.uint8]] = []
@@ -82,19 +85,22 @@ class Core:
         """Begin an episode and return the infos by car.
 
         Without a seed the generators go on. ``options`` may give the start: ``blueprint``, the path of a start file, or
-        ``grid``, a Grid; other keys are ignored. The goal stays the task's. Raises InputError for a seed that is none
-        and for a start that does not fit the task.
+        ``grid``, a Grid; other keys are ignored. The goal stays the task's; where each episode has a design of its own,
+        a given start needs one, the option ``design``, a Design. Raises InputError for a seed that is none and for a
+        start that does not fit the task.
         """
         if seed is not None:
             self._seed(seed)
-        seen = self.backend.start(self._draw(options or {}), self._backend_rng)
+        grid = self._draw(options or {})
+        own = self.played.design if self.task.draws_designs else None
+        seen = self.backend.start(grid, self._backend_rng, own)
         if self._worlds is None:
             self._worlds = Worlds(self.rules, [seen], self.options.helper_depth)
         self._worlds.put(0, seen)
         self._t = np.zeros(1, np.int64)
         self._paid = np.zeros(1, np.bool_)
         self._runs = True
-        self._potential = self.task.reward.measure.of_worlds(self._worlds.arrays)
+        self._potential = self.played.reward.measure.of_worlds(self._worlds.arrays)
         self._look()
         self._pictures.clear()
         self._show()
@@ -103,7 +109,8 @@ class Core:
     def _draw(self, options: dict[str, Any]) -> Grid:
         grid, path = options.get("grid"), options.get("blueprint")
         if grid is None and path is None:
-            return self.task.draw(self._rng)
+            self.played = self.task.for_episode(self._rng)
+            return self.played.draw(self._rng)
         if grid is not None and path is not None:
             raise InputError("the options 'grid' and 'blueprint' both say where to start; give one of them")
         if path is not None:
@@ -113,6 +120,7 @@ class Core:
         if not isinstance(grid, Grid):
             raise InputError(f"the option 'grid' must be a Grid, not a {type(grid).__name__}")
         check_start(self.task, grid)
+        self.played = self.task.starting_at(grid, options.get("design"))
         return grid.copy()
 
     def _look(self) -> None:
@@ -127,6 +135,12 @@ class Core:
     def vectors(self) -> NDArray[np.int32]:
         """Return (n, length): each car's observation, its own row first."""
         return car_vectors(self.rows, self.n_cars)
+
+    @property
+    def designs(self) -> Targets:
+        """(1, T, 5): what is to be built in this episode, as in ``Episodes.designs``."""
+        rows = target_array(self.played.design)
+        return np.pad(rows, ((0, self.task.n_targets - len(rows)), (0, 0)))[None]
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: all rows, flattened, shape (13 * n_rows,). Raises InputError before a reset."""
@@ -152,9 +166,9 @@ class Core:
         order = self._rng.permutation(self.n_cars)
         tick = self.backend.tick(self.worlds, chosen, order)
         arrays = self.worlds.arrays
-        after = self._potential if tick.problems else self.task.reward.measure.of_worlds(arrays)
-        reward, self._paid = self.task.reward.of_tick(self._potential, after, self._t, self._paid)
-        success = not tick.problems and bool(self._success.of_worlds(arrays)[0])
+        after = self._potential if tick.problems else self.played.reward.measure.of_worlds(arrays)
+        reward, self._paid = self.played.reward.of_tick(self._potential, after, self._t, self._paid)
+        success = not tick.problems and bool(self.played.success_measure.of_worlds(arrays)[0])
         over = bool(self.task.over(self._t, np.array([success]))[0])
         self._potential, self._t = after, self._t + 1
         self._look()

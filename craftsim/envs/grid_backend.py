@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.durations import tick_durations
+from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
@@ -16,7 +17,7 @@ from craftsim.envs.backend import Tick
 class GridBackend:
     """A grid world under the rules."""
 
-    def start(self, grid: Grid, rng: np.random.Generator) -> Grid:
+    def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
         """Begin an episode; there is nothing to draw."""
         return grid
 

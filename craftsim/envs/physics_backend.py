@@ -14,6 +14,7 @@ from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.actions import Action
+from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.planning.planner import Planner
@@ -69,11 +70,13 @@ class PhysicsBackend:
         self.ticks: list[tuple[Attempt, ...]]
         """The attempts of the episode's ticks, in acting order."""
 
-    def start(self, grid: Grid, rng: np.random.Generator) -> Grid:
-        """Begin an episode; a Site is compiled only when the start is another than the last one's."""
+    def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
+        """Begin an episode; a Site is compiled only when the start or what is marked is another than the last one's."""
         self._end_record()
         seed = Seed.drawn(rng)
-        if self._start is None or not self._start.same_visible(grid):
+        marked = self.goals if design is None else tuple(design.floor)
+        if self._start is None or not self._start.same_visible(grid) or marked != self.goals:
+            self.goals = marked
             self._world = compile_world(grid, self.setup, self.goals)
         self._start = grid.copy()
         self.checked = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
@@ -81,7 +84,7 @@ class PhysicsBackend:
         self._seed, self._joints, self.ticks = seed, [], []
         self._pictures.begin(self.checked.site)
         if self._records is not None:
-            self._records.begin(self.checked)
+            self._records.begin(self.checked, design)
         if self._view is not None:
             self._show_in(self._view)
         return self.checked.grid

@@ -116,7 +116,7 @@ class PlannerPolicy:
         self._carried = _Carried()
         try:
             planned = plan_building(
-                *(grid, self._env.core.task, self._rules),
+                *(grid, self._env.core.played, self._rules),
                 rounds=self._rounds,
                 time_s=math.inf,
                 seed=self._seed,

@@ -27,8 +27,9 @@ class EpisodeRecords:
         self._recorder = Recorder()
         self._number, self._running = 0, False
 
-    def begin(self, checked: CheckedSite) -> None:
-        """Begin an episode."""
+    def begin(self, checked: CheckedSite, design: Design | None = None) -> None:
+        """Begin an episode, which may have a design of its own."""
+        self._design = design or self._design
         self._recorder.begin(checked)
         self._running = True
 

@@ -122,8 +122,9 @@ def build_all(
     subjects = subjects_of([task])
     check_starts(subjects, setup, seed)
     # Whether anything can be built is said before anything is begun.
-    start, rules = task.draw(np.random.default_rng(seed)), Rules(setup.rules)
-    plan_building(start, task, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
+    rng, rules = np.random.default_rng(seed), Rules(setup.rules)
+    first = task.for_episode(rng)
+    plan_building(first.draw(rng), first, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
     config: dict[str, Any] = {
         "world": subjects[0].digest,
         "trials": trials,

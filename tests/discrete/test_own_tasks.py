@@ -65,7 +65,7 @@ def test_a_registered_task_is_found_by_its_name(monkeypatch):
     again = own()
     assert register_task(again) is task_of("corner") is again
     for wrong, message in (
-        (own("strip"), "one of the paper's six"),
+        (own("strip"), "a task of craftsim's own"),
         (own("a/b"), "letters, digits"),
         (own(""), "letters, digits"),
         ("corner", "only a Task"),

@@ -92,6 +92,11 @@ class Design:
         x, y, z = (max(target.cell[axis] for target in self.targets) for axis in range(3))
         return x + 1, y + 1, z
 
+    @property
+    def floor(self) -> list[Cell]:
+        """The cells of targets on the floor: the building's plan."""
+        return [target.cell for target in self.targets if target.cell[2] == 1]
+
     def moved(self, dx: int, dy: int) -> Design:
         """Return the same building somewhere else."""
         places = [(target.cell[0] + dx, target.cell[1] + dy, target.cell[2]) for target in self.targets]

@@ -1,16 +1,19 @@
 """Tasks: worlds with a goal, rewards and observations, one by one and in batches."""
 
 from craftsim.discrete.files.shipped import shipped_blueprint
-from craftsim.discrete.tasks.registry import as_task, register_task, task_names, task_of
+from craftsim.discrete.tasks.random_tasks import random_task
+from craftsim.discrete.tasks.registry import VARIED_NAMES, as_task, register_task, task_names, task_of
 from craftsim.discrete.tasks.task import TASK_NAMES, Task, TaskName, free_play, make_task
 
 __all__ = [
     "TASK_NAMES",
+    "VARIED_NAMES",
     "Task",
     "TaskName",
     "as_task",
     "free_play",
     "make_task",
+    "random_task",
     "register_task",
     "shipped_blueprint",
     "task_names",

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.planning.planner import DEFAULT_DEPTH
 from craftsim.discrete.rules.sets import Rules, RuleSet
+from craftsim.discrete.tasks.batches import Starts
+from craftsim.discrete.tasks.measures import Measure
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.discrete.tasks.task import Task
 from craftsim.discrete.tasks.worlds import Worlds
@@ -51,25 +53,32 @@ class Episodes:
         self.task = task
         self.rng = rng
         self.layout = task.layout
-        self.worlds = Worlds(Rules(rule_set), [task.draw(rng) for _ in range(n)], helper_depth)
+        starts = task.draw_starts(rng, n)
+        self.worlds = Worlds(Rules(rule_set), [starts.grid(i) for i in range(n)], helper_depth)
+        self.designs = starts.designs
+        """(B, T, 5): what is to be built in each world, see :data:`craftsim.discrete.tasks.batches.Targets`."""
         self.t = np.zeros(n, np.int64)
         self.bonus_given = np.zeros(n, np.bool_)
         self.done = np.zeros(n, np.bool_)
-        self.potential = task.reward.measure.of_worlds(self.worlds.arrays)
+        self.potential = self._measured(task.reward.measure)
 
     def reset(self, which: Sequence[int] | NDArray[np.integer] | None = None) -> None:
         """Start some episodes anew, or all."""
         rows = np.arange(len(self.worlds)) if which is None else np.asarray(which, np.int64)
-        if self.task.always_starts_the_same:
-            self.worlds.put(rows, self.task.draw(self.rng))
-        else:
-            for i in rows:
-                self.worlds.put(int(i), self.task.draw(self.rng))
+        if len(rows):
+            self.begin(rows, self.task.draw_starts(self.rng, len(rows)))
+
+    def begin(self, rows: NDArray[np.integer], starts: Starts) -> None:
+        """Start the episodes ``rows`` anew, each as the start of the same place says."""
+        self.worlds.put(rows, starts)
+        self.designs[rows] = starts.designs
         self.t[rows] = 0
         self.bonus_given[rows] = False
         self.done[rows] = False
-        if len(rows):
-            self.potential[rows] = self.task.reward.measure.of_worlds(self.worlds.arrays)[rows]
+        self.potential[rows] = self.task.reward.measure.of_episodes(starts.worlds, starts.designs)
+
+    def _measured(self, measure: Measure) -> NDArray[np.float64]:
+        return measure.of_episodes(self.worlds.arrays, self.designs)
 
     def draw_order(self) -> NDArray[np.int64]:
         """Return (B, n): for each episode a fresh, uniform order of its cars."""
@@ -79,9 +88,9 @@ class Episodes:
         """Let all cars act once; ``actions`` (B, n) by car, ``order`` (B, n) of the cars' turns."""
         turns = self.draw_order() if order is None else np.asarray(order, np.int64)
         applied = self.worlds.tick(actions, turns)
-        after = self.task.reward.measure.of_worlds(self.worlds.arrays)
+        after = self._measured(self.task.reward.measure)
         reward, self.bonus_given = self.task.reward.of_tick(self.potential, after, self.t, self.bonus_given)
-        success = self.task.success_measure.of_worlds(self.worlds.arrays) != 0
+        success = self._measured(self.task.success_measure) != 0
         self.potential = after
         self.done = self.task.over(self.t, success)
         self.t = self.t + 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,6 +15,7 @@ from craftsim.discrete.compiled import compiled
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules.sets import RULE_FLAGS, world_of
+from craftsim.discrete.tasks.batches import Targets
 from craftsim.discrete.tasks.scores import (
     NO_FLAG,
     code_score,
@@ -24,6 +26,7 @@ from craftsim.discrete.tasks.scores import (
     ramps,
     storeys,
 )
+from craftsim.errors import InputError
 
 COMPLETION: Final = 4.0
 """Extra potential of a finished building by the paper's table 1."""
@@ -38,6 +41,15 @@ class Measure:
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
         """Return the numbers of a batch of B worlds, whose arrays have a leading dimension, shape (B,)."""
         raise NotImplementedError
+
+    def of_episodes(self, worlds: World, designs: Targets) -> NDArray[np.float64]:
+        """Return the numbers of B worlds, in which ``designs`` (B, T, 5) are to be built; what is wanted changes no
+        number unless a subclass says so."""
+        return self.of_worlds(worlds)
+
+    def for_design(self, design: Design | None) -> Measure:
+        """Return the same measure for another design, or, for None, for one in each world."""
+        return self
 
     def of(self, grid: Grid) -> float:
         """Return the number of one world."""
@@ -64,24 +76,22 @@ class Custom(Measure):
 
 @compiled
 def _paper_scores(
-    worlds: World, targets: NDArray[np.int64], upper_block: float, completion: float, out: NDArray[np.float64]
+    worlds: World, designs: Targets, upper_block: float, completion: float, out: NDArray[np.float64]
 ) -> None:
     for i in range(out.shape[0]):
-        out[i] = paper_score(world_at(worlds, i), targets, upper_block, completion)
+        out[i] = paper_score(world_at(worlds, i), designs[i], upper_block, completion)
 
 
 @compiled
-def _code_scores(
-    worlds: World, targets: NDArray[np.int64], completion: float, out: NDArray[np.float64]
-) -> None:
+def _code_scores(worlds: World, designs: Targets, completion: float, out: NDArray[np.float64]) -> None:
     for i in range(out.shape[0]):
-        out[i] = code_score(world_at(worlds, i), targets, completion)
+        out[i] = code_score(world_at(worlds, i), designs[i], completion)
 
 
 @compiled
-def _finished(worlds: World, targets: NDArray[np.int64], out: NDArray[np.float64]) -> None:
+def _finished(worlds: World, designs: Targets, out: NDArray[np.float64]) -> None:
     for i in range(out.shape[0]):
-        out[i] = finished(world_at(worlds, i), targets)
+        out[i] = finished(world_at(worlds, i), designs[i])
 
 
 @compiled
@@ -119,50 +129,65 @@ def platform_sizes(worlds: World, gears_too: bool, levels: int) -> NDArray[np.fl
     return out
 
 
-def target_array(design: Design) -> NDArray[np.int64]:
-    """Return the targets as rows (kind, x, y, z, yaw), yaw -1 where the drawing does not say."""
-    rows = [(target.kind, *target.cell, design.yaw(target)) for target in design.targets]
+def target_array(design: Design | None) -> Targets:
+    """Return the targets (T, 5) as rows (kind, x, y, z, yaw), yaw -1 where the drawing does not say; none of none."""
+    rows = [(t.kind, *t.cell, design.yaw(t)) for t in design.targets] if design else []
     return np.array(rows, np.int64).reshape(-1, 5)
 
 
-class PaperBuilding(Measure):
+class BuildingMeasure(Measure):
+    """A number that says how far a building is: one design for all worlds, or, where that is None, one for each."""
+
+    def __init__(self, design: Design | None) -> None:
+        self.targets = None if design is None else target_array(design)
+
+    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
+        """Return the number of each building, shape (B,); raise InputError where there is no one design."""
+        if self.targets is None:
+            raise InputError(
+                "this task has a design of its own in each episode; task.for_episode(rng) is the task of one"
+            )
+        return self.of_episodes(worlds, np.repeat(self.targets[None], len(worlds.kind), axis=0))
+
+    def of_episodes(self, worlds: World, designs: Targets) -> NDArray[np.float64]:
+        """Return the number of each building, shape (B,)."""
+        out = np.empty(len(worlds.kind))
+        self._fill(worlds, designs, out)
+        return out
+
+    def for_design(self, design: Design | None) -> Measure:
+        """Return the same for another design, or for one in each world."""
+        other = copy(self)
+        other.targets = None if design is None else target_array(design)
+        return other
+
+    def _fill(self, worlds: World, designs: Targets, out: NDArray[np.float64]) -> None:
+        raise NotImplementedError
+
+
+class PaperBuilding(BuildingMeasure):
     """Potential of a building by table 1; ``upper_block`` is that of a block above the floor level."""
 
-    def __init__(self, design: Design, upper_block: float) -> None:
-        self.targets = target_array(design)
+    def __init__(self, design: Design | None, upper_block: float) -> None:
+        super().__init__(design)
         self.upper_block = upper_block
 
-    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
-        """Return the potential of each building, shape (B,)."""
-        out = np.empty(len(worlds.kind))
-        _paper_scores(worlds, self.targets, self.upper_block, COMPLETION, out)
-        return out
+    def _fill(self, worlds: World, designs: Targets, out: NDArray[np.float64]) -> None:
+        _paper_scores(worlds, designs, self.upper_block, COMPLETION, out)
 
 
-class CodeBuilding(Measure):
+class CodeBuilding(BuildingMeasure):
     """Potential of a building as CraftEnv's code computes it."""
 
-    def __init__(self, design: Design) -> None:
-        self.targets = target_array(design)
-
-    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
-        """Return the potential of each building, shape (B,)."""
-        out = np.empty(len(worlds.kind))
-        _code_scores(worlds, self.targets, CODE_COMPLETION, out)
-        return out
+    def _fill(self, worlds: World, designs: Targets, out: NDArray[np.float64]) -> None:
+        _code_scores(worlds, designs, CODE_COMPLETION, out)
 
 
-class Finished(Measure):
+class Finished(BuildingMeasure):
     """1 where a design is built, else 0."""
 
-    def __init__(self, design: Design) -> None:
-        self.targets = target_array(design)
-
-    def of_worlds(self, worlds: World) -> NDArray[np.float64]:
-        """Return 1 or 0 for each world, shape (B,)."""
-        out = np.empty(len(worlds.kind))
-        _finished(worlds, self.targets, out)
-        return out
+    def _fill(self, worlds: World, designs: Targets, out: NDArray[np.float64]) -> None:
+        _finished(worlds, designs, out)
 
 
 class PaperPlatform(Measure):

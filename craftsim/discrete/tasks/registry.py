@@ -10,9 +10,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.discrete.files.documents import exists
+from craftsim.discrete.tasks.random_tasks import RANDOM, RANDOM_NAMES, random_task
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
 from craftsim.discrete.tasks.task_files import read_task
+from craftsim.discrete.tasks.varied import DESIGNS
 from craftsim.errors import CraftsimError, InputError, suggestion
+
+VARIED_NAMES: Final = (*RANDOM_NAMES, DESIGNS)
+"""The tasks whose episodes differ."""
 
 _REGISTERED: Final[dict[str, Task]] = {}
 _ANYTHING: Final = (Exception, SystemExit)
@@ -23,8 +28,8 @@ _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 def register_task(task: Task) -> Task:
     """Make a task known by its name, in this process, wherever a task's name is asked for; return it.
 
-    Registering a task again replaces it. Raises InputError for a name of the paper's six, and for one that is not made
-    of letters, digits, ``_`` and ``-``.
+    Registering a task again replaces it. Raises InputError for a name of craftsim's own tasks, and for one that is not
+    made of letters, digits, ``_`` and ``-``.
 
     Example:
         >>> import craftsim
@@ -37,8 +42,8 @@ def register_task(task: Task) -> Task:
     """
     if not isinstance(task, Task):
         raise InputError(f"only a Task can be registered, not {type(task).__name__}")
-    if task.name in TASK_NAMES:
-        raise InputError(f"'{task.name}' is one of the paper's six tasks; give yours another name")
+    if task.name in (*TASK_NAMES, *VARIED_NAMES):
+        raise InputError(f"'{task.name}' is a task of craftsim's own; give yours another name")
     if not _NAME.fullmatch(task.name):
         raise InputError(f"a task's name is made of letters, digits, _ and -, not '{task.name}'")
     _REGISTERED[task.name] = task
@@ -47,7 +52,7 @@ def register_task(task: Task) -> Task:
 
 def task_names() -> list[str]:
     """Return the names of all tasks that are known by name."""
-    return [*TASK_NAMES, *_REGISTERED]
+    return [*TASK_NAMES, *VARIED_NAMES, *_REGISTERED]
 
 
 def as_task(task: Task | str, n_cars: int | None = None, n_blocks: int | None = None) -> Task:
@@ -69,7 +74,8 @@ def task_of(
     """Return the task that a text stands for.
 
     Args:
-        text: a name (one of the paper's six, or registered), a file (a blueprint or a task file, ``.yaml``), or
+        text: a name (one of the paper's six, one of those that vary, with ``@test`` for its held-out starts, or a
+            registered one), a file (a blueprint or a task file, ``.yaml``), or
             ``module:factory``, a callable without arguments that returns a Task; the module may lie in the working
             folder.
         reward: how a named task or a blueprint rewards; a registered task and a factory have their own.
@@ -81,6 +87,9 @@ def task_of(
     """
     if text in TASK_NAMES:
         return make_task(text, reward, n_cars=n_cars, n_blocks=n_blocks)
+    varied, _, split = text.partition("@")
+    if varied in VARIED_NAMES:
+        return _varied(varied, split or "train", reward, n_cars, n_blocks)
     is_file = exists(text) and Path(text).is_file()
     own = text in _REGISTERED or (":" in text and not is_file)
     if own and (n_cars is not None or n_blocks is not None):
@@ -96,6 +105,17 @@ def task_of(
         f"unknown task '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, "
         "a file .yaml, or module:factory"
     )
+
+
+def _varied(name: str, split: Any, reward: RewardName, n_cars: int | None, n_blocks: int | None) -> Task:
+    """Return a task that varies."""
+    if name != DESIGNS:
+        return random_task(name.removeprefix(RANDOM), split, reward, n_cars, n_blocks)
+    # The generator's room is above this one, as those are that factories of one's own lie in.
+    drawn: Task = importlib.import_module("craftsim.designs.tasks").designs_task(
+        split, reward, n_cars=n_cars, n_blocks=n_blocks
+    )
+    return drawn
 
 
 def _made(text: str) -> Task:

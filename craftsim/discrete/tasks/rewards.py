@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks.measures import Custom, Measure
 
@@ -28,6 +30,12 @@ class Reward:
 
     def __init__(self, measure: Measure | Callable[[Grid], float]) -> None:
         self.measure = measure if isinstance(measure, Measure) else Custom(measure)
+
+    def for_design(self, design: Design | None) -> Reward:
+        """Return the same reward for another design, or, for None, for one in each world."""
+        other = copy(self)
+        other.measure = self.measure.for_design(design)
+        return other
 
     def of_tick(
         self, before: Potentials, after: Potentials, t: NDArray[np.int64], given: NDArray[np.bool_]

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.cells import (
+    AIR,
     BLOCK,
     BODY,
     F_LOAD,
@@ -43,7 +44,7 @@ def finished(w: World, targets: NDArray[np.int64]) -> bool:
     """Return whether every target cell, rows as in :func:`paper_score`, holds its kind with its yaw."""
     for i in range(targets.shape[0]):
         kind, x, y, z, yaw = targets[i]
-        if not hit(w, kind, x, y, z, yaw):
+        if kind != AIR and not hit(w, kind, x, y, z, yaw):
             return False
     return True
 
@@ -52,14 +53,14 @@ def finished(w: World, targets: NDArray[np.int64]) -> bool:
 def paper_score(w: World, targets: NDArray[np.int64], upper_block: float, completion: float) -> float:
     """Return the potential of a building by the paper's table 1.
 
-    ``targets`` has rows (kind, x, y, z, yaw), yaw -1 where it does not matter. A block on the floor and a
-    folded slope count 1, a block higher up ``upper_block``, a slope 1 once its body and foot are both in
-    place; a finished building counts ``completion`` more.
+    ``targets`` has rows (kind, x, y, z, yaw), yaw -1 where it does not matter, and rows of kind 0 that say nothing. A
+    block on the floor and a folded slope count 1, a block higher up ``upper_block``, a slope 1 once its body and foot
+    are both in place; a finished building counts ``completion`` more.
     """
     score = 0.0
     for i in range(targets.shape[0]):
         kind, x, y, z, yaw = targets[i]
-        if not hit(w, kind, x, y, z, yaw) or kind == FOOT:
+        if kind in (AIR, FOOT) or not hit(w, kind, x, y, z, yaw):
             continue
         if kind == BLOCK and z > 1:
             score += upper_block
@@ -72,9 +73,12 @@ def paper_score(w: World, targets: NDArray[np.int64], upper_block: float, comple
 def code_score(w: World, targets: NDArray[np.int64], completion: float) -> float:
     """Return the potential of a building as CraftEnv's code computes it (docs/rules.md#goal-score)."""
     score = 0.0
-    hits = 0
+    hits = wanted = 0
     for i in range(targets.shape[0]):
         kind, x, y, z, _ = targets[i]
+        if kind == AIR:
+            continue
+        wanted += 1
         if kind == BLOCK and z == 2:
             score += 1.0
         if z >= w.kind.shape[2] - 1:
@@ -82,7 +86,7 @@ def code_score(w: World, targets: NDArray[np.int64], completion: float) -> float
         there = kind_at(w, x, y, z)
         if there == kind or (kind == BLOCK and is_block(there, True)):
             hits += 1
-    return score + hits + (completion if hits == targets.shape[0] else 0.0)
+    return score + hits + (completion if hits == wanted else 0.0)
 
 
 @compiled

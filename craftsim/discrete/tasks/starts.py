@@ -127,5 +127,4 @@ class StoredStarts(Task):
 
 def starting_from(task: Task, grids: Sequence[Grid]) -> Task:
     """Return the task with the given worlds as its starts; raises InputError for one that does not fit it."""
-    known = {field.name: getattr(task, field.name) for field in fields(Task)}
-    return StoredStarts(**known, grids=tuple(grids))
+    return StoredStarts(**task.parts, grids=tuple(grids))

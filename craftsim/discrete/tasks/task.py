@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.placement import Placement
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.tasks.batches import Starts
 from craftsim.discrete.tasks.measures import (
     CodeBuilding,
     CodePlatform,
@@ -29,6 +30,7 @@ from craftsim.discrete.tasks.measures import (
     OnePlatform,
     PaperBuilding,
     PaperPlatform,
+    target_array,
 )
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.rewards import CodeBarrier, CodeReward, PaperBarrier, Reward
@@ -106,10 +108,17 @@ class Task:
         return self.success is not _no_goal
 
     @property
+    def goal_cell(self) -> Cell | None:
+        """The cell that the flag is to reach, if there is a flag."""
+        return self.starts[0].goal if self.shows_flag else None
+
+    @property
     def goal_cells(self) -> list[Cell]:
         """Cells of the floor to mark for people: the building's plan, or where the flag goes."""
-        goals = [t.cell for t in self.design.targets] if self.design else [self.starts[0].goal]
-        return [cell for cell in goals if cell is not None and cell[2] == 1]
+        if self.design is not None:
+            return self.design.floor
+        goal = self.starts[0].goal
+        return [] if goal is None or goal[2] != 1 else [goal]
 
     @property
     def success_measure(self) -> Measure:
@@ -128,10 +137,49 @@ class Task:
         fixed = self._fixed[start]
         return self.starts[start].grid(rng, self.placement) if fixed is None else fixed.copy()
 
+    @cached_property
+    def _only(self) -> Starts:
+        """The start of all episodes."""
+        return Starts.of([self.draw(np.random.default_rng(0))], target_array(self.design))
+
     @property
     def always_starts_the_same(self) -> bool:
         """Whether every episode starts with the same world."""
         return len(self.starts) == 1 and self.starts[0].is_fixed
+
+    def draw_starts(self, rng: np.random.Generator, n: int) -> Starts:
+        """Return the starts of n new episodes, one or more, and what is to be built in each."""
+        if self.always_starts_the_same:
+            return self._only.take(np.zeros(n, np.int64))
+        return Starts.of([self.draw(rng) for _ in range(n)], target_array(self.design))
+
+    @property
+    def n_targets(self) -> int:
+        """How many rows say what is to be built."""
+        return 0 if self.design is None else len(self.design.targets)
+
+    @property
+    def draws_designs(self) -> bool:
+        """Whether each episode has a design of its own."""
+        return False
+
+    def for_episode(self, rng: np.random.Generator) -> Task:
+        """Return the task of a new episode: itself, or where each has a design of its own, that one from its start."""
+        return self
+
+    def starting_at(self, start: Grid, design: Design | None = None) -> Task:
+        """Return the task of an episode with a given start: itself, as it has a design of its own, or needs none.
+
+        Raises InputError for a design that is given nevertheless.
+        """
+        if design is not None:
+            raise InputError(f"task '{self.name}' has its own goal; leave the option 'design' out")
+        return self
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """What makes it a task, by name: that of which another kind of task can be made."""
+        return {field.name: getattr(self, field.name) for field in fields(Task)}
 
     def over(self, t: NDArray[np.int64], success: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return whether episodes are over after tick t (from 0), elementwise."""

@@ -15,6 +15,7 @@ from craftsim.discrete.planning.planner import empty_queue, run_helper_tick
 from craftsim.discrete.planning.search import Space, fill_reachable, make_space
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.rules.sets import Rules, fill_mask, run_tick
+from craftsim.discrete.tasks.batches import Starts
 from craftsim.discrete.tasks.observation import ROW, Layout, fill_rows
 from craftsim.errors import CraftsimError
 
@@ -105,8 +106,8 @@ class Worlds:
         w = self.arrays
         return Grid(w.kind[i], w.yaw[i], w.cars[i], w.top[i], w.back[i]).copy()
 
-    def put(self, which: int | NDArray[np.integer], grid: Grid) -> None:
-        """Replace one world or several by copies of a grid, and empty their queues."""
+    def put(self, which: int | NDArray[np.integer], grid: Grid | Starts) -> None:
+        """Replace one world or several by copies of a grid, or of a start each, and empty their queues."""
         w = self.arrays
         w.kind[which], w.yaw[which], w.cars[which] = grid.kind, grid.yaw, grid.cars
         w.top[which], w.back[which] = grid.top, grid.back

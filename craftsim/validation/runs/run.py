@@ -110,6 +110,7 @@ class _Drawn:
             if isinstance(run.world, RandomWorlds)
             else as_task(run.world)
         )
+        task = task.for_episode(start)
         grid, played = task.draw(start), None
         if run.play is not None:
             rules, rng = Rules(run.terms.setup.rules), np.random.default_rng(policy_number)

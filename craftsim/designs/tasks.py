@@ -1,0 +1,209 @@
+"""The task in which each episode has a design of its own, drawn by the generator, with a start to build it from."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.designs.drawn import DrawnStart, Size, start_of
+from craftsim.discrete.files.blueprint import Blueprint
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell
+from craftsim.discrete.grid_checks import check_size
+from craftsim.discrete.tasks.batches import Starts, Targets
+from craftsim.discrete.tasks.measures import Finished, target_array
+from craftsim.discrete.tasks.splits import Split, Stored, belongs, check_split, read_split
+from craftsim.discrete.tasks.task import RewardName, build_task
+from craftsim.discrete.tasks.varied import DESIGNS, VariedTask
+from craftsim.errors import InputError
+from craftsim.storage.limits import SHARE
+
+CARS: Final = 2
+BLOCKS: Final = 6
+"""Of a design at most."""
+SLOPES: Final = 1
+AREA: Final[Cell] = (6, 6, 2)
+MAX_STEPS: Final = 60
+"""1.5 times what 95 % of the planner's plans take (docs/tasks.md)."""
+POOL: Final = 1024
+"""Designs that are drawn at the first use, unless they are shipped; each is used in all its reflections."""
+_TRIES: Final = 200
+_LEAST: Final = 6
+_RAMPS: Final = 0.25
+"""How often a building of one level has a ramp."""
+
+
+@dataclass(frozen=True)
+class DrawnDesigns:
+    """Random designs of a split with starts: so many drawn at the first use, then drawn from with replacement."""
+
+    difficulty: tuple[float, float] = (0.0, 1.0)
+    n_cars: int = CARS
+    n_blocks: int = BLOCKS
+    area: Cell = AREA
+    split: Split = "train"
+
+    def draw(self, rng: np.random.Generator, n: int) -> Starts:
+        """Return n starts; raises InputError where designs find no room."""
+        pool = _pool(self)
+        return pool.take(rng.integers(len(pool.kind), size=n))
+
+    def fresh(self, rng: np.random.Generator, n: int) -> Starts:
+        """Return n new starts with their designs."""
+        drawn: list[DrawnStart] = []
+        designs: list[Targets] = []
+        misses = 0
+        while len(drawn) < n:
+            found = start_of(self._size(rng), self.n_cars, rng)
+            if found is None:
+                misses += 1
+                if misses > _TRIES * (1 + len(drawn)):
+                    raise InputError(
+                        f"designs of up to {self.n_blocks} blocks with {self.n_cars} cars find no room in an area of "
+                        f"{self.area[:2]} cells; try a larger one, or fewer of them"
+                    )
+                continue
+            rows = target_array(found.design)
+            if belongs([shape_digest(rows)], self.split)[0]:
+                drawn.append(found)
+                designs.append(np.pad(rows, ((0, self.n_blocks + 2 * SLOPES - len(rows)), (0, 0))))
+        return Starts.of([one.grid for one in drawn], np.stack(designs))
+
+    def _size(self, rng: np.random.Generator) -> Size:
+        """Draw what a design is to have."""
+        difficulty = rng.uniform(*self.difficulty)
+        middle = 2 + difficulty * (self.n_blocks - 2)
+        blocks = int(np.clip(round(rng.uniform(middle - 1, middle + 1)), 2, self.n_blocks))
+        levels = 2 if rng.random() < difficulty else 1
+        ramps = levels - 1 or int(rng.random() < _RAMPS)
+        return Size(self.area, blocks, levels, ramps, self.n_cars)
+
+
+@lru_cache(maxsize=8)
+def _pool(designs: DrawnDesigns) -> Starts:
+    if designs == DrawnDesigns():
+        return with_reflections(read_split(DESIGNS, "train")[0])
+    return with_reflections(designs.fresh(np.random.default_rng(0), POOL))
+
+
+def designs_task(
+    split: Split = "train",
+    reward: RewardName = "paper",
+    difficulty: tuple[float, float] = (0.0, 1.0),
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    area: tuple[int, int] | None = None,
+    max_steps: int = MAX_STEPS,
+) -> VariedTask:
+    """Return the task in which each episode has a random design with a start: on one or two levels, at most one ramp.
+
+    Args:
+        split: ``train`` or ``test``; no design of one, turned, reflected or moved, is in the other. The 1,000 held-out
+            starts that are shipped have each been solved by the planner; with other arguments the designs are drawn at
+            the first use, and some may have no solution.
+        reward: see :func:`craftsim.make_task`.
+        difficulty: from 0 to 1, the range that each design's is drawn from: it sets how many blocks there are and how
+            often a second level.
+        n_cars: 2 unless given.
+        n_blocks: of a design at most, 6 unless given.
+        area: (length, width) in cells, (6, 6) unless given.
+        max_steps: the step limit.
+
+    Raises InputError.
+
+    Example:
+        >>> import craftsim
+        >>> task = craftsim.designs_task("test")
+        >>> task.layout.n_blocks, task.layout.n_slopes, task.n_targets
+        (6, 1, 8)
+    """
+    check_split(split)
+    for end in difficulty:
+        SHARE.check("the difficulty", end)
+    cars, blocks = CARS if n_cars is None else n_cars, BLOCKS if n_blocks is None else n_blocks
+    size = AREA if area is None else (*area, AREA[2])
+    check_size(size, cars)
+    if blocks < 2 or min(size[:2]) < _LEAST:
+        raise InputError(
+            f"designs of {blocks} blocks in an area of {size[:2]} cells; allowed: 2 blocks or more, "
+            f"{_LEAST} cells a side"
+        )
+    drawn = DrawnDesigns(difficulty, cars, blocks, size, split)
+    shipped = drawn == DrawnDesigns(split="test")
+    blueprint = Blueprint(Path(DESIGNS), size, blocks, SLOPES, cars, (), (), None, (), None)
+    # Any design will do to find the reward by; each episode puts its own in its place.
+    any_design = Design.of(DESIGNS, [(0, 0, 1)])
+    known = build_task(DESIGNS, (blueprint,), any_design, None, reward, max_steps).parts
+    known |= {"name": DESIGNS + (f"@{split}" if split == "test" else ""), "design": None}
+    known |= {"success": Finished(None), "reward": known["reward"].for_design(None)}
+    return VariedTask(**known, source=Stored(DESIGNS, "test") if shipped else drawn, split=split)
+
+
+def with_reflections(starts: Starts) -> Starts:
+    """Return starts with all that become of them by turning and reflecting the area, which keeps its sides."""
+    square = starts.kind.shape[1] == starts.kind.shape[2]
+    found = []
+    for turns in range(0, 4, 1 if square else 2):
+        turned = starts
+        for _ in range(turns):
+            turned = _turned(turned)
+        found += [turned, _reflected(turned)]
+    return Starts(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+
+
+def _turned(starts: Starts) -> Starts:
+    """Return starts turned by a quarter, from +x to +y."""
+    length = starts.kind.shape[2]
+
+    def cells(array: NDArray[Any]) -> NDArray[Any]:
+        return array.transpose(0, 2, 1, 3)[:, ::-1]
+
+    return _moved(starts, cells, lambda x, y: (length - 1 - y, x), lambda yaw: yaw + 1)
+
+
+def _reflected(starts: Starts) -> Starts:
+    """Return starts with y reversed."""
+    width = starts.kind.shape[2]
+    return _moved(starts, lambda array: array[:, :, ::-1], lambda x, y: (x, width - 1 - y), lambda yaw: -yaw)
+
+
+def _moved(
+    starts: Starts,
+    cells: Callable[[NDArray[Any]], NDArray[Any]],
+    place: Callable[[NDArray[Any], NDArray[Any]], tuple[NDArray[Any], NDArray[Any]]],
+    heading: Callable[[NDArray[Any]], NDArray[Any]],
+) -> Starts:
+    kind, yaw, top, back = (np.ascontiguousarray(cells(a)) for a in starts[:4])
+    with_yaw = np.isin(kind, list(KINDS_WITH_YAW))
+    cars, designs = starts.cars.copy(), starts.designs.copy()
+    x, y = place(starts.cars[..., CarField.X], starts.cars[..., CarField.Y])
+    cars[..., CarField.X], cars[..., CarField.Y] = x, y
+    cars[..., CarField.YAW] = heading(cars[..., CarField.YAW]) % 4
+    there, directed = designs[..., 0] != 0, designs[..., 4] >= 0
+    x, y = place(designs[..., 1], designs[..., 2])
+    designs[..., 1], designs[..., 2] = np.where(there, x, 0), np.where(there, y, 0)
+    designs[..., 4] = np.where(there & directed, heading(designs[..., 4]) % 4, designs[..., 4])
+    return Starts(kind, np.where(with_yaw, heading(yaw) % 4, yaw).astype(np.int8), top, back, cars, designs)
+
+
+def shape_digest(targets: Targets) -> bytes:
+    """Return a digest (SHA-256) of a design, (T, 5), that is the same wherever it stands, turned or reflected."""
+    forms = []
+    for turn in range(8):
+        rows = targets[targets[:, 0] != 0].copy()
+        if turn >= 4:
+            rows[:, 2] = -rows[:, 2]
+            rows[:, 4] = np.where(rows[:, 4] < 0, -1, -rows[:, 4] % 4)
+        for _ in range(turn % 4):
+            rows[:, 1], rows[:, 2] = -rows[:, 2], rows[:, 1].copy()
+            rows[:, 4] = np.where(rows[:, 4] < 0, -1, (rows[:, 4] + 1) % 4)
+        rows[:, 1:3] -= rows[:, 1:3].min(axis=0)
+        forms.append(rows[np.lexsort(rows.T)].tobytes())
+    return hashlib.sha256(min(forms)).digest()

@@ -1,0 +1,80 @@
+"""Tasks whose episodes differ: in where things and cars are at the start, and perhaps in what is to be built."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.tasks.batches import Starts, StartSource
+from craftsim.discrete.tasks.measures import Finished
+from craftsim.discrete.tasks.splits import Split
+from craftsim.discrete.tasks.starts import starting_from
+from craftsim.discrete.tasks.task import Task
+from craftsim.errors import InputError
+
+DESIGNS: Final = "designs"
+"""The name of the task in which each episode has a random design."""
+
+
+@dataclass(frozen=True)
+class VariedTask(Task):
+    """A task whose episodes start as a source says; without a design of its own each episode has one."""
+
+    source: StartSource = field(kw_only=True)
+    split: Split = "train"
+
+    def draw_starts(self, rng: np.random.Generator, n: int) -> Starts:
+        """Return the starts of n new episodes, and what is to be built in each."""
+        return self.source.draw(rng, n)
+
+    def draw(self, rng: np.random.Generator) -> Grid:
+        """Return the world of a new episode."""
+        return self.draw_starts(rng, 1).grid(0)
+
+    @property
+    def always_starts_the_same(self) -> bool:
+        """Whether every episode starts with the same world."""
+        return False
+
+    @property
+    def draws_designs(self) -> bool:
+        """Whether each episode has a design of its own."""
+        return self.design is None and isinstance(self.success, Finished)
+
+    @property
+    def n_targets(self) -> int:
+        """How many rows say what is to be built: as many as a design can have at most."""
+        layout = self.layout
+        return layout.n_blocks + 2 * layout.n_slopes if self.draws_designs else super().n_targets
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what its starts are drawn from."""
+        return f"{super().digest}-{self.split}"
+
+    def for_episode(self, rng: np.random.Generator) -> Task:
+        """Return the task of a new episode: itself, or where each has a design of its own, that one from its start."""
+        if not self.draws_designs:
+            return self
+        starts = self.draw_starts(rng, 1)
+        return self.starting_at(starts.grid(0), starts.design(0, self.name))
+
+    def starting_at(self, start: Grid, design: Design | None = None) -> Task:
+        """Return the task of an episode with a given start, and the design that it needs where each has its own."""
+        if not self.draws_designs:
+            return super().starting_at(start, design)
+        if not isinstance(design, Design):
+            raise InputError(
+                f"in task '{self.name}' each episode has a design of its own; with a start give the option 'design', "
+                f"a Design, not {design!r}"
+            )
+        if len(design.targets) > self.n_targets:
+            raise InputError(
+                f"{design.path}: {len(design.targets)} cells; allowed in task '{self.name}': at most {self.n_targets}"
+            )
+        reward, success = self.reward.for_design(design), Finished(design)
+        return starting_from(replace(self, design=design, reward=reward, success=success), [start])

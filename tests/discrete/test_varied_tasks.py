@@ -1,0 +1,211 @@
+"""Tasks that vary: every start is sound, no start is in two splits, and each world is judged by its own design."""
+
+import numpy as np
+import pytest
+
+from craftsim.designs.tasks import DrawnDesigns, designs_task, shape_digest, with_reflections
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.grid_checks import check_grid
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import VARIED_NAMES, Task, as_task, make_task, random_task, register_task
+from craftsim.discrete.tasks.batches import Starts
+from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
+from craftsim.discrete.tasks.splits import belongs, read_split
+from craftsim.errors import InputError
+from craftsim.planning import plan_building
+
+ALL = pytest.mark.parametrize("name", VARIED_NAMES)
+
+
+def _assert_same(one: Starts, other: Starts) -> None:
+    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@ALL
+def test_a_thousand_distinct_starts_are_held_out_and_none_is_ever_trained_from(name):
+    held_out, ticks = read_split(name, "test")
+    digests = held_out.digests()
+    assert len(set(digests)) == len(digests) == 1000
+    drawn = as_task(name).draw_starts(np.random.default_rng(0), 2000).digests()
+    assert not set(digests) & set(drawn)
+    if name != "designs":
+        assert belongs(digests, "test").all()
+        assert belongs(drawn, "train").all()
+    assert (ticks > 0).all()
+    assert (ticks <= as_task(name).max_steps + 2).all()
+
+
+@ALL
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_every_start_is_a_sound_world_with_work_to_do(name, split):
+    task = as_task(f"{name}@{split}")
+    starts = read_split(name, "test")[0]
+    if split == "train":
+        starts = task.draw_starts(np.random.default_rng(1), 300)
+    layout = task.layout
+    blocks, slopes = ((starts.kind == kind).sum((1, 2, 3)) for kind in (Kind.BLOCK, Kind.FSLOPE))
+    assert (blocks <= layout.n_blocks).all()
+    assert (slopes <= layout.n_slopes).all()
+    done = task.success_measure.of_episodes(starts.worlds, starts.designs)
+    assert not done.any()
+    for i in range(0, len(starts.kind), 10):
+        grid = starts.grid(i)
+        check_grid(grid)
+        derived = grid.copy()
+        derived.derive_marks()
+        assert derived.same_marks(grid)
+        at = grid.cars[:, :3].tolist()
+        assert len(set(map(tuple, at))) == grid.n_cars
+        assert all(grid.kind[tuple(cell)] == Kind.AIR for cell in at)
+
+
+@ALL
+def test_the_same_seed_draws_the_same_starts(name):
+    for split in ("train", "test"):
+        one, other = (as_task(f"{name}@{split}").draw_starts(np.random.default_rng(3), 20) for _ in range(2))
+        _assert_same(one, other)
+
+
+def test_things_and_cars_start_anywhere_and_turned_anyhow():
+    starts = as_task("random_simple_two_story").draw_starts(np.random.default_rng(0), 3000)
+    kind, slope = starts.kind[..., 1], starts.kind[..., 1] == Kind.FSLOPE
+    assert (kind == Kind.BLOCK).any(0).all()
+    # A slope needs a cell before it and one behind it, which corners do not have.
+    assert slope.any(0).sum() == 16 - 4
+    assert set(starts.yaw[..., 1][slope]) == {0, 1, 2, 3}
+    x, y, yaw = (starts.cars[..., column].ravel() for column in (0, 1, 3))
+    shares = np.bincount(x * 16 + y * 4 + yaw, minlength=64) / len(x)
+    assert np.allclose(shares, 1 / 64, atol=0.006)
+
+
+def test_the_flag_starts_behind_a_whole_barrier():
+    starts = as_task("random_breaking_barrier").draw_starts(np.random.default_rng(0), 500)
+    assert (starts.kind[:, 3, :, 1] == Kind.BLOCK).all()
+    assert (starts.kind[:, 4:, :, 1] == Kind.FLAG).any(0).all()
+    assert (starts.kind[:, :3] != Kind.FLAG).all()
+
+
+def test_a_held_out_start_has_a_plan_that_ends_in_success_in_time(rng):
+    for name in ("random_strip", "designs"):
+        task, (starts, ticks) = as_task(f"{name}@test"), read_split(name, "test")
+        i = int(np.argmin(ticks))
+        one = task.starting_at(starts.grid(i), starts.design(i, name) if task.draws_designs else None)
+        planned = plan_building(starts.grid(i), one, Rules("physical"), rounds=2)
+        assert len(planned.ticks) <= task.max_steps + 2
+        assert one.succeeded(planned.schedule.final)
+
+
+@pytest.mark.parametrize("reward", ["paper", "published_code", "complexity"])
+def test_each_world_of_a_batch_is_judged_by_its_own_design_as_if_it_were_alone(reward, rng):
+    task = designs_task(reward=reward)
+    starts = task.draw_starts(np.random.default_rng(1), 12)
+    assert len({design.tobytes() for design in starts.designs}) > 6
+    for i in range(4):
+        _finish(starts, i)
+    batch = Episodes(task, np.random.default_rng(0), 12)
+    batch.begin(np.arange(12), starts)
+    alone = []
+    for i in range(12):
+        one = task.starting_at(starts.grid(i), starts.design(i, "one"))
+        alone.append(GridEpisode(one, np.random.default_rng(0)))
+    order, rewarded, finished = np.tile([0, 1], (12, 1)), 0, 0
+    for _ in range(15):
+        mask = batch.offered()
+        actions = (rng.random(mask.shape) * mask).argmax(-1)
+        steps = batch.step(actions, order)
+        for i, one in enumerate(alone):
+            step = one.step(actions[i], [0, 1])
+            assert (step.reward, step.success, step.done) == (
+                steps.reward[i],
+                steps.success[i],
+                steps.done[i],
+            )
+        rewarded, finished = rewarded + np.count_nonzero(steps.reward), finished + steps.success.sum()
+    assert rewarded
+    assert finished
+
+
+def _finish(starts: Starts, i: int) -> None:
+    """Put the finished building into a world in place of its things, so that success is seen, too."""
+    starts.kind[i, :, :, 1:], starts.yaw[i] = Kind.AIR, 0
+    for kind, x, y, z, yaw in starts.designs[i][starts.designs[i, :, 0] != 0].tolist():
+        starts.kind[i, x, y, z], starts.yaw[i, x, y, z] = kind, max(yaw, 0)
+    grid = starts.grid(i)
+    grid.derive_marks()
+    starts.top[i], starts.back[i] = grid.top, grid.back
+
+
+def test_the_designs_of_a_batch_are_those_of_its_running_episodes():
+    episodes = Episodes(as_task("designs"), np.random.default_rng(0), 8)
+    before = episodes.designs.copy()
+    assert before.shape == (8, 8, 5)
+    episodes.reset([1, 3])
+    assert np.array_equal(before[[0, 2, 4]], episodes.designs[[0, 2, 4]])
+    assert not np.array_equal(before[[1, 3]], episodes.designs[[1, 3]])
+    fixed = Episodes(make_task("strip"), np.random.default_rng(0), 3).designs
+    assert fixed[2].tolist() == [[Kind.BLOCK, 3, y, 1, -1] for y in range(4)]
+
+
+def test_no_held_out_design_turned_reflected_or_moved_is_trained_from():
+    train, test = (read_split("designs", split)[0].designs for split in ("train", "test"))
+    assert not set(map(shape_digest, train)) & set(map(shape_digest, test))
+    starts = DrawnDesigns().fresh(np.random.default_rng(0), 20)
+    turned = with_reflections(starts)
+    assert len(turned.kind) == 8 * 20
+    for i in range(20):
+        assert len({shape_digest(turned.designs[i + 20 * k]) for k in range(8)}) == 1
+        assert len({turned.kind[i + 20 * k].tobytes() for k in range(8)}) > 1
+        for k in range(8):
+            grid = turned.grid(i + 20 * k)
+            check_grid(grid)
+            derived = grid.copy()
+            derived.derive_marks()
+            assert derived.same_marks(grid)
+
+
+def test_a_harder_difficulty_has_more_blocks_and_more_second_levels():
+    easy, hard = (DrawnDesigns(difficulty=(d, d)).fresh(np.random.default_rng(0), 40).designs for d in (0, 1))
+    assert (easy[..., 3] <= 1).all()
+    assert (hard[..., 3] == 2).any(1).mean() > 0.9
+    assert (easy[..., 0] == Kind.BLOCK).sum() < (hard[..., 0] == Kind.BLOCK).sum()
+
+
+def test_numbers_and_area_can_be_others():
+    task = random_task("strip", n_cars=4, n_blocks=6, area=(6, 5))
+    starts = task.draw_starts(np.random.default_rng(0), 50)
+    assert starts.kind.shape == (50, 6, 5, 4)
+    assert ((starts.kind == Kind.BLOCK).sum((1, 2, 3)) == 6).all()
+    assert starts.cars.shape == (50, 4, 7)
+    held_out = random_task("strip", "test", n_cars=4, n_blocks=6, area=(6, 5))
+    assert not set(starts.digests()) & set(held_out.draw_starts(np.random.default_rng(0), 50).digests())
+    assert as_task("random_free_building", n_blocks=5).success_measure.n_blocks == 5
+    wide = random_task("breaking_barrier", area=(6, 7)).draw(np.random.default_rng(0))
+    assert (wide.kind[3, :, 1] == Kind.BLOCK).all()
+    assert (wide.kind == Kind.BLOCK).sum() == 10
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: as_task("random_strip@tset"), "unknown split 'tset'; did you mean 'test'"),
+        (lambda: as_task("strip@test"), "unknown task 'strip@test'"),
+        (lambda: random_task("strip", area=(3, 4)), r"area is \(3, 4\); allowed: at least \(4, 4\)"),
+        (lambda: random_task("strip", n_blocks=3), "3 blocks; allowed: at least 4"),
+        (lambda: random_task("strip", n_cars=14).draw(np.random.default_rng(0)), "no room for 14 cars"),
+        (lambda: designs_task(area=(4, 6)), "allowed: 2 blocks or more, 6 cells a side"),
+        (lambda: designs_task(difficulty=(0.5, 2)), "difficulty is 2; allowed: 0 to 1"),
+        (lambda: register_task(Task("designs", *_parts())), "a task of craftsim's own"),
+        (
+            lambda: as_task("designs").succeeded(make_task("strip").draw(np.random.default_rng(0))),
+            "for_episode",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_with_what_is_allowed(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def _parts():
+    task = make_task("strip")
+    return task.starts, task.reward, task.success

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
+from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
 from craftsim.models.parameters import Drive
 from craftsim.report import output_directory, write_report
@@ -22,13 +23,15 @@ from craftsim.storage.limits import (
     BLOCKS,
     BONUS,
     CARS,
+    EXPLORED_TICKS,
+    HELPER_DEPTH,
     SEED,
     SHARE,
     TRAIN_EPISODES,
     TRAIN_STEPS,
     WORKERS,
 )
-from craftsim.training.config import WORLDS, AlgoName, TrainBackend, TrainConfig
+from craftsim.training.config import PRESETS, WORLDS, AlgoName, PresetName, TrainBackend, TrainConfig
 from craftsim.training.extra import need_torch
 
 if TYPE_CHECKING:
@@ -51,7 +54,11 @@ def train(
     worlds: Annotated[int | None, BATCH] = None,
     workers: Annotated[int | None, WORKERS] = None,
     drive: Drive | None = None,
+    preset: PresetName | None = None,
+    rules: RuleSet | None = None,
+    helper_depth: Annotated[int | None, HELPER_DEPTH] = None,
     novelty: Annotated[float, BONUS] = 0.0,
+    explore: Annotated[int | None, EXPLORED_TICKS] = None,
     cars: Annotated[int | None, CARS] = None,
     blocks: Annotated[int | None, BLOCKS] = None,
     starts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -63,8 +70,8 @@ def train(
 ) -> int:
     """Train a policy on the grid, or in nominal physics, and report its success rate there on fresh episodes.
 
-    It runs under the physical rule set, on the grid on one core; gains and machine parameters mean nothing there, so
-    there is no --rules, --gains or --parameters here. Ctrl-C ends it after the current iteration with everything saved;
+    On the grid it runs on one core, and gains and machine parameters mean nothing, so there is no --gains or
+    --parameters here. Ctrl-C ends it after the current iteration with everything saved;
     --resume goes on as if it had never stopped. Exit status 0 when training ended by itself.
 
     Args:
@@ -80,7 +87,13 @@ def train(
             on it.
         drive: how cars touch the ground in physics: by forty free rollers, or reduced to one body, which is several
             times as fast; reduced unless given.
+        preset: paper is the protocol of CraftEnv's paper: published rules, action helper of depth 20, the task's own
+            starts and nothing shown.
+        rules: what is legal on the grid: what physics supports, or what CraftEnv's code allows; physical unless given.
+        helper_depth: search depth of the action helper on the grid; without it unless given.
         novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
+        explore: ticks of exploration at random on the grid, at most, before learning: worlds once reached are returned
+            to, and every second episode of training starts along the way that it finds.
         cars: other than the task's number of cars; those that its start does not list are drawn at random.
         blocks: the same for blocks.
         starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
@@ -108,6 +121,7 @@ def train(
         n_blocks=blocks,
         backend=backend,
         drive=drive or "reduced",
+        **_protocol(preset, starts, rules=rules, helper_depth=helper_depth, explore=explore),
     )
     learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:
@@ -140,6 +154,13 @@ def train(
     return 0
 
 
+def _protocol(preset: PresetName | None, starts: Path | None, **given: Any) -> dict[str, Any]:
+    """Return what is given; a preset settles the rest."""
+    if preset is not None and starts is not None:
+        raise InputError(f"--preset {preset} learns from nothing; leave --starts out")
+    return {**(PRESETS[preset] if preset else {}), **{k: v for k, v in given.items() if v is not None}}
+
+
 def _trainer(
     config: TrainConfig, task: Task, starts: Path | None, folder: Path, resume: bool, workers: int | None
 ) -> Trainer:
@@ -147,7 +168,7 @@ def _trainer(
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
-    other = with_starts(task, starts) if starts else None
+    other = with_starts(task, starts, config.rules) if starts else None
     if resume:
         return Trainer.resume(folder, other, config=config, workers=workers)
     if (folder / RUN_FILE).exists():
@@ -215,6 +236,7 @@ def _report(
     )
     figures: dict[str, Any] = {
         "steps": trainer.steps,
+        "explored": trainer.explored,
         "success": success,
         "mean_return": played.mean_return,
         "mean_ticks": played.mean_ticks,

@@ -6,14 +6,18 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal, get_args
 
+from craftsim.discrete.rules import RULE_FLAGS, RuleSet
 from craftsim.errors import InputError
 from craftsim.models.parameters import DRIVES, Drive
-from craftsim.storage.limits import BATCH, BONUS, NETWORK_WIDTH, SEED
+from craftsim.storage.limits import BATCH, BONUS, EXPLORED_TICKS, HELPER_DEPTH, NETWORK_WIDTH, SEED
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql"]
 TrainBackend = Literal["grid", "physics"]
 WORLDS: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 32}
 """How many are stepped side by side unless said otherwise."""
+PresetName = Literal["paper"]
+PRESETS: Final[Mapping[PresetName, Mapping[str, Any]]] = {"paper": {"rules": "published", "helper_depth": 20}}
+"""Fields of a configuration that belong together: the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023)."""
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
 
 
@@ -39,12 +43,32 @@ class TrainConfig:
     """Where it is trained and evaluated: on the grid, or in nominal contact physics."""
     drive: Drive = "reduced"
     """How cars touch the ground in physics; the grid knows no drives."""
+    rules: RuleSet = "physical"
+    """What is legal on the grid: what physics supports, or what CraftEnv's code allows."""
+    helper_depth: int | None = None
+    """Search depth of the action helper, on the grid; None is without it."""
+    explore: int = 0
+    """Ticks of exploration on the grid, at most, before learning; episodes then also start along the way found."""
 
     def __post_init__(self) -> None:
         if self.backend not in get_args(TrainBackend):
             raise InputError(f"backend is {self.backend!r}; allowed: {', '.join(get_args(TrainBackend))}")
         if self.drive not in DRIVES:
             raise InputError(f"drive is {self.drive!r}; allowed: {', '.join(DRIVES)}")
+        if self.rules not in RULE_FLAGS:
+            raise InputError(f"rules is {self.rules!r}; allowed: {', '.join(RULE_FLAGS)}")
+        if self.helper_depth is not None:
+            HELPER_DEPTH.check("helper_depth", self.helper_depth)
+        EXPLORED_TICKS.check("explore", self.explore)
+        if self.backend == "physics" and (self.rules, self.helper_depth, self.explore) != (
+            "physical",
+            None,
+            0,
+        ):
+            raise InputError(
+                "in physics cars are trained under the physical rule set, without action helper and exploration; leave "
+                "rules, helper_depth and explore out, or train on the grid"
+            )
         SEED.check("seed", self.seed)
         BATCH.check("worlds", self.worlds)
         NETWORK_WIDTH.check("width", self.width)

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.physics_vector import PhysicsVectorEnv
@@ -13,9 +14,16 @@ from craftsim.training.curve import Played
 from craftsim.training.networks import CarNet
 
 
-def evaluate(net: CarNet, task: Task, episodes: int, seed: int) -> Played:
+def evaluate(
+    net: CarNet,
+    task: Task,
+    episodes: int,
+    seed: int,
+    rules: RuleSet = "physical",
+    helper_depth: int | None = None,
+) -> Played:
     """Play so many episodes, all at once, with the best action of each car; ``seed`` draws starts and orders."""
-    worlds = Episodes(task, np.random.default_rng(seed), episodes)
+    worlds = Episodes(task, np.random.default_rng(seed), episodes, rules, helper_depth)
     running = np.ones(episodes, np.bool_)
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
     while running.any():

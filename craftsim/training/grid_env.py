@@ -11,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
@@ -75,9 +76,11 @@ class TeamEnv(EnvBase):
 class GridEnv(TeamEnv):
     """Worlds on the grid, stepped in one array call."""
 
-    def __init__(self, task: Task, n_worlds: int) -> None:
+    def __init__(
+        self, task: Task, n_worlds: int, rules: RuleSet = "physical", helper_depth: int | None = None
+    ) -> None:
         super().__init__(task, n_worlds)
-        self.episodes = Episodes(task, np.random.default_rng(), n_worlds)
+        self.episodes = Episodes(task, np.random.default_rng(), n_worlds, rules, helper_depth)
 
     def _now(self) -> TensorDict:
         return self._seen(self.episodes.vectors(), self.episodes.offered())

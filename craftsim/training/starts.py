@@ -2,36 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.starts import load_starts, starting_from
 
 
-def with_starts(task: Task, path: Path) -> Task:
+def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
     """Return a task of whose episodes half start as ever and half with a world drawn from a file.
 
     Args:
         task: the task.
-        path: a plan, followed under the rules from the task's start, or a file of
+        path: a plan, followed from the task's start, or a file of
             :func:`craftsim.discrete.tasks.starts.save_starts`.
+        rules: the rule set that the plan is followed under.
 
     Raises:
         InputError: the file cannot be read, or does not fit the task.
     """
     own = task.draw(np.random.default_rng(0))
-    grids = along_plan(own, path) if path.suffix == ".plan" else load_starts(path)
-    return starting_from(task, [*grids, *[own] * len(grids)])
+    grids = along_plan(own, path, rules) if path.suffix == ".plan" else load_starts(path)
+    return half_from(task, grids)
 
 
-def along_plan(start: Grid, path: Path) -> list[Grid]:
+def half_from(task: Task, grids: Sequence[Grid]) -> Task:
+    """Return a task of whose episodes half start as ever and half with one of these worlds; as it is without any."""
+    own = task.draw(np.random.default_rng(0))
+    return starting_from(task, [*grids, *[own] * len(grids)]) if grids else task
+
+
+def along_plan(start: Grid, path: Path, rule_set: RuleSet) -> list[Grid]:
     """Return the worlds that a plan comes by before its last tick, the start left out."""
-    rules, grids = Rules("physical"), [start]
+    rules, grids = Rules(rule_set), [start]
     for tick in read_plan(path, start.n_cars).ticks[:-1]:
         grids.append(rules.tick(grids[-1], tick)[0])
     return grids[1:]

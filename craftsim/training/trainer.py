@@ -24,6 +24,7 @@ from craftsim.training.checkpoint import RUN_FILE, RunHead, open_run, save_polic
 from craftsim.training.config import TrainBackend, TrainConfig
 from craftsim.training.curve import Played, Point
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
+from craftsim.training.exploration import explore
 from craftsim.training.extra import PACKAGES
 from craftsim.training.grid_env import GridEnv
 from craftsim.training.identity import TaskIdentity, starts_digest
@@ -32,12 +33,13 @@ from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.policy import POLICY_FILE
 from craftsim.training.restoring import numbers
 from craftsim.training.shape import Shape
+from craftsim.training.starts import half_from
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next."""
 EVALUATION_EPISODES: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 64}
 """Episodes of an evaluation while training."""
-_ROLLOUT, _EVALUATION, _FINAL = range(3)
+_ROLLOUT, _EVALUATION, _FINAL, _EXPLORATION = range(4)
 
 
 class Trainer:
@@ -64,16 +66,20 @@ class Trainer:
         self.config = config
         self.workers = workers
         self.task = task or as_task(config.task, config.n_cars, config.n_blocks)
-        self.identity = TaskIdentity.of(self.task)
+        self.identity = TaskIdentity.of(self.task, config.rules)
         self.starts = "" if starts is None else starts_digest(starts)
         """Digest of the other starts; empty without."""
+        self.iteration = 0
+        self.explored = 0
+        """Ticks of exploration before learning."""
+        if config.explore:
+            starts = self._explore(starts)
         self.shape = Shape.of(self.task, config.width)
         self.env: GridEnv | PhysicsEnv
         if config.backend == "grid":
-            self.env = GridEnv(starts or self.task, config.worlds)
+            self.env = GridEnv(starts or self.task, config.worlds, config.rules, config.helper_depth)
         else:
             self.env = PhysicsEnv(starts or self.task, config.worlds, workers, config.drive)
-        self.iteration = 0
         self.curve: list[Point] = []
         self.wall_s = 0.0
         with torch.random.fork_rng():
@@ -81,9 +87,22 @@ class Trainer:
             self.learner = make_learner(config, self.shape, self.task.max_steps + 2)
         self.novelty = Novelty(config.novelty, self.shape)
 
+    def _explore(self, starts: Task | None) -> Task:
+        """Return the task with starts along the way that exploration finds; the same whenever the run is resumed."""
+        config = self.config
+        if starts is not None:
+            raise InputError("exploration finds starts of its own: leave explore or starts out")
+        if not self.task.always_starts_the_same:
+            raise InputError(
+                f"exploration needs a fixed start, which task '{self.task.name}' has not: leave it out"
+            )
+        rng = np.random.default_rng(self._seed(_EXPLORATION))
+        way, self.explored = explore(self.task, config.rules, config.helper_depth, config.explore, rng)
+        return half_from(self.task, way)
+
     @property
     def steps(self) -> int:
-        """Ticks played so far, all worlds together."""
+        """Ticks learnt from so far, all worlds together."""
         return self.iteration * self.steps_an_iteration
 
     @property
@@ -111,7 +130,7 @@ class Trainer:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
         net, seed = self.learner.net, self._seed(purpose)
         if isinstance(self.env, GridEnv):
-            return evaluate(net, self.task, episodes, seed)
+            return evaluate(net, self.task, episodes, seed, self.config.rules, self.config.helper_depth)
         if not self.starts and record is None:
             return evaluate_in_physics(net, self.env.worlds, episodes, seed)
         options: dict[str, Any] = {"workers": self.workers, "drive": self.config.drive, "record": record}

@@ -1,0 +1,157 @@
+"""Exploration before learning: return to a world that was reached, go on from there at random, remember what is new.
+
+After Ecoffet et al., "First return, then explore", Nature 590, 2021, whose second phase is the training itself, with
+starts along the best way found. No plan and no other knowledge of the task goes in but its reward's potential.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.episodes import Episodes
+
+WORLDS: Final = 500
+"""How many are stepped side by side."""
+SEGMENT: Final = 6
+"""Ticks that are played from a world before another is returned to."""
+_ARRAYS: Final = tuple(field.name for field in fields(Grid))
+_HASH_SEED: Final = 1
+
+
+def explore(
+    task: Task, rules: RuleSet, helper_depth: int | None, ticks: int, rng: np.random.Generator
+) -> tuple[list[Grid], int]:
+    """Return the worlds on the way to the first success, its end left out, and the ticks that were played for it.
+
+    Without a success within ``ticks`` it is the shortest way to the highest potential of the task's reward.
+    """
+    episodes = Episodes(task, rng, WORLDS, rules, helper_depth)
+    reached = _Reached(episodes)
+    played = 0
+    while played < ticks:
+        at = reached.draw(rng, WORLDS)
+        reached.put(episodes, at)
+        running = np.ones(WORLDS, np.bool_)
+        for _ in range(SEGMENT):
+            offered = episodes.offered()
+            steps = episodes.step((rng.random(offered.shape) * offered).argmax(-1))
+            played += int(running.sum())
+            at = reached.add(episodes, at, running, steps.done)
+            if (won := np.flatnonzero(running & steps.success)).size:
+                return reached.way(int(at[won[0]])), played
+            running &= ~steps.done
+    return reached.way(reached.best()), played
+
+
+class _Reached:
+    """Every world that was reached, with the fewest ticks that it took, and from where.
+
+    A world is that of the rules; what the action helper had still to do is left out, for each of its primitives is an
+    action, too.
+    """
+
+    def __init__(self, episodes: Episodes) -> None:
+        self._limit = episodes.task.max_steps + 2
+        live = self._live(episodes)
+        self._arrays = {
+            name: np.empty((1 << 12, *array.shape[1:]), array.dtype) for name, array in live.items()
+        }
+        length = sum(array[0].size for array in live.values())
+        self._factors = np.random.default_rng(_HASH_SEED).integers(-(2**62), 2**62, length)
+        self._index: dict[int, int] = {}
+        self._ticks: list[int] = []
+        self._potential: list[float] = []
+        self._before: list[int] = []
+        self._returns: list[int] = []
+        self._open: dict[float, dict[int, list[int]]] = {}
+        """By potential and ticks: where one may go on."""
+        first = np.zeros(len(episodes.worlds), np.bool_)
+        first[0] = True
+        self.add(episodes, np.full(len(first), -1), first, np.zeros_like(first))
+
+    @staticmethod
+    def _live(episodes: Episodes) -> dict[str, NDArray[np.generic]]:
+        return {name: getattr(episodes.worlds.arrays, name) for name in _ARRAYS}
+
+    def draw(self, rng: np.random.Generator, n: int) -> NDArray[np.int64]:
+        """Return n worlds to go on from: higher potentials more often, early ones as often as late ones.
+
+        Of two candidates the one that was returned to less often.
+        """
+        levels = sorted(self._open)
+        weights = np.arange(1.0, len(levels) + 1)
+        chosen = np.empty(n, np.int64)
+        for i, level in enumerate(rng.choice(len(levels), n, p=weights / weights.sum())):
+            by_tick = self._open[levels[level]]
+            ticks = list(by_tick)
+            cells = by_tick[ticks[int(rng.integers(len(ticks)))]]
+            first, second = (cells[int(k)] for k in rng.integers(len(cells), size=2))
+            chosen[i] = first if self._returns[first] <= self._returns[second] else second
+            self._returns[chosen[i]] += 1
+        return chosen
+
+    def put(self, episodes: Episodes, which: NDArray[np.int64]) -> None:
+        """Return to worlds, one an episode."""
+        for name, array in self._live(episodes).items():
+            array[:] = self._arrays[name][which]
+        episodes.worlds.queue[:] = -1
+        episodes.t[:] = [self._ticks[i] for i in which]
+        episodes.bonus_given[:] = False
+        episodes.potential = episodes.task.reward.measure.of_worlds(episodes.worlds.arrays)
+
+    def add(
+        self,
+        episodes: Episodes,
+        before: NDArray[np.int64],
+        running: NDArray[np.bool_],
+        done: NDArray[np.bool_],
+    ) -> NDArray[np.int64]:
+        """Remember the worlds of running episodes, reached from ``before``; return which they are."""
+        live = self._live(episodes)
+        flat = [array.reshape(len(running), -1).astype(np.int64) for array in live.values()]
+        keys = (np.concatenate(flat, axis=1) * self._factors).sum(axis=1).tolist()
+        ticks, potential = episodes.t.tolist(), episodes.potential.tolist()
+        at, new = before.copy(), []
+        for i in np.flatnonzero(running).tolist():
+            known = self._index.setdefault(keys[i], len(self._ticks))
+            at[i] = known
+            if known == len(self._ticks):
+                new.append(i)
+                self._ticks.append(ticks[i])
+                self._potential.append(potential[i])
+                self._before.append(int(before[i]))
+                self._returns.append(0)
+            elif ticks[i] < self._ticks[known]:
+                self._ticks[known], self._before[known] = ticks[i], int(before[i])
+            else:
+                continue
+            if not done[i] and ticks[i] < self._limit:
+                self._open.setdefault(potential[i], {}).setdefault(ticks[i], []).append(known)
+        self._store(live, new)
+        return at
+
+    def _store(self, live: dict[str, NDArray[np.generic]], new: list[int]) -> None:
+        n = len(self._ticks)
+        for name, array in live.items():
+            kept = self._arrays[name]
+            if n > len(kept):
+                kept = self._arrays[name] = np.concatenate([kept, np.empty_like(kept)])
+            kept[n - len(new) : n] = array[new]
+
+    def best(self) -> int:
+        """Return the world of the highest potential, the earliest of these."""
+        return min(range(len(self._ticks)), key=lambda i: (-self._potential[i], self._ticks[i]))
+
+    def way(self, end: int) -> list[Grid]:
+        """Return the worlds on the way to one that was reached, that one and the start left out."""
+        passed = []
+        while (end := self._before[end]) > 0:
+            passed.append(Grid(*(self._arrays[field.name][end].copy() for field in fields(Grid))))
+        return passed[::-1]

@@ -224,30 +224,22 @@ def _report(
 ) -> None:
     from craftsim.training.curve import plot_curve, write_curve
     from craftsim.training.trainer import training_versions
-    from craftsim.validation.statistics.proportions import Proportion, wilson
 
     config, curve = trainer.config, trainer.curve
     played = trainer.evaluate(asked["episodes"], record=record)
-    success = Proportion.of(played.successes, played.episodes)
     write_curve(folder / "curve.csv", curve)
-    intervals = [wilson(point.successes, point.episodes) for point in curve]
-    plot_curve(
-        folder / "curve.png", f"{trainer.task.name}, {config.algo}, seed {config.seed}", curve, intervals
-    )
+    plot_curve(folder / "curve.png", f"{trainer.task.name}, {config.algo}, seed {config.seed}", curve)
     figures: dict[str, Any] = {
         "steps": trainer.steps,
         "explored": trainer.explored,
-        "success": success,
-        "mean_return": played.mean_return,
-        "mean_ticks": played.mean_ticks,
+        **played.as_figures(),
         "learning_curve": curve,
         "training_versions": training_versions(),
     }
     wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
     report = write_report(folder, figures, command="train", seed=config.seed, config=asked, wall=wall)
     say(
-        f"{trainer.task.name}, {config.algo}: success {success.rate:.3f} ({success.wilson_low:.3f} to "
-        f"{success.wilson_high:.3f}) in {played.episodes} fresh episodes of {played.mean_ticks:.1f} ticks, after "
+        f"{trainer.task.name}, {config.algo}: {played.in_words}, {played.mean_ticks:.1f} ticks, after "
         f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s."
     )
     say(f"Policy: {folder / 'policy.pt'}\nReport: {report}")

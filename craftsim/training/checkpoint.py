@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from craftsim.training.networks import CarNet
 
 RUN_FILE: Final = "run.pt"
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Raised whenever older files cannot be read any more."""
 
 T = TypeVar("T")

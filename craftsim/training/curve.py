@@ -5,13 +5,12 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from craftsim.errors import InputError
 from craftsim.storage.writing import whole, write_whole
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -23,11 +22,56 @@ class Played:
     mean_return: float
     mean_ticks: float
     """Of all episodes, those that ran out of time included."""
+    starts: int
+    """Different worlds, with what is to be built in them, that episodes began with."""
+    solved: int
+    """Of these, those from which every episode succeeded."""
+    trajectories: int
+    """Different episodes: in what the cars saw or did."""
 
     @property
     def success(self) -> float:
-        """The success rate."""
+        """The share of the episodes that succeeded."""
         return self.successes / self.episodes
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Wilson's interval at 95 % of the share of starts that are solved; none where there is but one start."""
+        from scipy.stats import binomtest
+
+        if self.starts == 1:
+            return None
+        interval = binomtest(self.solved, self.starts).proportion_ci(0.95, method="wilson")
+        return float(interval.low), float(interval.high)
+
+    @property
+    def in_words(self) -> str:
+        """How much succeeded, and among how many different episodes."""
+        if self.interval is None:
+            return (
+                f"success {self.success:.3f} from its one start, in {self.trajectories} different "
+                f"trajector{'y' if self.trajectories == 1 else 'ies'} ({self.episodes} episodes)"
+            )
+        low, high = self.interval
+        solved = f"{self.solved} of {self.starts} different starts solved ({low:.3f} to {high:.3f})"
+        return f"success {self.success:.3f}, {solved}"
+
+    def as_figures(self) -> dict[str, Any]:
+        """Return what a report holds of it."""
+        low, high = self.interval or (None, None)
+        return {
+            "success": {
+                "rate": self.success,
+                "successes": self.successes,
+                "trials": self.episodes,
+                "wilson_low": low,
+                "wilson_high": high,
+            },
+            "starts": {"distinct": self.starts, "solved": self.solved},
+            "trajectories": self.trajectories,
+            "mean_return": self.mean_return,
+            "mean_ticks": self.mean_ticks,
+        }
 
 
 @dataclass(frozen=True)
@@ -38,7 +82,8 @@ class Point(Played):
     """Ticks played, all worlds together."""
 
     def __post_init__(self) -> None:
-        if not (self.episodes >= 1 and 0 <= self.successes <= self.episodes and 0 <= self.steps < 2**60):
+        counts = self.episodes >= 1 and 0 <= self.successes <= self.episodes and 0 <= self.steps < 2**60
+        if not (counts and 0 <= self.solved <= self.starts <= self.episodes and self.trajectories >= 1):
             raise InputError(
                 f"a point of the curve has {self.successes} of {self.episodes} episodes after {self.steps} ticks"
             )
@@ -46,7 +91,7 @@ class Point(Played):
 
 def write_curve(path: Path, curve: Sequence[Point]) -> Path:
     """Write one line a point as CSV and return the path; raises InputError where the disk does not take it."""
-    names = ("steps", "episodes", "successes", "mean_return", "mean_ticks")
+    names = ("steps", *(field.name for field in fields(Played)))
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(names)
@@ -54,8 +99,8 @@ def write_curve(path: Path, curve: Sequence[Point]) -> Path:
     return write_whole(path, text.getvalue())
 
 
-def plot_curve(path: Path, title: str, curve: Sequence[Point], intervals: Sequence[Interval]) -> Path:
-    """Draw success, with its confidence ``intervals``, and return over the steps played; return the path.
+def plot_curve(path: Path, title: str, curve: Sequence[Point]) -> Path:
+    """Draw success, with its interval where starts differ, and return over the steps played; return the path.
 
     Raises InputError where the disk does not take it.
     """
@@ -66,9 +111,10 @@ def plot_curve(path: Path, title: str, curve: Sequence[Point], intervals: Sequen
     right = left.twinx()
     steps = [point.steps for point in curve]
     left.plot(steps, [point.success for point in curve], color="tab:blue", label="success")
-    left.fill_between(
-        steps, [low for low, _ in intervals], [high for _, high in intervals], color="tab:blue", alpha=0.2
-    )
+    if intervals := [point.interval for point in curve if point.interval is not None]:
+        at = [point.steps for point in curve if point.interval is not None]
+        lows, highs = zip(*intervals, strict=True)
+        left.fill_between(at, lows, highs, color="tab:blue", alpha=0.2)
     right.plot(steps, [point.mean_return for point in curve], color="tab:orange", label="return")
     left.set(xlabel="steps of all worlds together", ylabel="success", ylim=(-0.02, 1.02), title=title)
     right.set_ylabel("mean return")

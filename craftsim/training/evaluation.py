@@ -1,4 +1,8 @@
-"""Evaluation of a policy: whole episodes on the grid or in physics, from the task's own starts."""
+"""Evaluation of a policy: whole episodes on the grid or in physics, from the task's own starts.
+
+What differs among the episodes is counted: of a deterministic policy that always starts in the same world, a thousand
+episodes may be a single one, repeated.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.curve import Played
+from craftsim.training.distinct import Distinct
 from craftsim.training.networks import CarNet
 
 
@@ -22,17 +27,27 @@ def evaluate(
     rules: RuleSet = "physical",
     helper_depth: int | None = None,
 ) -> Played:
-    """Play so many episodes, all at once, with the best action of each car; ``seed`` draws starts and orders."""
+    """Play so many episodes, all at once, with the best action of each car; ``seed`` draws starts and orders.
+
+    Where a task has a list of starts, episodes take one after the other.
+    """
     worlds = Episodes(task, np.random.default_rng(seed), episodes, rules, helper_depth)
+    if (listed := task.listed_starts) is not None:
+        rows = np.arange(episodes)
+        worlds.begin(rows, listed.take(rows % len(listed.kind)))
     running = np.ones(episodes, np.bool_)
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
+    distinct = Distinct(worlds.designs)
     while running.any():
-        steps = worlds.step(best_actions(net, worlds.vectors(), worlds.offered()))
+        seen = worlds.vectors()
+        chosen = best_actions(net, seen, worlds.offered())
+        distinct.add(np.flatnonzero(running), seen[running], chosen[running])
+        steps = worlds.step(chosen)
         won[running & steps.success] = 1
         total += steps.reward * running
         ticks += running
         running &= ~steps.done
-    return Played(episodes, int(won.sum()), float(total.mean()), float(ticks.mean()))
+    return _played(won, total, ticks, distinct)
 
 
 def evaluate_in_physics(net: CarNet, worlds: PhysicsVectorEnv, episodes: int, seed: int) -> Played:
@@ -41,18 +56,31 @@ def evaluate_in_physics(net: CarNet, worlds: PhysicsVectorEnv, episodes: int, se
     Episode i is seeded with ``seed + i``; how many worlds there are decides nothing.
     """
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
+    distinct = Distinct(np.zeros((episodes, 0, 5), np.int64))
     for first in range(0, episodes, worlds.num_envs):
         masks = worlds.reset(seed=seed + first)[0]["action_mask"]
         ids = np.arange(min(worlds.num_envs, episodes - first))
         while len(ids):
-            worlds.send(best_actions(net, worlds.car_vectors()[ids], masks[ids]), ids)
+            seen = worlds.car_vectors()[ids]
+            chosen = best_actions(net, seen, masks[ids])
+            distinct.add(first + ids, seen, chosen)
+            worlds.send(chosen, ids)
             observation, reward, terminated, truncated, infos = worlds.recv(len(ids))
             masks[ids] = observation["action_mask"]
             won[first + ids] += infos["success"] & (terminated | truncated)
             total[first + ids] += reward
             ticks[first + ids] += 1
             ids = ids[~(terminated | truncated)]
-    return Played(episodes, int(won.sum()), float(total.mean()), float(ticks.mean()))
+    return _played(won, total, ticks, distinct)
+
+
+def _played(
+    won: NDArray[np.float64], total: NDArray[np.float64], ticks: NDArray[np.float64], distinct: Distinct
+) -> Played:
+    solved, starts = distinct.solved(won)
+    trajectories = len(np.unique(distinct.trajectories))
+    means = float(total.mean()), float(ticks.mean())
+    return Played(len(won), int(won.sum()), *means, starts, solved, trajectories)
 
 
 @torch.no_grad()

@@ -12,7 +12,7 @@ import torch
 
 from craftsim.cli import main
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
+from craftsim.training.checkpoint import FORMAT, POLICY_FILE, RUN_FILE, read_policy
 from craftsim.training.config import TrainConfig
 from craftsim.training.trainer import Trainer
 
@@ -43,7 +43,7 @@ def _nan(tensor):
 
 
 POLICIES = {
-    "nothing else": (lambda path: {"craftsim": 2, "kind": "policy"}, "config: Field required|key 'config'"),
+    "nothing else": (lambda path: {"craftsim": FORMAT, "kind": "policy"}, "config: Field required|key 'config'"),
     "only a kind": (lambda path: {"kind": "policy"}, "written in format None"),
     "a huge map": (lambda path: _change(path, "shape", "size", (128, 128, 8)), r"'encoder.table.weight' is float32"),
     "a large map": (lambda path: _change(path, "shape", "size", (20, 20, 3)), r"'encoder.table.weight' is float32"),
@@ -69,6 +69,7 @@ def _many_blocks(seen):
     return seen.index_fill(-1, torch.tensor([7]), 99)
 
 
+POINT = {"successes": 5, "mean_return": 0.0, "mean_ticks": 1.0}
 BUFFER = ("learner", "buffer", "_storage", "_storage")
 RUNS = {
     "other weights": (("learner", "modules", {}), "missing or unknown"),
@@ -83,7 +84,10 @@ RUNS = {
     "the part of random actions": (("learner", "epsilon", "eps", torch.tensor(7.0)), "the part of random actions"),
     "a curve of numbers": (("curve", [1, 2]), "key 'curve.0'"),
     "a point of it": (
-        ("curve", [{"episodes": 1, "successes": 5, "mean_return": 0.0, "mean_ticks": 1.0, "steps": 3}]),
+        (
+            "curve",
+            [dict.fromkeys(("episodes", "steps", "starts", "solved", "trajectories"), 1) | POINT],
+        ),
         "5 of 1 episodes",
     ),
     "a long curve": (("curve", [0] * 30_000), "30000 points"),

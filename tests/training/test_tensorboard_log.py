@@ -8,7 +8,7 @@ from craftsim.training.tensorboard_log import FOLDER, TensorboardLog
 
 
 def _point(steps):
-    return Point(10, steps // 100, 0.5, 12.0, steps=steps)
+    return Point(10, steps // 100, 0.5, 12.0, 1, 0, 3, steps=steps)
 
 
 def test_every_point_is_there_once_after_a_run_went_on(tmp_path):

@@ -22,7 +22,7 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
     assert _train(short, "--steps", "400") == 0
     assert _train(short, "--steps", "2200", "--resume") == 0
     assert _train(whole, "--steps", "2200") == 0
-    assert "in 20 fresh episodes" in capsys.readouterr().out
+    assert "from its one start" in capsys.readouterr().out
     reports = [json.loads((folder / "report.json").read_text()) for folder in (short, whole)]
     assert {key: value for key, value in reports[0].items() if key != "wall"} == {
         key: value for key, value in reports[1].items() if key != "wall"
@@ -32,6 +32,7 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
     asked = {"task": "strip", "algo": "ippo", "steps": 2200, "until": 0.99, "starts": None, "episodes": 20}
     assert reports[0]["config"].items() >= asked.items()
     assert figures["success"]["trials"] == 20
+    assert (figures["success"]["wilson_low"], figures["starts"]["distinct"]) == (None, 1)
     with open(short / "curve.csv", newline="") as file:
         assert [int(row["steps"]) for row in csv.DictReader(file)] == [2000]
     assert (short / "curve.png").read_bytes().startswith(b"\x89PNG")

@@ -14,7 +14,7 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
+from craftsim.training.checkpoint import FORMAT, POLICY_FILE, RUN_FILE, read_policy
 from craftsim.training.config import ALGO_NAMES, TrainConfig
 from craftsim.training.policy import load_policy
 from craftsim.training.starts import with_starts
@@ -150,7 +150,7 @@ def test_a_bad_checkpoint_is_refused(content, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / POLICY_FILE
     if content is None:
-        torch.save({"craftsim": 2, "kind": "policy", "net": _Evil()}, path)
+        torch.save({"craftsim": FORMAT, "kind": "policy", "net": _Evil()}, path)
     else:
         path.write_bytes(content)
     with pytest.raises(InputError, match="not a file that 'craftsim train' wrote"):

@@ -159,6 +159,11 @@ class Task:
         return 0 if self.design is None else len(self.design.targets)
 
     @property
+    def listed_starts(self) -> Starts | None:
+        """The starts of all episodes where they are a list, such as held-out ones."""
+        return None
+
+    @property
     def draws_designs(self) -> bool:
         """Whether each episode has a design of its own."""
         return False

@@ -11,7 +11,7 @@ from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks.batches import Starts, StartSource
 from craftsim.discrete.tasks.measures import Finished
-from craftsim.discrete.tasks.splits import Split
+from craftsim.discrete.tasks.splits import Split, Stored
 from craftsim.discrete.tasks.starts import starting_from
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
@@ -34,6 +34,11 @@ class VariedTask(Task):
     def draw(self, rng: np.random.Generator) -> Grid:
         """Return the world of a new episode."""
         return self.draw_starts(rng, 1).grid(0)
+
+    @property
+    def listed_starts(self) -> Starts | None:
+        """The starts of all episodes where they are a list, such as held-out ones."""
+        return self.source.starts if isinstance(self.source, Stored) and self.split == "test" else None
 
     @property
     def always_starts_the_same(self) -> bool:

@@ -1,0 +1,73 @@
+"""``craftsim evaluate``: how often a trained policy succeeds on the grid, and from how many different starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import tyro
+from rich.table import Table
+
+from craftsim.commands.options import Dir
+from craftsim.commands.terminal import Terminal
+from craftsim.commands.text import say
+from craftsim.errors import InputError
+from craftsim.report import output_directory, write_report
+from craftsim.storage.limits import SEED, TRAIN_EPISODES
+from craftsim.training.extra import need_torch
+
+EPISODES: Final = 1000
+
+
+def evaluate(
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional],
+    task: tuple[str, ...] = (),
+    episodes: Annotated[int, TRAIN_EPISODES] = EPISODES,
+    seed: Annotated[int, SEED] = 0,
+    out: Dir = Path("out/evaluate"),
+) -> int:
+    """Play trained policies on the grid, each with the action that it rates highest, and count what differs.
+
+    A deterministic policy plays one start alike each time: what is repeated counts once, and only different starts have
+    an interval. Tasks may start otherwise than those of training, but are of the same size and numbers of things.
+    'craftsim validate --policy' plays it in physics. Exit status 0, or 2 for wrong input.
+
+    Args:
+        policies: what 'craftsim train' wrote, files or folders.
+        task: tasks to play, such as random_strip@test; that which a policy was trained on unless given.
+        episodes: how many of each; of a list of held-out starts one after the other.
+        seed: of starts, and of the order in which cars act.
+        out: folder for report.json.
+    """
+    if not policies:
+        raise InputError("name at least one policy: what 'craftsim train' wrote, a file or a folder")
+    need_torch()
+    from craftsim.discrete.tasks import as_task
+    from craftsim.training.evaluation import evaluate as play
+    from craftsim.training.policy import load_policy
+    from craftsim.training.shape import Shape
+
+    folder = output_directory(out)
+    columns = ("policy", "task", "success", "starts solved", "at 95 %", "ways", "ticks")
+    table = Table(*columns, title=f"{episodes} episodes each; ways are different trajectories")
+    rows: list[dict[str, Any]] = []
+    for path in policies:
+        policy = load_policy(path)
+        config = policy.config
+        for name in task or (config.task,):
+            asked = as_task(name) if task else as_task(name, config.n_cars, config.n_blocks)
+            if (shape := Shape.of(asked, policy.shape.width)) != policy.shape:
+                raise InputError(f"{path}: trained for {policy.shape}; task '{asked.name}' has {shape}")
+            played = play(policy.net, asked, episodes, seed, config.rules, config.helper_depth)
+            rows.append({"policy": path, "task": asked.name, **played.as_figures()})
+            low, high = played.interval or (None, None)
+            interval = "one start" if low is None else f"{low:.3f}-{high:.3f}"
+            solved = f"{played.solved} of {played.starts}"
+            figures = (solved, interval, str(played.trajectories), f"{played.mean_ticks:.1f}")
+            table.add_row(Path(path).name, asked.name, f"{played.success:.3f}", *figures)
+    Terminal().print(table)
+    asked_of = {"policies": list(policies), "task": list(task), "episodes": episodes}
+    say(
+        f"Report: {write_report(folder, {'evaluations': rows}, command='evaluate', seed=seed, config=asked_of)}"
+    )
+    return 0

@@ -77,7 +77,7 @@ def train(
     Args:
         task: one of the paper's six, one that varies such as random_strip, or a task of one's own: a registered name, a
             file, or module:factory.
-        algo: independent or multi-agent PPO, QMIX, VDN, or independent Q-learning.
+        algo: independent or multi-agent PPO, COMA, QMIX, QTRAN, VDN, or independent Q-learning.
         seed: decides everything that is drawn.
         steps: ticks to play at most, all worlds together.
         until: end when this success rate is reached in an evaluation.
@@ -92,8 +92,8 @@ def train(
         rules: what is legal on the grid: what physics supports, or what CraftEnv's code allows; physical unless given.
         helper_depth: search depth of the action helper on the grid; without it unless given.
         novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
-        explore: ticks of exploration at random on the grid, at most, before learning: worlds once reached are returned
-            to, and every second episode of training starts along the way that it finds.
+        explore: ticks of exploration at random on the grid before learning: worlds once reached are returned
+            to, and every second episode of training starts with one of them.
         cars: other than the task's number of cars; those that its start does not list are drawn at random.
         blocks: the same for blocks.
         starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
@@ -231,7 +231,6 @@ def _report(
     plot_curve(folder / "curve.png", f"{trainer.task.name}, {config.algo}, seed {config.seed}", curve)
     figures: dict[str, Any] = {
         "steps": trainer.steps,
-        "explored": trainer.explored,
         **played.as_figures(),
         "learning_curve": curve,
         "training_versions": training_versions(),

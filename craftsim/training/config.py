@@ -11,7 +11,7 @@ from craftsim.errors import InputError
 from craftsim.models.parameters import DRIVES, Drive
 from craftsim.storage.limits import BATCH, BONUS, EXPLORED_TICKS, HELPER_DEPTH, NETWORK_WIDTH, SEED
 
-AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql"]
+AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran"]
 TrainBackend = Literal["grid", "physics"]
 WORLDS: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 32}
 """How many are stepped side by side unless said otherwise."""
@@ -48,7 +48,7 @@ class TrainConfig:
     helper_depth: int | None = None
     """Search depth of the action helper, on the grid; None is without it."""
     explore: int = 0
-    """Ticks of exploration on the grid, at most, before learning; episodes then also start along the way found."""
+    """Ticks of exploration on the grid before learning; half of the episodes then start with a world it reached."""
 
     def __post_init__(self) -> None:
         if self.backend not in get_args(TrainBackend):

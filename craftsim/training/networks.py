@@ -21,7 +21,7 @@ class CarNet(nn.Module):
     def __init__(self, shape: Shape, n_out: int) -> None:
         super().__init__()
         self.encoder = Encoder(shape)
-        self.head = _head(shape.width, n_out)
+        self.head = head(shape.width, n_out)
 
     def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
         """Return (..., n, n_out) from observations (..., n, vector_length) and masks (..., n, 15)."""
@@ -35,7 +35,7 @@ class TeamNet(nn.Module):
     def __init__(self, shape: Shape) -> None:
         super().__init__()
         self.encoder = Encoder(shape)
-        self.head = _head(shape.width, 1)
+        self.head = head(shape.width, 1)
 
     def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
         """Return (..., n, 1)."""
@@ -61,7 +61,8 @@ class StateQMixer(nn.Module):
         return value
 
 
-def _head(width: int, n_out: int) -> nn.Module:
+def head(width: int, n_out: int) -> nn.Module:
+    """Return the last two layers, from an encoder's vector to numbers that are close to zero at first."""
     first, last = nn.Linear(width, width), nn.Linear(width, n_out)
     # Small first outputs: the first policy is close to uniform, the first values close to zero.
     nn.init.orthogonal_(last.weight, 0.01)

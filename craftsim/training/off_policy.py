@@ -1,4 +1,4 @@
-"""Independent Q-learning, VDN and QMIX: TorchRL's losses and mixers on a replay buffer."""
+"""Independent Q-learning, VDN, QMIX and QTRAN on a replay buffer: TorchRL's losses and mixers, and QTRAN's own."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import nn
 from torchrl.data import Categorical, LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import EGreedyModule, QValueModule
 from torchrl.modules.models.multiagent import VDNMixer
-from torchrl.objectives import DQNLoss, SoftUpdate
+from torchrl.objectives import DQNLoss, LossModule, SoftUpdate
 from torchrl.objectives.multiagent import QMixerLoss
 
 from craftsim.discrete.rules.legality import N_ACTIONS
@@ -20,8 +20,10 @@ from craftsim.storage.limits import LARGEST_WEIGHT
 from craftsim.training.config import AlgoName
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, StateQMixer
+from craftsim.training.qtran import QTRANLoss
 from craftsim.training.restoring import adam_state, check_like, module_state, part
 from craftsim.training.shape import Shape
+from craftsim.training.team_networks import JOINT, REST, VALUE, JointNet
 
 GAMMA: Final = 0.99
 LEARNING_RATE: Final = 5e-4
@@ -36,7 +38,6 @@ EPSILON: Final = (1.0, 0.03)
 EPSILON_TICKS: Final = 300_000
 """After how many ticks the part of random actions has come down from the first to the last EPSILON."""
 
-VALUE: Final = ("agents", "action_value")
 CHOSEN: Final = ("agents", "chosen_action_value")
 
 _Columns = dict[str, tuple[tuple[int, ...], torch.dtype]]
@@ -59,7 +60,12 @@ class QLearner(Learner):
                 action_space="categorical",
             ),
         )
-        if self.of_team:
+        self.loss: LossModule
+        if algo == "qtran":
+            sees = [OBSERVATION, MASK, ACTION]
+            team = TensorDictModule(JointNet(shape), in_keys=sees, out_keys=[JOINT, REST])
+            self.loss = QTRANLoss(values, team, GAMMA)
+        elif self.of_team:
             mixer = StateQMixer(shape) if algo == "qmix" else VDNMixer(shape.n_cars, "cpu")
             sees = [CHOSEN, OBSERVATION, MASK] if algo == "qmix" else [CHOSEN]
             mix = TensorDictModule(mixer, in_keys=sees, out_keys=["chosen_action_value"])
@@ -68,7 +74,8 @@ class QLearner(Learner):
             self.loss = DQNLoss(values, action_space="categorical", delay_value=True)
             of_cars = {key: ("agents", key) for key in ("reward", "done", "terminated")}
             self.loss.set_keys(action=ACTION, action_value=VALUE, value=CHOSEN, **of_cars)
-        self.loss.make_value_estimator(gamma=GAMMA)
+        if algo != "qtran":
+            self.loss.make_value_estimator(gamma=GAMMA)
         self.modules = self.loss
         self.targets = SoftUpdate(self.loss, tau=TARGET_RATE)
         self.explores = EGreedyModule(

@@ -6,9 +6,8 @@ from typing import Any, Final
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import InteractionType, TensorDictModule
+from tensordict.nn import TensorDictModule
 from torch import nn
-from torchrl.modules import MaskedCategorical, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
 from craftsim.discrete.rules.legality import N_ACTIONS
@@ -16,6 +15,7 @@ from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, TeamNet
 from craftsim.training.restoring import adam_state, module_state
 from craftsim.training.shape import Shape
+from craftsim.training.team_networks import masked_actor
 
 GAMMA: Final = 0.99
 LAMBDA: Final = 0.95
@@ -30,7 +30,6 @@ MIN_ADVANTAGE_STD: Final = 0.1
 """Advantages of a smaller standard deviation are not scaled up to 1: they are noise of the critic."""
 
 VALUE: Final = ("agents", "state_value")
-LOGITS: Final = ("agents", "logits")
 
 
 class PPOLearner(Learner):
@@ -39,14 +38,7 @@ class PPOLearner(Learner):
     def __init__(self, shape: Shape, ticks: int, sees_team: bool) -> None:
         self.ticks = ticks
         self.net = CarNet(shape, N_ACTIONS)
-        self.plays = ProbabilisticActor(
-            TensorDictModule(self.net, in_keys=[OBSERVATION, MASK], out_keys=[LOGITS]),
-            in_keys={"logits": LOGITS, "mask": MASK},
-            out_keys=[ACTION],
-            distribution_class=MaskedCategorical,
-            default_interaction_type=InteractionType.RANDOM,
-            return_log_prob=True,
-        )
+        self.plays = masked_actor(self.net)
         critic = TensorDictModule(
             TeamNet(shape) if sees_team else CarNet(shape, 1), in_keys=[OBSERVATION, MASK], out_keys=[VALUE]
         )

@@ -32,9 +32,9 @@ def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
 
 
 def half_from(task: Task, grids: Sequence[Grid]) -> Task:
-    """Return a task of whose episodes half start as ever and half with one of these worlds; as it is without any."""
+    """Return a task of whose episodes half start as ever and half with one of these worlds."""
     own = task.draw(np.random.default_rng(0))
-    return starting_from(task, [*grids, *[own] * len(grids)]) if grids else task
+    return starting_from(task, [*grids, *[own] * len(grids)])
 
 
 def along_plan(start: Grid, path: Path, rule_set: RuleSet) -> list[Grid]:

@@ -70,8 +70,6 @@ class Trainer:
         self.starts = "" if starts is None else starts_digest(starts)
         """Digest of the other starts; empty without."""
         self.iteration = 0
-        self.explored = 0
-        """Ticks of exploration before learning."""
         if config.explore:
             starts = self._explore(starts)
         self.shape = Shape.of(self.task, config.width)
@@ -88,7 +86,7 @@ class Trainer:
         self.novelty = Novelty(config.novelty, self.shape)
 
     def _explore(self, starts: Task | None) -> Task:
-        """Return the task with starts along the way that exploration finds; the same whenever the run is resumed."""
+        """Return the task with starts among what exploration reaches; the same whenever the run is resumed."""
         config = self.config
         if starts is not None:
             raise InputError("exploration finds starts of its own: leave explore or starts out")
@@ -97,8 +95,9 @@ class Trainer:
                 f"exploration needs a fixed start, which task '{self.task.name}' has not: leave it out"
             )
         rng = np.random.default_rng(self._seed(_EXPLORATION))
-        way, self.explored = explore(self.task, config.rules, config.helper_depth, config.explore, rng)
-        return half_from(self.task, way)
+        return half_from(
+            self.task, explore(self.task, config.rules, config.helper_depth, config.explore, rng)
+        )
 
     @property
     def steps(self) -> int:

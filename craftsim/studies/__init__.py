@@ -1,0 +1,1 @@
+"""Studies: many training runs, what became of each, and the statistics of them all."""

@@ -1,0 +1,98 @@
+"""The runs of a study: each a training run in a folder of its own, which goes on where it was cut off."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from craftsim.studies.study import Job, Study
+from craftsim.validation.campaign import Done, Engine, Header, Item, TrialRecord, run_campaign
+
+RUNS = "runs"
+
+
+def run_study(
+    study: Study,
+    out: Path,
+    *,
+    workers: int = 1,
+    engine: Engine = "local",
+    timeout_s: float = 7200.0,
+    resume: bool = False,
+    on_record: Callable[[TrialRecord], None] = lambda record: None,
+) -> list[TrialRecord]:
+    """Do all runs of a study and return a record of each, in the order of its jobs.
+
+    A record's ``extra`` holds steps, explored ticks, CPU seconds, the learning curve and, by task, what evaluations
+    came to. A run that fails is a record with an error. Of a cut-off study what is finished is kept, and a run that was
+    under way goes on from its last evaluation.
+
+    Args:
+        study: what to do.
+        out: folder for ``campaign.json``, ``trials.jsonl`` and a folder of each run.
+        workers: processes to share the runs; nothing but the time depends on it.
+        engine: processes of this machine, or an existing Ray cluster that shares the folder.
+        timeout_s: after which a run counts as hanging.
+        resume: go on with what is in the folder.
+        on_record: called with each record as it comes.
+
+    Raises InputError where the folder holds another study.
+    """
+    jobs = study.jobs
+    folder = out.resolve() / RUNS
+    items = [Item(job.key, f"{job.config.task}, {job.config.algo}", job.config.seed, (job, folder)) for job in jobs]
+    header = Header("study", 0, {"study": asdict(study)})
+    records = run_campaign(
+        items,
+        do_job,
+        out,
+        header,
+        workers=workers,
+        engine=engine,
+        timeout_s=timeout_s,
+        resume=resume,
+        on_record=on_record,
+    )
+    return list(records)
+
+
+def do_job(asked: tuple[Job, Path]) -> Done:
+    """Train, or go on training, and evaluate; what a worker does of a study."""
+    import torch
+
+    from craftsim.discrete.tasks import as_task
+    from craftsim.training.checkpoint import RUN_FILE
+    from craftsim.training.evaluation import evaluate
+    from craftsim.training.trainer import Trainer
+
+    job, folder = asked
+    config, place = job.config, folder / job.key
+    place.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)
+    begun = time.process_time()
+    resumed = (place / RUN_FILE).exists()
+    trainer = Trainer.resume(place, config=config) if resumed else Trainer(config)
+    with closing(trainer):
+        for evaluated in trainer.run(job.steps, job.until):
+            if evaluated:
+                trainer.save(place)
+        trainer.save(place)
+        extra: dict[str, Any] = {
+            "steps": trainer.steps,
+            "explored": trainer.explored,
+            "cpu_s": round(time.process_time() - begun, 1),
+            "resumed": resumed,
+            "curve": [asdict(point) for point in trainer.curve],
+            "evaluations": {
+                name: evaluate(
+                    trainer.learner.net, as_task(name), job.episodes, 1, config.rules, config.helper_depth
+                ).as_figures()
+                for name in job.tests
+            },
+        }
+    own = extra["evaluations"][job.tests[0]]["success"]["rate"]
+    return Done(agrees=own >= job.until, extra=extra)

@@ -1,0 +1,71 @@
+"""Networks that see what the whole team observes and does: critics of COMA and QTRAN, used in training alone."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import torch
+from tensordict.nn import InteractionType, TensorDictModule
+from torch import Tensor, nn
+from torchrl.modules import MaskedCategorical, ProbabilisticActor
+
+from craftsim.discrete.rules.legality import N_ACTIONS
+from craftsim.training.features import Encoder
+from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, head
+from craftsim.training.shape import Shape
+
+VALUE: Final = ("agents", "action_value")
+"""Of each action of each car (..., n, 15)."""
+JOINT: Final = "joint_value"
+"""Of what the team does (..., 1)."""
+REST: Final = "state_value"
+"""What the cars' values leave out of it (..., 1)."""
+
+
+class OthersNet(nn.Module):
+    """Gives each car the team's value of every action of its own, all others acting as they did: COMA's critic."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.encoder = Encoder(shape)
+        self.actions = nn.Parameter(torch.zeros(shape.n_cars, N_ACTIONS, shape.width))
+        self.head = head(shape.width, N_ACTIONS)
+
+    def forward(self, observation: Tensor, mask: Tensor, action: Tensor) -> Tensor:
+        """Return (..., n, 15) from observations, masks and actions (..., n)."""
+        did = _looked_up(self.actions, action)
+        others = did.sum(-2, keepdim=True) - did
+        values: Tensor = self.head(self.encoder(observation, mask) + others)
+        return values
+
+
+class JointNet(nn.Module):
+    """Gives the team the value of its joint action, and of the state alone: QTRAN's."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.encoder = Encoder(shape)
+        self.actions = nn.Parameter(torch.zeros(shape.n_cars, N_ACTIONS, shape.width))
+        self.joint, self.rest = head(shape.width, 1), head(shape.width, 1)
+
+    def forward(self, observation: Tensor, mask: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (..., 1) twice from observations, masks and actions (..., n)."""
+        state = self.encoder(observation, mask).mean(-2)
+        return self.joint(state + _looked_up(self.actions, action).sum(-2)), self.rest(state)
+
+
+def _looked_up(table: Tensor, action: Tensor) -> Tensor:
+    """Return (..., n, width): the row of each car's action in its own table, (n, 15, width)."""
+    return table[torch.arange(len(table)), action]
+
+
+def masked_actor(net: CarNet, logits: tuple[str, str] = ("agents", "logits")) -> ProbabilisticActor:
+    """Return what draws each car's action among those offered."""
+    return ProbabilisticActor(
+        TensorDictModule(net, in_keys=[OBSERVATION, MASK], out_keys=[logits]),
+        in_keys={"logits": logits, "mask": MASK},
+        out_keys=[ACTION],
+        distribution_class=MaskedCategorical,
+        default_interaction_type=InteractionType.RANDOM,
+        return_log_prob=True,
+    )

@@ -1,0 +1,75 @@
+"""Exploration before learning: it reaches what chance alone does not, by the rules, and the same again."""
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import make_task
+from craftsim.errors import InputError
+from craftsim.training.config import TrainConfig
+from craftsim.training.exploration import explore
+from craftsim.training.trainer import Trainer
+
+
+def _explored(seed, rules="published", depth=20, ticks=20_000):
+    task = make_task("block")
+    return task, explore(task, rules, depth, ticks, np.random.default_rng(seed))
+
+
+def test_it_reaches_every_potential_but_the_last():
+    task, grids = _explored(0)
+    assert {task.reward.measure.of(grid) for grid in grids} == {0.0, 1.0, 2.0, 3.0}
+    assert not any(task.succeeded(grid) for grid in grids)
+
+
+def test_the_same_seed_reaches_the_same_and_another_something_else():
+    first, again, other = (
+        [grid.cars.tolist() for grid in _explored(seed, ticks=5000)[1]] for seed in (1, 1, 2)
+    )
+    assert first == again
+    assert first != other
+
+
+def test_worlds_that_were_reached_are_legal_ones_with_all_that_was_there():
+    task, grids = _explored(3, "physical", None, 5000)
+    start, rules = task.draw(np.random.default_rng(0)), Rules("physical")
+    for grid in grids[:200]:
+        loads = np.count_nonzero(grid.cars[:, CarField.LOAD] != Kind.AIR)
+        assert np.count_nonzero(grid.kind) + loads == np.count_nonzero(start.kind)
+        assert rules.mask(grid).shape == (grid.n_cars, 15)
+
+
+def test_a_run_that_explored_goes_on_with_the_same_starts(tmp_path):
+    config = TrainConfig("strip", worlds=8, width=8, rules="published", helper_depth=20, explore=3000)
+    whole, part = Trainer(config), Trainer(config)
+    list(whole.run(2 * whole.steps_an_iteration, until=2.0))
+    list(part.run(part.steps_an_iteration, until=2.0))
+    part.save(tmp_path)
+    resumed = Trainer.resume(tmp_path, config=config)
+    list(resumed.run(2 * whole.steps_an_iteration, until=2.0))
+    weights = (run.learner.net.state_dict().values() for run in (whole, resumed))
+    assert all(a.equal(b) for a, b in zip(*weights, strict=True))
+
+
+def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkeypatch):
+    trainer = Trainer(TrainConfig("strip", worlds=4, width=4, rules="published", helper_depth=20))
+    assert trainer.identity.rules == "published"
+    assert trainer.env.episodes.worlds.depth == 20
+    monkeypatch.setattr("craftsim.training.trainer.evaluate", lambda *given: given)
+    assert trainer.evaluate(3)[-2:] == ("published", 20)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rules": "paper"}, "rules is 'paper'; allowed: published, physical"),
+        ({"helper_depth": -1}, "helper_depth is -1"),
+        ({"explore": -1}, "explore is -1"),
+        ({"backend": "physics", "helper_depth": 5}, "or train on the grid"),
+        ({"backend": "physics", "explore": 5}, "or train on the grid"),
+    ],
+)
+def test_bad_settings_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        TrainConfig("strip", **options)

@@ -60,7 +60,7 @@ class TextConstruction(gymnasium.Env[str, str]):
         >>> text, info = env.reset(seed=0)
         >>> text, reward, terminated, truncated, info = env.step("car_0: lift; car_1: move right")
         >>> print(info["feedback"][0])
-        car_0: lift: forbidden: there is nothing to lift in (4, 0, 1)
+        car_0: lift: forbidden: there is nothing to lift in (1, 1, 1)
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)

@@ -1,5 +1,6 @@
 """The text form: it says what is there, answers are read or refused in words, and what is forbidden has a reason."""
 
+import doctest
 import re
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
-from craftsim.envs import parallel_env
+from craftsim.envs import answers, parallel_env, text
 from craftsim.envs.answers import OFFERED, answer_text, read_answer, words_of
 from craftsim.envs.conversation import converse
 from craftsim.envs.planner import PlannerPolicy
@@ -201,3 +202,8 @@ def test_the_page_shows_what_is_read():
     text = env.step("car_0: move back; car_1: fold")[0]
     page = (Path(__file__).parents[2] / "docs/text.md").read_text(encoding="utf-8")
     assert text.startswith(re.findall(r"```text\n(.*?)```", page, re.DOTALL)[0])
+
+
+@pytest.mark.parametrize("module", [answers, text], ids=["answers", "text"])
+def test_the_examples_in_docstrings_hold(module):
+    assert doctest.testmod(module).failed == 0

@@ -10,9 +10,10 @@ from craftsim.models.parameters import Drive
 
 Solver = Literal["newton", "pgs"]
 
-STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.005}
+STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.004}
 """Physics step of each drive, unless another is asked for: verdicts are those of steps of 1 ms, and final poses within
-0.3 mm of theirs (``craftsim bench steps``). In longer steps rollers lose the ground, and servos ring."""
+0.3 mm of theirs (``craftsim bench steps``). In longer steps rollers lose the ground, servos ring, and a load that an
+impact lifts off its board for one step comes down into it (docs/drives.md)."""
 
 RANGES: Final[dict[str, tuple[float, float]]] = {
     "timestep_s": (2.5e-4, 0.005),

@@ -17,7 +17,7 @@ def _setup(**options):
 
 
 def test_environments_have_the_reduced_drive_unless_told_otherwise():
-    assert (_setup().machines.drive, _setup().simulation.timestep_s) == ("reduced", 0.005)
+    assert (_setup().machines.drive, _setup().simulation.timestep_s) == ("reduced", 0.004)
     assert (_setup(drive="rollers").machines.drive, _setup(drive="rollers").simulation.timestep_s) == (
         "rollers",
         0.004,
@@ -29,7 +29,7 @@ def test_environments_have_the_reduced_drive_unless_told_otherwise():
 def test_what_validates_has_rollers_unless_told_otherwise():
     assert setup_of().machines.drive == "rollers"
     reduced = setup_of(drive="reduced")
-    assert (reduced.machines.drive, reduced.simulation.timestep_s) == ("reduced", 0.005)
+    assert (reduced.machines.drive, reduced.simulation.timestep_s) == ("reduced", 0.004)
     assert reduced.digests["machines"] != setup_of().digests["machines"]
 
 

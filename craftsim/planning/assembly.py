@@ -50,6 +50,8 @@ class Assembly:
         self.base, self.rules = base, rules
         self._ways = lru_cache(512)(self._make_ways)
         self._grids = lru_cache(512)(self._make_grid)
+        self.possible = lru_cache(4096)(self._is_possible)
+        """Whether a step can be made in a state, by a car that comes from free floor and goes back there."""
 
     def grid(self, state: State) -> Grid:
         """Return the world in which some things stand."""
@@ -66,8 +68,7 @@ class Assembly:
         ways = Ways(grid, self.rules, load)
         return ways, ways.from_nodes(_outside(grid, ways, load))
 
-    def possible(self, state: State, step: Placing) -> bool:
-        """Return whether a step can be made by a car that comes from free floor and goes back there."""
+    def _is_possible(self, state: State, step: Placing) -> bool:
         if step.taken:
             return self._can_take(state, step.thing)
         return self._can_put(state, step.thing)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
-from craftsim.planning.assembly import Assembly, Order, Placing, State, has_room, taken_out
-from craftsim.planning.crew import FLAP_TICKS, Crew, Errand, cells_on_way
+from craftsim.planning.assembly import Assembly, Order, State, has_room, taken_out
+from craftsim.planning.crew import FLAP_TICKS, Crew, Errand, Saved, cells_on_way
 from craftsim.planning.things import BuildingPart, put, things_in, with_car
 from craftsim.planning.ways import FAR, Nodes, Ways
 
@@ -27,8 +27,13 @@ _PLACES: Final = 24
 """So many places where something could be put aside are looked at."""
 
 
-Chances = tuple[tuple[int, int], ...]
-"""(turn, seed): what is decided by chance from a turn on comes from that seed; the first turn is 0."""
+class Turn(NamedTuple):
+    """A job and the car that has taken it over."""
+
+    car: int
+    job: Errand
+    step: int | None
+    """Which step of the order it makes; None where it clears the way."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,11 @@ class Style:
 
 
 class Construction:
-    """An attempt to build; :meth:`run` makes the plan, unless it takes more ticks than ``last_tick``."""
+    """An attempt to build; :meth:`run` makes the plan, unless it takes more ticks than ``last_tick``.
+
+    It may begin with ``past``, turns of another attempt with what came of each, and go on with the turns ``next``,
+    of which those are left out that have become impossible.
+    """
 
     def __init__(
         self,
@@ -59,13 +68,16 @@ class Construction:
         order: Order,
         fixed: State,
         style: Style,
-        chances: Chances,
+        rng: np.random.Generator,
         last_tick: float = math.inf,
+        past: Sequence[tuple[Turn, Saved]] = (),
+        script: Sequence[Turn] = (),
     ) -> None:
         self.crew = Crew(start, assembly.rules)
-        self.assembly, self.order, self.style, self.chances = assembly, order, style, chances
-        self.rng = np.random.default_rng(chances[0][1])
-        self.n_turns = 0
+        self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
+        self.turns = list(past)
+        """What was done so far, and the plan after each."""
+        self._script = script
         self._last_tick = last_tick
         self._done: set[int] = set()
         self._standing = set(fixed)
@@ -83,31 +95,22 @@ class Construction:
         n_cars = min(start.n_cars, style.n_cars)
         self._cars = sorted(self.rng.permutation(start.n_cars)[:n_cars].tolist())
 
+        for turn, _ in past:
+            self._note(turn.step)
+        if past:
+            self.crew.restore(past[-1][1])
+
     def run(self) -> bool:
         """Make the plan; return whether it came to its end."""
+        for turn in self._script:
+            if self._fits(turn):
+                self._take_turn(*turn)
+            if self.n_ticks > self._last_tick:
+                return False
         failures = 0
         while len(self._done) < len(self.order.steps):
-            for turn, seed in self.chances[1:]:
-                if turn == self.n_turns:
-                    self.rng = np.random.default_rng(seed)
-            self.n_turns += 1
             made = bool(self.style.early) and self.rng.random() < self.style.early and self._clear()
-            options = [] if made else self._options()
-            tries = 0
-            safe: dict[int, bool] = {}
-            for _, car, k, job in options:
-                if k not in safe:
-                    safe[k] = self._bars_nothing(k)
-                if not safe[k]:
-                    continue
-                tries += 1
-                if tries > _TRIES:
-                    break
-                if self._take_over(car, job):
-                    made = True
-                    self._done.add(k)
-                    self._note(self.order.steps[k])
-                    break
+            made = made or self._place()
             if not made and not self._clear():
                 return False
             failures += not made
@@ -115,16 +118,59 @@ class Construction:
                 return False
         return True
 
+    def _fits(self, turn: Turn) -> bool:
+        """Return whether a turn of another attempt can still be tried."""
+        car, job, k = turn
+        if k is not None and not (
+            k not in self._done
+            and self.assembly.possible(frozenset(self._standing), self.order.steps[k])
+            and self._bars_nothing(k)
+        ):
+            return False
+        if job.source is None:
+            return self.crew.load(car) == job.target.load
+        if self.crew.load(car) != Kind.AIR:
+            return False
+        grid = self.crew.end
+        if k is not None and self.order.steps[k].taken:
+            here = job.source in set(things_in(grid))
+        else:
+            here = job.source in self._sources(grid).get(job.source.load, [])
+        return here and has_room(taken_out(grid, [job.source]), self.assembly.rules, job.target)
+
+    def _take_turn(self, car: int, job: Errand, k: int | None) -> bool:
+        """Let a car take over a job; return whether it could."""
+        if not self._take_over(car, job):
+            return False
+        self._note(k)
+        self.turns.append((Turn(car, job, k), self.crew.saved()))
+        return True
+
+    def _place(self) -> bool:
+        """Make the step that is made first, by whom it is made first; return whether one could be made."""
+        tries = 0
+        safe: dict[int, bool] = {}
+        for _, car, k, job in self._options():
+            if k not in safe:
+                safe[k] = self._bars_nothing(k)
+            if not safe[k]:
+                continue
+            tries += 1
+            if tries > _TRIES:
+                return False
+            if self._take_turn(car, job, k):
+                return True
+        return False
+
     @property
     def n_ticks(self) -> int:
         """How many ticks the jobs take that have been planned."""
         return max(self.crew.ready)
 
-    def _note(self, step: Placing) -> None:
-        if step.taken:
-            self._standing.discard(step.thing)
-        else:
-            self._standing.add(step.thing)
+    def _note(self, k: int | None) -> None:
+        if k is not None:
+            self._done.add(k)
+            self._standing = set(self.order.steps[k].after(frozenset(self._standing)))
 
     def _left(self) -> list[int]:
         """Return the first steps that have not been made, in order."""
@@ -305,7 +351,7 @@ class Construction:
                 free = [car for car in self._cars if self.crew.load(car) == Kind.AIR]
                 hold = self.style.hold and len(free) > 1 and self._is_wanted(thing.load)
                 for car in sorted(free, key=lambda car: self.crew.ready[car]):
-                    if self._take_over(car, Errand(thing, aside, hold)):
+                    if self._take_turn(car, Errand(thing, aside, hold), None):
                         return True
         return False
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
@@ -48,6 +49,10 @@ class Errand:
         return (self.source.cell, self.source.yaw) == (self.target.cell, self.target.yaw)
 
 
+Saved = tuple[NDArray[np.int8], tuple[int, ...]]
+"""A plan that has grown so far: its actions, and when each car's last job ends."""
+
+
 class Crew:
     """The cars of a plan that grows."""
 
@@ -64,6 +69,20 @@ class Crew:
         """The world when everything planned so far is done."""
         return self.timeline.worlds.grid(self.timeline.end)
 
+    def saved(self) -> Saved:
+        """Return what is planned, for :meth:`restore`."""
+        return self.timeline.actions[: self.timeline.end].copy(), tuple(self.ready)
+
+    def restore(self, saved: Saved) -> None:
+        """Plan again what was saved."""
+        actions, ready = saved
+        self.timeline.reserve(len(actions))
+        self.timeline.actions[:] = NOTHING_DONE
+        self.timeline.actions[: len(actions)] = actions
+        self.timeline.shorten()
+        self.timeline.replay(0)
+        self.ready[:] = ready
+
     def node(self, car: int, tick: int) -> int:
         """Return a car's state before a tick."""
         x, y, z, yaw = self.timeline.worlds.stack.cars[tick, car, :4].tolist()
@@ -78,7 +97,7 @@ class Crew:
 
         ``parking`` returns the states in which a car may stay when the job is done.
         """
-        saved, ready = self.timeline.actions.copy(), self.ready[car]
+        saved, ready = self.saved(), self.ready[car]
         not_before = 0
         for attempt in range(_DELAYS + 1):
             last = attempt == _DELAYS or not_before >= self.timeline.end > 0
@@ -88,7 +107,7 @@ class Crew:
             conflict = self._plan(car, job, begin, not_before, parking)
             if conflict is None:
                 return True
-            self._restore(saved, car, ready)
+            self.restore(saved)
             if last:
                 break
             # Where there is no way now there may be one when all others have ended.
@@ -98,7 +117,7 @@ class Crew:
 
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
         """Let a car that waits go to the nearest cell of the floor outside of some; return whether it could."""
-        saved, ready = self.timeline.actions.copy(), self.ready[car]
+        saved, ready = self.saved(), self.ready[car]
         self.timeline.write(car, ready, [])
         ways, grid = self._ways(car, Kind.AIR)
         goals = [
@@ -113,16 +132,9 @@ class Crew:
         if moved:
             self.ready[car] = self._last_of(car)
         if not moved or self.timeline.replay(0) is not None:
-            self._restore(saved, car, ready)
+            self.restore(saved)
             return False
         return True
-
-    def _restore(self, actions: np.ndarray, car: int, ready: int) -> None:
-        self.timeline.actions[:] = NOTHING_DONE
-        self.timeline.actions[: len(actions)] = actions
-        self.timeline.shorten()
-        self.timeline.replay(0)
-        self.ready[car] = ready
 
     def _last_of(self, car: int) -> int:
         acting = np.flatnonzero(self.timeline.actions[:, car] != NOTHING_DONE)

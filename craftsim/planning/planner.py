@@ -20,7 +20,8 @@ from craftsim.discrete.timetable import makespan, timetable
 from craftsim.errors import InputError
 from craftsim.planning.assembly import Assembly, Order, State
 from craftsim.planning.bounds import makespan_bound
-from craftsim.planning.building import Chances, Construction, Style
+from craftsim.planning.building import Construction, Style
+from craftsim.planning.variation import vary
 from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
 from craftsim.planning.goals import BuildingGoal, NoPlanError, check_supplies, make_goal, platforms
 from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
@@ -41,7 +42,10 @@ _EQUAL: Final = 1e-9
 _FIRST_WORLDS: Final = 20_000
 """Where the makespan counts, the plan of least work is one to begin with if so many worlds are enough for it."""
 
-Recipe = tuple[Order, State, Style, Chances]
+import os
+_WORSE = float(os.environ.get("WORSE", 0.02))
+_STALE = int(os.environ.get("STALE", 60))
+_REFINED = float(os.environ.get("REFINED", 0.7))
 
 
 @dataclass(frozen=True)
@@ -143,8 +147,10 @@ class _Search:
             is_small(start, rules) if goal.building else not goal.platform
         )
         self.best: Planned | None = None
-        self._best_recipe: Recipe | None = None
-        self._best_turns, self._best_ticks = 0, math.inf
+        self._best_ticks = math.inf
+        self._current = self._best_made = None
+        self._stale = 0
+        self._spare = list(things_in(start))
 
     def run(self, rounds: int, time_s: float, report: Callable[[int, Planned | None], None]) -> Planned:
         """Make attempts until rounds or time have run out."""
@@ -218,33 +224,50 @@ class _Search:
         return None
 
     def _attempt(self, number: int) -> None:
-        recipe = self._recipe(number)
-        if recipe is None:
-            return
+        rng = self.rng
         # Ticks are not seconds, so an attempt may be a little longer than the best one.
         longest = _LONGER * self._best_ticks if self.objective == "makespan" else math.inf
-        building = Construction(self.start, self.assembly, *recipe, longest)
-        if not building.run():
-            return
-        planned = self._finish(building.crew.timeline.ticks(), number)
-        if planned is not None and (
-            self.best is None or planned.cost(self.objective) < self.best.cost(self.objective)
-        ):
-            self.best, self._best_recipe = planned, recipe
-            self._best_turns, self._best_ticks = building.n_turns, building.n_ticks
-
-    def _recipe(self, number: int) -> Recipe | None:
-        """Return what decides an attempt: new, or the best one's with other chances from some turn on."""
-        rng = self.rng
-        seed = int(rng.integers(1 << 62))
-        if self._best_recipe is not None and rng.random() < _REFINED:
-            order, fixed, style, chances = self._best_recipe
-            turn = int(rng.integers(1, max(2, self._best_turns)))
+        if self._current is not None and rng.random() < _REFINED:
+            order, fixed, style, turns = self._current[1]
+            kept, script = vary([turn for turn, _ in turns], self._spare, self.start.n_cars, rng)
             if rng.random() < 0.3:
                 style = self._style(number)
-            return order, fixed, style, (*(part for part in chances if part[0] < turn), (turn, seed))
-        drawn = self._draw_order()
-        return drawn and (*drawn, self._style(number), ((0, seed),))
+            past = turns[:kept]
+        else:
+            drawn = self._draw_order()
+            if drawn is None:
+                return
+            order, fixed = drawn
+            past, script = [], []
+            style = self._style(number)
+        building = Construction(
+            self.start, self.assembly, order, fixed, style, rng, longest, past, script
+        )
+        if not building.run():
+            self._patience()
+            return
+        n_ticks = building.n_ticks
+        turns = building.turns
+        building.crew.timeline.trim(self.goal.reached)
+        planned = self._finish(building.crew.timeline.ticks(), number)
+        if planned is None:
+            self._patience()
+            return
+        made = order, fixed, style, turns
+        cost = planned.cost(self.objective)
+        if self._current is None or cost[0] <= self._current[0][0] * (1 + _WORSE * rng.exponential()):
+            self._current = cost, made
+        if self.best is None or cost < self.best.cost(self.objective):
+            if self.best is None or cost[0] < self.best.cost(self.objective)[0] - 1e-6:
+                self._stale = 0
+            self.best, self._best_made = planned, (cost, made)
+            self._best_ticks = n_ticks
+        self._patience()
+
+    def _patience(self):
+        self._stale += 1
+        if self._stale % _STALE == 0:
+            self._current = self._best_made
 
     def _style(self, number: int) -> Style:
         """Return how an attempt is made; the first is straightforward."""
@@ -260,7 +283,6 @@ class _Search:
 
     def _finish(self, ticks: Ticks, number: int) -> Planned | None:
         """Leave out what is not needed at the end, and look whether the rules agree."""
-        ticks = self._trimmed(ticks)
         schedule = make_schedule(self.start, ticks, self.rules)
         if schedule.forbidden or not self.goal.reached(schedule.final):
             return None
@@ -269,32 +291,6 @@ class _Search:
         lasting = makespan(times)
         optimal = self.objective == "makespan" and lasting <= self._bound + _EQUAL
         return Planned(ticks, schedule, lasting, work, self._bound, number, optimal)
-
-    def _reaches(self, ticks: list[list[tuple[int, Action]]]) -> bool:
-        grid = self.start
-        for joint in ticks:
-            if joint:
-                grid, applied = self.rules.tick(grid, joint)
-                if not applied.all():
-                    return False
-        return self.goal.reached(grid)
-
-    def _trimmed(self, ticks: Ticks) -> Ticks:
-        """Take the last actions of each car away as long as the goal is reached without them."""
-        kept = [list(joint) for joint in ticks]
-        for car in range(self.start.n_cars):
-            for joint in reversed(kept):
-                mine = [act for act in joint if act[0] == car]
-                if not mine:
-                    continue
-                joint.remove(mine[0])
-                if not self._reaches(kept):
-                    joint.append(mine[0])
-                    joint.sort()
-                    break
-        while kept and not kept[-1]:
-            kept.pop()
-        return tuple(tuple(joint) for joint in kept)
 
     def _why(self, rounds: int) -> str:
         if not self._orders:

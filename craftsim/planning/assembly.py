@@ -19,7 +19,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind, beside
 from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.things import BuildingPart, put, take, with_car
-from craftsim.planning.ways import FAR, Nodes, Ways, is_free
+from craftsim.planning.ways import FAR, Maps, Nodes, Ways, is_free
 
 State = frozenset[BuildingPart]
 
@@ -47,7 +47,7 @@ class Assembly:
     """What is possible in a building under way; ``base`` is the world with its walls alone."""
 
     def __init__(self, base: Grid, rules: Rules) -> None:
-        self.base, self.rules = base, rules
+        self.base, self.rules, self.maps = base, rules, Maps(rules)
         self._ways = lru_cache(512)(self._make_ways)
         self._grids = lru_cache(512)(self._make_grid)
         self.possible = lru_cache(4096)(self._is_possible)
@@ -65,7 +65,7 @@ class Assembly:
 
     def _make_ways(self, state: State, load: Kind) -> tuple[Ways, Nodes]:
         grid = self.grid(state)
-        ways = Ways(grid, self.rules, load)
+        ways = self.maps.ways(grid, load)
         return ways, ways.from_nodes(_outside(grid, ways, load))
 
     def _is_possible(self, state: State, step: Placing) -> bool:
@@ -155,7 +155,9 @@ def ramp_places(grid: Grid, rules: Rules) -> Iterator[BuildingPart]:
 
 
 def taken_out(grid: Grid, things: list[BuildingPart]) -> Grid:
-    """Return a copy of a world without some things."""
+    """Return a world without some things."""
+    if not things:
+        return grid
     rest = grid.copy()
     take(rest, things)
     rest.derive_marks()

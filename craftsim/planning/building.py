@@ -73,7 +73,7 @@ class Construction:
         past: Sequence[tuple[Turn, Saved]] = (),
         script: Sequence[Turn] = (),
     ) -> None:
-        self.crew = Crew(start, assembly.rules)
+        self.crew = Crew(start, assembly.maps)
         self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
         self.turns = list(past)
         """What was done so far, and the plan after each."""
@@ -197,7 +197,7 @@ class Construction:
     def _options(self) -> list[tuple[float, int, int, Errand]]:
         """Return what can be done next: cost, car, step and job, the cheapest first."""
         grid = self.crew.end
-        walking = Ways(grid, self.assembly.rules)
+        walking = self.assembly.maps.ways(grid)
         costs: list[tuple[float, int, int, Errand]] = []
         to_cells = {car: self._distances(walking, car) for car in self._cars}
         sources = self._sources(grid)
@@ -212,14 +212,14 @@ class Construction:
                 target = aside
             load = target.load
             if load not in loaded:
-                loaded[load] = Ways(grid, self.assembly.rules, load)
+                loaded[load] = self.assembly.maps.ways(grid, load)
             onward = loaded[load].to_nodes(loaded[load].nodes(target.cell, target.yaws))
             for source in [step.thing] if step.taken else sources.get(load, []):
                 rest = taken_out(grid, [source])
                 far = _onward(onward, walking, grid, source)
                 if load == Kind.FSLOPE:
                     # It stands in two cells, and can only be driven out of in one direction: so exactly.
-                    ways = Ways(rest, self.assembly.rules, load)
+                    ways = self.assembly.maps.ways(rest, load)
                     far = _nearest(ways.to_nodes(ways.nodes(target.cell, target.yaws)), ways, source)
                 if far >= FAR or not has_room(rest, self.assembly.rules, target):
                     continue
@@ -282,14 +282,14 @@ class Construction:
 
     def _way(self, car: int, job: Errand) -> set[Cell]:
         """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
-        grid, rules = self.crew.end, self.assembly.rules
+        grid, maps = self.crew.end, self.assembly.maps
         node = self.crew.node(car, self.crew.ready[car])
         cells = {job.target.cell}
         if job.source is not None:
-            ways = Ways(grid, rules)
+            ways = maps.ways(grid)
             cells |= cells_on_way(ways, node, ways.to_nodes(ways.nodes(job.source.cell, job.source.yaws)))
             grid = taken_out(grid, [job.source])
-        ways = Ways(grid, rules, job.target.load)
+        ways = maps.ways(grid, job.target.load)
         distances = ways.to_nodes(ways.nodes(job.target.cell, job.target.yaws))
         if job.source is not None:
             node = min(ways.nodes(job.source.cell, job.source.yaws), key=lambda node: int(distances[node]))
@@ -313,7 +313,7 @@ class Construction:
         """Return where a thing could stand out of the way: the nearest such place with which a world will do."""
         load = thing.load
         rest = taken_out(grid, [thing])
-        ways = Ways(rest, self.assembly.rules, load)
+        ways = self.assembly.maps.ways(rest, load)
         distances = ways.from_nodes(ways.nodes(thing.cell, thing.yaws))
         places = []
         for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
@@ -384,9 +384,9 @@ class Construction:
         rest = taken_out(grid, gone)
         if not has_room(rest, self.assembly.rules, target):
             return False
-        ways = Ways(rest, self.assembly.rules, target.load)
+        ways = self.assembly.maps.ways(rest, target.load)
         distances = ways.to_nodes(ways.nodes(target.cell, target.yaws))
-        walking = Ways(rest, self.assembly.rules)
+        walking = self.assembly.maps.ways(rest)
         reached = np.min([self._distances(walking, car) for car in self._cars], axis=0)
         for thing in things_in(grid):
             if thing in self._standing or thing.load != target.load:
@@ -395,7 +395,7 @@ class Construction:
                 if _onward(distances, ways, rest, thing) < FAR:
                     return True
             else:
-                carrying = Ways(taken_out(rest, [thing]), self.assembly.rules, target.load)
+                carrying = self.assembly.maps.ways(taken_out(rest, [thing]), target.load)
                 far = _nearest(carrying.to_nodes(carrying.nodes(target.cell, target.yaws)), carrying, thing)
                 if far < FAR and _nearest(reached, ways, thing) < FAR:
                     return True

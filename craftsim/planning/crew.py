@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.assembly import taken_out
 from craftsim.planning.paths import WAIT, PathFinder
 from craftsim.planning.things import BuildingPart
 from craftsim.planning.timeline import NOTHING_DONE, Timeline
-from craftsim.planning.ways import FAR, Nodes, Ways, cell_of_node, node_number
+from craftsim.planning.ways import FAR, Maps, Nodes, Ways, cell_of_node, node_number
 
 FLAP_TICKS: Final = 10
 """FOLD and UNFOLD take so many ticks longer than other actions."""
@@ -56,9 +55,10 @@ Saved = tuple[NDArray[np.int8], tuple[int, ...]]
 class Crew:
     """The cars of a plan that grows."""
 
-    def __init__(self, grid: Grid, rules: Rules) -> None:
-        self.rules, self.size, self.n_cars = rules, grid.size, grid.n_cars
-        self.timeline = Timeline(grid, rules)
+    def __init__(self, grid: Grid, maps: Maps) -> None:
+        self.size, self.n_cars = grid.size, grid.n_cars
+        self.timeline = Timeline(grid, maps.rules)
+        self._maps = maps
         self.ready = [0] * grid.n_cars
         """The tick in which each car's last job ends; what it does after that is given up for the next."""
         length, width, height = grid.size
@@ -143,7 +143,7 @@ class Crew:
     def _ways(self, car: int, load: Kind) -> tuple[Ways, Grid]:
         """Return the ways of a car in the world at the end, and that world."""
         grid = self.end
-        return Ways(grid, self.rules, load), grid
+        return self._maps.ways(grid, load), grid
 
     def _plan(
         self, car: int, job: Errand, tick: int, not_before: int, parking: Callable[[Ways, Grid], list[int]]
@@ -217,7 +217,7 @@ class Crew:
 
     def _pick_up(self, ways: Ways, source: BuildingPart, target: BuildingPart, start: int) -> list[int]:
         """Return the states in which to take up a thing so that the way there and on to its place is short."""
-        loaded = loaded_ways(self.end, self.rules, source)
+        loaded = self._maps.ways(taken_out(self.end, [source]), source.load)
         there = ways.from_nodes([start])
         onward = loaded.to_nodes(loaded.nodes(target.cell, target.yaws))
         nodes = ways.nodes(source.cell, source.yaws)
@@ -265,11 +265,6 @@ def cells_on_way(ways: Ways, node: int, distances: Nodes) -> set[Cell]:
         node = closer[0]
         cells.add(cell_of_node(ways.size, node)[0])
     return cells
-
-
-def loaded_ways(grid: Grid, rules: Rules, source: BuildingPart) -> Ways:
-    """Return the ways of a car that has taken up a thing."""
-    return Ways(taken_out(grid, [source]), rules, source.load)
 
 
 def _car_in(grid: Grid, car: int, cell: Cell) -> bool:

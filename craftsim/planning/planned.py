@@ -66,7 +66,13 @@ class Planned:
 
 
 def judge(
-    start: Grid, ticks: Ticks, goal: BuildingGoal, rules: Rules, objective: Objective, bound_s: float, number: int
+    start: Grid,
+    ticks: Ticks,
+    goal: BuildingGoal,
+    rules: Rules,
+    objective: Objective,
+    bound_s: float,
+    number: int,
 ) -> Planned | None:
     """Return a plan with its figures, or None if the rules forbid some of it or it does not reach the goal.
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -28,19 +27,19 @@ from craftsim.planning.variation import vary
 
 _ORDERS: Final = 100
 """So many orders of assembly are kept to choose from."""
-_FRESH: Final = int(os.environ.get("FRESH", 8))
+_FRESH: Final = 8
 """So many attempts are made anew before the search goes on from the best of them."""
-_PATIENCE: Final = int(os.environ.get("PATIENCE", 50))
+_PATIENCE: Final = 25
 """After so many neighbours none of which is better the search goes on elsewhere..."""
-_BACK: Final = float(os.environ.get("BACK", 0.5))
+_BACK: Final = 0.5
 """...so often from the best plan, else from attempts made anew."""
-_WORSE: Final = float(os.environ.get("WORSE", 0.02))
+_WORSE: Final = 0.02
 """By about this share a neighbour may be worse for the search to go on from it."""
 _RESTYLED: Final = 0.3
 """So often a neighbour is made in another style."""
-_LONGER: Final = float(os.environ.get("LONGER", 1.1))
+_LONGER: Final = 1.1
 """An attempt is given up when it takes so many times the ticks of its neighbour..."""
-_LONGER_FRESH: Final = float(os.environ.get("LFRESH", 1.3))
+_LONGER_FRESH: Final = 1.3
 """...or, made anew, of the best one. Ticks are not seconds, so it may be a little longer."""
 _FIRST_WORLDS: Final = 20_000
 """Where the makespan counts, the plan of least work is one to begin with if so many worlds are enough for it."""
@@ -64,6 +63,7 @@ class Made:
     n_ticks: int
     planned: Planned
 
+    @cached_property
     def critical(self) -> list[int]:
         """Return the turns on which the makespan depends."""
         acts = self.planned.critical()
@@ -177,8 +177,10 @@ class Search:
         """Make an attempt, anew or close to what the search stands at, and look what has come of it."""
         here = None if self._n_fresh else self._here
         made = self._fresh(number) if here is None else self._neighbour(here, number)
-        if made is not None and (self.best is None or made.planned.cost(self.objective) < self._cost(self._best)):
-            self.best, self._best = made.planned, made
+        if made is not None and self._cost(made) < self._cost(self._best):
+            self._best = made
+            if self.best is None or self._cost(made) < self.best.cost(self.objective):
+                self.best = made.planned
         if here is None:
             self._chosen(made)
         else:
@@ -196,11 +198,17 @@ class Search:
         if self.rng.random() < _RESTYLED:
             recipe = replace(recipe, style=self._style(number))
         turns = [turn for turn, _ in here.turns]
-        n_kept, others = vary(turns, here.critical(), self._things, self.start.n_cars, self.rng)
+        critical = here.critical if self.objective == "makespan" else ()
+        n_kept, others = vary(turns, critical, self._things, self.start.n_cars, self.rng)
         return self._build(recipe, number, _LONGER * here.n_ticks, here.turns[:n_kept], others)
 
     def _build(
-        self, recipe: Recipe, number: int, most: float, past: Sequence[tuple[Turn, Saved]], script: Sequence[Turn]
+        self,
+        recipe: Recipe,
+        number: int,
+        most: float,
+        past: Sequence[tuple[Turn, Saved]],
+        script: Sequence[Turn],
     ) -> Made | None:
         last_tick = most if self.objective == "makespan" else math.inf
         building = Construction(
@@ -212,7 +220,7 @@ class Search:
         n_ticks, timeline = building.n_ticks, building.crew.timeline
         timeline.trim(self.goal.reached)
         planned = self._judge(timeline.ticks(), number)
-        return planned and Made(recipe, tuple(building.turns), n_ticks, planned)
+        return None if planned is None else Made(recipe, tuple(building.turns), n_ticks, planned)
 
     def _judge(self, ticks: Ticks, number: int) -> Planned | None:
         return judge(self.start, ticks, self.goal, self.rules, self.objective, self._bound, number)

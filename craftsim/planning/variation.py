@@ -1,73 +1,93 @@
-"""Neighbours of a plan: the same turns but for one or two of them."""
+"""Neighbours of a plan: the same turns in the same order but for one or two of them."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from craftsim.planning.building import Turn
 from craftsim.planning.things import BuildingPart
 
-CUT = float(os.environ.get("CUT", 0.25))
-CRIT = float(os.environ.get("CRIT", 0.7))
-P1 = float(os.environ.get("P1", 0.7))
+_CUT: Final = 0.25
+"""So often all is decided anew from some turn on."""
+_CRITICAL: Final = 0.7
+"""So often it is a turn on which the makespan depends that changes."""
+_ONE: Final = 0.7
+"""So often one change is enough, and so often one more is..."""
+_CHANGES: Final = 8
+"""...up to so many."""
 
 
 def vary(
-    turns: Sequence[Turn], critical: Sequence[int], things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+    turns: Sequence[Turn],
+    critical: Sequence[int],
+    things: Sequence[BuildingPart],
+    n_cars: int,
+    rng: np.random.Generator,
 ) -> tuple[int, list[Turn]]:
-    """Return how many turns stay as they are, and those that come after them.
+    """Return how many turns stay as they are, and those that are tried after them.
 
     Args:
         turns: of a plan, at least one.
-        things: those of the start, of which others may be used.
+        critical: which of them the makespan depends on.
+        things: those of the start; one may be used in place of another.
         n_cars: how many cars there are.
         rng: decides what changes.
     """
-    if rng.random() < CUT:
-        if critical and rng.random() < CRIT:
-            return critical[int(rng.integers(len(critical)))], []
-        return int(rng.integers(len(turns))), []
+    chosen = critical if critical and rng.random() < _CRITICAL else range(len(turns))
+    i = chosen[int(rng.integers(len(chosen)))]
+    if rng.random() < _CUT:
+        return i, []
     new = list(turns)
-    for n in range(8):
-        if not new:
+    for _ in range(_CHANGES):
+        change = _WAYS[int(rng.integers(len(_WAYS)))]
+        change(new, i, things, n_cars, rng)
+        if not new or (new != list(turns) and rng.random() < _ONE):
             break
         i = int(rng.integers(len(new)))
-        if new == list(turns) and critical and rng.random() < CRIT:
-            i = critical[int(rng.integers(len(critical)))]
-        _CHANGES[int(rng.integers(len(_CHANGES)))](new, i, things, n_cars, rng)
-        if new != list(turns) and rng.random() < P1:
-            break
-    kept = next((i for i, (a, b) in enumerate(zip(turns, new)) if a != b), min(len(turns), len(new)))
-    return kept, new[kept:]
+    same = [mine == its for mine, its in zip(turns, new, strict=False)]
+    n_kept = same.index(False) if False in same else len(same)
+    return n_kept, new[n_kept:]
 
 
-def _other_car(turns, i, things, n_cars, rng):
+Change = Callable[[list[Turn], int, Sequence[BuildingPart], int, np.random.Generator], None]
+"""Changes the turn with a number, in place."""
+
+
+def _other_car(
+    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+) -> None:
     turns[i] = turns[i]._replace(car=int(rng.integers(n_cars)))
 
 
-def _swap_cars(turns, i, things, n_cars, rng):
+def _swap_cars(
+    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+) -> None:
     j = int(rng.integers(len(turns)))
     turns[i], turns[j] = turns[i]._replace(car=turns[j].car), turns[j]._replace(car=turns[i].car)
 
 
-def _move(turns, i, things, n_cars, rng):
-    j = int(rng.integers(len(turns)))
-    turns.insert(j, turns.pop(i))
+def _move(
+    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+) -> None:
+    turns.insert(int(rng.integers(len(turns))), turns.pop(i))
 
 
-def _drop(turns, i, things, n_cars, rng):
+def _drop(
+    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+) -> None:
     turns.pop(i)
 
 
-def _other_source(turns, i, things, n_cars, rng):
+def _other_source(
+    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+) -> None:
+    """Use another thing of the same kind; who would have used that takes this one."""
     mine = turns[i].job.source
-    if mine is None:
-        return
-    others = [t for t in things if t.load == mine.load and t != mine]
+    others = [thing for thing in things if mine and thing.load == mine.load and thing != mine]
     if not others:
         return
     other = others[int(rng.integers(len(others)))]
@@ -77,4 +97,4 @@ def _other_source(turns, i, things, n_cars, rng):
     turns[i] = turns[i]._replace(job=replace(turns[i].job, source=other))
 
 
-_CHANGES = (_other_car, _swap_cars, _move, _drop, _other_source)
+_WAYS: Final[tuple[Change, ...]] = (_other_car, _swap_cars, _move, _drop, _other_source)

@@ -65,7 +65,10 @@ class Ways:
         return self._kept(self._to, nodes, self._spread_back)
 
     def _kept(
-        self, known: dict[tuple[int, ...], Nodes], nodes: list[int], spread: Callable[[Nodes, int, Nodes], None]
+        self,
+        known: dict[tuple[int, ...], Nodes],
+        nodes: list[int],
+        spread: Callable[[Nodes, int, Nodes], None],
     ) -> Nodes:
         """Return the distances of some nodes, which are worked out at most once while they are kept."""
         key = tuple(nodes)
@@ -100,7 +103,11 @@ class Maps:
     def ways(self, grid: Grid, load: Kind = Kind.AIR) -> Ways:
         """Return the ways of a car with a load in a world without other cars."""
         # Where marks follow from what is there, they make no difference.
-        parts = (grid.kind, grid.yaw) if self.rules.flags.derived_marks else (grid.kind, grid.yaw, grid.top, grid.back)
+        parts = (
+            (grid.kind, grid.yaw)
+            if self.rules.flags.derived_marks
+            else (grid.kind, grid.yaw, grid.top, grid.back)
+        )
         key = (bytes([load]), *(part.tobytes() for part in parts))
         found = self._known.get(key)
         if found is None:

@@ -70,7 +70,7 @@ class Construction:
         rng: np.random.Generator,
         last_tick: float = math.inf,
         past: Sequence[tuple[Turn, Saved]] = (),
-        script: Sequence[Turn] = (),
+        script: Sequence[Turn | None] = (),
     ) -> None:
         self.crew = Crew(start, assembly.maps)
         self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
@@ -92,7 +92,9 @@ class Construction:
     def run(self) -> bool:
         """Make the plan; return whether it came to its end."""
         for turn in self._script:
-            if self._fits(turn):
+            if turn is None:
+                self._place()
+            elif self._fits(turn):
                 self._take_turn(*turn)
             if self.n_ticks > self._last_tick:
                 return False

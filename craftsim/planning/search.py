@@ -184,7 +184,7 @@ class Search:
         if here is None:
             self._chosen(made)
         else:
-            self._walked(here, made)
+            self._walked(made)
 
     def _fresh(self, number: int) -> Made | None:
         drawn = self._draw_order()
@@ -208,7 +208,7 @@ class Search:
         number: int,
         most: float,
         past: Sequence[tuple[Turn, Saved]],
-        script: Sequence[Turn],
+        script: Sequence[Turn | None],
     ) -> Made | None:
         last_tick = most if self.objective == "makespan" else math.inf
         building = Construction(
@@ -238,10 +238,10 @@ class Search:
             self._candidate = None
             self._n_stale, self._lowest = 0, self._cost(self._here)[0]
 
-    def _walked(self, here: Made, made: Made | None) -> None:
+    def _walked(self, made: Made | None) -> None:
         """Go on from a neighbour that is about as good; after many in vain from the best plan, or from elsewhere."""
         cost = self._cost(made)[0]
-        if cost <= self._cost(here)[0] * (1 + _WORSE * self.rng.exponential()):
+        if cost <= self._lowest * (1 + _WORSE * self.rng.exponential()):
             self._here = made
         self._n_stale += 1
         if cost < self._lowest - EQUAL:

@@ -21,13 +21,20 @@ _CHANGES: Final = 8
 """...up to so many."""
 
 
+Turns = list[Turn | None]
+"""What is tried turn after turn; None: whatever seems best then."""
+
+Change = Callable[[Turns, int, Sequence[BuildingPart], int, np.random.Generator], None]
+"""Changes the turn with a number, in place."""
+
+
 def vary(
     turns: Sequence[Turn],
     critical: Sequence[int],
     things: Sequence[BuildingPart],
     n_cars: int,
     rng: np.random.Generator,
-) -> tuple[int, list[Turn]]:
+) -> tuple[int, Turns]:
     """Return how many turns stay as they are, and those that are tried after them.
 
     Args:
@@ -41,7 +48,7 @@ def vary(
     i = chosen[int(rng.integers(len(chosen)))]
     if rng.random() < _CUT:
         return i, []
-    new = list(turns)
+    new: Turns = list(turns)
     for _ in range(_CHANGES):
         change = _WAYS[int(rng.integers(len(_WAYS)))]
         change(new, i, things, n_cars, rng)
@@ -53,48 +60,53 @@ def vary(
     return n_kept, new[n_kept:]
 
 
-Change = Callable[[list[Turn], int, Sequence[BuildingPart], int, np.random.Generator], None]
-"""Changes the turn with a number, in place."""
-
-
 def _other_car(
-    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
 ) -> None:
-    turns[i] = turns[i]._replace(car=int(rng.integers(n_cars)))
+    if turn := turns[i]:
+        turns[i] = turn._replace(car=int(rng.integers(n_cars)))
 
 
 def _swap_cars(
-    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
 ) -> None:
     j = int(rng.integers(len(turns)))
-    turns[i], turns[j] = turns[i]._replace(car=turns[j].car), turns[j]._replace(car=turns[i].car)
+    if (one := turns[i]) and (other := turns[j]):
+        turns[i], turns[j] = one._replace(car=other.car), other._replace(car=one.car)
 
 
 def _move(
-    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
 ) -> None:
     turns.insert(int(rng.integers(len(turns))), turns.pop(i))
 
 
 def _drop(
-    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
 ) -> None:
     turns.pop(i)
 
 
+def _anything(
+    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+) -> None:
+    turns[i] = None
+
+
 def _other_source(
-    turns: list[Turn], i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
 ) -> None:
     """Use another thing of the same kind; who would have used that takes this one."""
-    mine = turns[i].job.source
+    changed = turns[i]
+    mine = changed and changed.job.source
     others = [thing for thing in things if mine and thing.load == mine.load and thing != mine]
-    if not others:
+    if not changed or not others:
         return
     other = others[int(rng.integers(len(others)))]
     for j, turn in enumerate(turns):
-        if turn.job.source == other:
+        if turn and turn.job.source == other:
             turns[j] = turn._replace(job=replace(turn.job, source=mine))
-    turns[i] = turns[i]._replace(job=replace(turns[i].job, source=other))
+    turns[i] = changed._replace(job=replace(changed.job, source=other))
 
 
-_WAYS: Final[tuple[Change, ...]] = (_other_car, _swap_cars, _move, _drop, _other_source)
+_WAYS: Final[tuple[Change, ...]] = (_other_car, _swap_cars, _move, _drop, _anything, _other_source)

@@ -32,12 +32,13 @@ def test_what_is_kept_is_the_beginning_and_what_follows_differs_from_it():
 def test_each_turn_still_brings_a_thing_to_a_place_of_the_plan():
     places = {turn.job.target for turn in TURNS}
     for _, others in neighbours():
-        assert {turn.job.target for turn in others} <= places
-        assert len({turn.job.source for turn in others}) == len(others)
+        jobs = [turn.job for turn in others if turn]
+        assert {job.target for job in jobs} <= places
+        assert len({job.source for job in jobs}) == len(jobs)
 
 
 def test_a_thing_that_nobody_used_may_be_used():
-    assert any(turn.job.source == BLOCKS[4] for _, others in neighbours() for turn in others)
+    assert any(turn.job.source == BLOCKS[4] for _, others in neighbours() for turn in others if turn)
 
 
 def test_what_the_makespan_depends_on_changes_more_often():

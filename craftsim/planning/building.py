@@ -13,7 +13,7 @@ import numpy as np
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
 from craftsim.planning.assembly import Assembly, Order, State, has_room, taken_out
 from craftsim.planning.crew import FLAP_TICKS, Crew, Errand, Saved, cells_on_way
-from craftsim.planning.layout import Layout
+from craftsim.planning.grounds import Grounds
 from craftsim.planning.reach import Reach, nearest, onward_from, sources
 from craftsim.planning.things import things_in
 from craftsim.planning.ways import FAR, Nodes, Ways
@@ -56,8 +56,8 @@ class Style:
 class Construction:
     """An attempt to build; :meth:`run` makes the plan, unless it takes more ticks than ``last_tick``.
 
-    It may begin with ``past``, turns of another attempt with what came of each, and go on with the turns ``next``,
-    of which those are left out that have become impossible.
+    It may begin with ``past``, turns of another attempt with what came of each, and go on with the turns ``script``,
+    of which those are left out that have become impossible; None is whatever seems best then.
     """
 
     def __init__(
@@ -79,11 +79,10 @@ class Construction:
         self._script = script
         self._last_tick = last_tick
         self._done: set[int] = set()
-        self._standing = set(fixed)
-        self._layout = Layout(assembly, [*(step.thing for step in order.steps), *fixed])
+        self._standing = fixed
+        self._grounds = Grounds(assembly, [*(step.thing for step in order.steps), *fixed])
         n_cars = min(start.n_cars, style.n_cars)
         self._cars = sorted(self.rng.permutation(start.n_cars)[:n_cars].tolist())
-
         for turn, _ in past:
             self._note(turn.step)
         if past:
@@ -114,7 +113,7 @@ class Construction:
         car, job, k = turn
         if k is not None and not (
             k not in self._done
-            and self.assembly.possible(frozenset(self._standing), self.order.steps[k])
+            and self.assembly.possible(self._standing, self.order.steps[k])
             and self._bars_nothing(k)
         ):
             return False
@@ -146,11 +145,11 @@ class Construction:
                 safe[k] = self._bars_nothing(k)
             if not safe[k]:
                 continue
-            tries += 1
-            if tries > _TRIES:
-                return False
             if self._take_turn(car, job, k):
                 return True
+            tries += 1
+            if tries == _TRIES:
+                return False
         return False
 
     @property
@@ -161,7 +160,7 @@ class Construction:
     def _note(self, k: int | None) -> None:
         if k is not None:
             self._done.add(k)
-            self._standing = set(self.order.steps[k].after(frozenset(self._standing)))
+            self._standing = self.order.steps[k].after(self._standing)
 
     def _left(self) -> list[int]:
         """Return the first steps that have not been made, in order."""
@@ -170,12 +169,11 @@ class Construction:
 
     def _pending(self) -> list[int]:
         """Return the steps that could be made next."""
-        state = frozenset(self._standing)
-        return [k for k in self._left() if self.assembly.possible(state, self.order.steps[k])]
+        return [k for k in self._left() if self.assembly.possible(self._standing, self.order.steps[k])]
 
     def _bars_nothing(self, k: int) -> bool:
         """Return whether those steps that come before one in the order can still be made after it."""
-        state = self.order.steps[k].after(frozenset(self._standing))
+        state = self.order.steps[k].after(self._standing)
         for earlier in self._left():
             if earlier >= k:
                 break
@@ -197,7 +195,7 @@ class Construction:
             step = self.order.steps[k]
             target = step.thing
             if step.taken:
-                aside = self._layout.aside(grid, target, lambda moved: True)
+                aside = self._grounds.aside(grid, target, lambda moved: True)
                 if aside is None:
                     continue
                 target = aside
@@ -239,7 +237,7 @@ class Construction:
 
     def _take_over(self, car: int, job: Errand) -> bool:
         """Let a car take over a job; cars that wait in its way are sent aside once."""
-        if self.crew.take_over(car, job, self._layout.parking(car)):
+        if self.crew.take_over(car, job, self._grounds.parking(car)):
             return True
         way = self._way(car, job)
         # A load needs room beside its way, too.
@@ -251,9 +249,9 @@ class Construction:
             if other != car and here in near and self.crew.load(other) == Kind.AIR:
                 sent |= any(
                     self.crew.move_aside(other, near | kept)
-                    for kept in (self._layout.around, self._layout.cells)
+                    for kept in (self._grounds.around, self._grounds.cells)
                 )
-        return sent and self.crew.take_over(car, job, self._layout.parking(car))
+        return sent and self.crew.take_over(car, job, self._grounds.parking(car))
 
     def _way(self, car: int, job: Errand) -> set[Cell]:
         """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
@@ -283,7 +281,7 @@ class Construction:
             barring = [] if taken else reach.barring(grid, loose, target)
             for thing in barring:
                 others = [other for other in barring if other != thing]
-                aside = self._layout.aside(grid, thing, partial(reach.reaches, gone=others, target=target))
+                aside = self._grounds.aside(grid, thing, partial(reach.reaches, gone=others, target=target))
                 if aside is None:
                     continue
                 free = [car for car in self._cars if self.crew.load(car) == Kind.AIR]

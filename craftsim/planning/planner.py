@@ -15,7 +15,7 @@ from craftsim.errors import InputError
 from craftsim.planning.goals import NoPlanError, make_goal
 from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.planning.planned import Planned
-from craftsim.planning.search import Search
+from craftsim.planning.search import PlanSearch
 
 
 def plan_building(
@@ -59,7 +59,7 @@ def plan_building(
         raise NoPlanError("no plan: there are no cars")
     if objective not in ("makespan", "work"):
         raise InputError(f"unknown objective '{objective}'; there are makespan and work")
-    search = Search(start, wanted, rules, objective, np.random.default_rng(seed))
+    search = PlanSearch(start, wanted, rules, objective, np.random.default_rng(seed))
     return search.run(rounds, time_s, report or (lambda number, best: None))
 
 

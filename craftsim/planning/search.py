@@ -29,6 +29,8 @@ _ORDERS: Final = 100
 """So many orders of assembly are kept to choose from."""
 _FRESH: Final = 8
 """So many attempts are made anew before the search goes on from the best of them."""
+_ANEW: Final = 0.4
+"""So often another one follows on the way where it is open what is to be built: it may build something else."""
 _PATIENCE: Final = 25
 """After so many neighbours none of which is better the search goes on elsewhere..."""
 _BACK: Final = 0.5
@@ -46,7 +48,7 @@ _FIRST_WORLDS: Final = 20_000
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Approach:
     """What decides an attempt, beside chance."""
 
     order: Order
@@ -58,7 +60,7 @@ class Recipe:
 class Made:
     """What has come of an attempt."""
 
-    recipe: Recipe
+    approach: Approach
     turns: tuple[tuple[Turn, Saved], ...]
     n_ticks: int
     planned: Planned
@@ -75,7 +77,7 @@ class Made:
         return found
 
 
-class Search:
+class PlanSearch:
     """The attempts at one plan."""
 
     def __init__(
@@ -176,7 +178,8 @@ class Search:
     def _attempt(self, number: int) -> None:
         """Make an attempt, anew or close to what the search stands at, and look what has come of it."""
         here = None if self._n_fresh else self._here
-        made = self._fresh(number) if here is None else self._neighbour(here, number)
+        anew = here is None or (bool(self.goal.platform) and self.rng.random() < _ANEW)
+        made = self._fresh(number) if anew or here is None else self._neighbour(here, number)
         if made is not None and self._cost(made) < self._cost(self._best):
             self._best = made
             if self.best is None or self._cost(made) < self.best.cost(self.objective):
@@ -191,20 +194,20 @@ class Search:
         if drawn is None:
             return None
         most = math.inf if self._best is None else _LONGER_FRESH * self._best.n_ticks
-        return self._build(Recipe(*drawn, self._style(number)), number, most, (), ())
+        return self._build(Approach(*drawn, self._style(number)), number, most, (), ())
 
     def _neighbour(self, here: Made, number: int) -> Made | None:
-        recipe = here.recipe
+        approach = here.approach
         if self.rng.random() < _RESTYLED:
-            recipe = replace(recipe, style=self._style(number))
+            approach = replace(approach, style=self._style(number))
         turns = [turn for turn, _ in here.turns]
         critical = here.critical if self.objective == "makespan" else ()
         n_kept, others = vary(turns, critical, self._things, self.start.n_cars, self.rng)
-        return self._build(recipe, number, _LONGER * here.n_ticks, here.turns[:n_kept], others)
+        return self._build(approach, number, _LONGER * here.n_ticks, here.turns[:n_kept], others)
 
     def _build(
         self,
-        recipe: Recipe,
+        approach: Approach,
         number: int,
         most: float,
         past: Sequence[tuple[Turn, Saved]],
@@ -212,7 +215,7 @@ class Search:
     ) -> Made | None:
         last_tick = most if self.objective == "makespan" else math.inf
         building = Construction(
-            *(self.start, self.assembly, recipe.order, recipe.fixed, recipe.style, self.rng),
+            *(self.start, self.assembly, approach.order, approach.fixed, approach.style, self.rng),
             *(last_tick, past, script),
         )
         if not building.run():
@@ -220,7 +223,7 @@ class Search:
         n_ticks, timeline = building.n_ticks, building.crew.timeline
         timeline.trim(self.goal.reached)
         planned = self._judge(timeline.ticks(), number)
-        return None if planned is None else Made(recipe, tuple(building.turns), n_ticks, planned)
+        return None if planned is None else Made(approach, tuple(building.turns), n_ticks, planned)
 
     def _judge(self, ticks: Ticks, number: int) -> Planned | None:
         return judge(self.start, ticks, self.goal, self.rules, self.objective, self._bound, number)

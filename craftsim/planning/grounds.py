@@ -16,7 +16,7 @@ _PLACES: Final = 24
 """So many places where something could be put aside are looked at."""
 
 
-class Layout:
+class Grounds:
     """The cells of a building and around it."""
 
     def __init__(self, assembly: Assembly, things: Iterable[BuildingPart]) -> None:

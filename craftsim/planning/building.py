@@ -76,8 +76,7 @@ class Construction:
         self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
         self.turns = list(past)
         """What was done so far, and the plan after each."""
-        self._script = script
-        self._last_tick = last_tick
+        self._script, self._last_tick = script, last_tick
         self._done: set[int] = set()
         self._standing = fixed
         self._grounds = Grounds(assembly, [*(step.thing for step in order.steps), *fixed])

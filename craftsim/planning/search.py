@@ -30,7 +30,7 @@ _ORDERS: Final = 100
 _FRESH: Final = 8
 """So many attempts are made anew before the search goes on from the best of them."""
 _ANEW: Final = 0.4
-"""So often another one follows on the way where it is open what is to be built: it may build something else."""
+"""Where it is open what is to be built, such attempts go on so often between neighbours: each may build another."""
 _PATIENCE: Final = 25
 """After so many neighbours none of which is better the search goes on elsewhere..."""
 _BACK: Final = 0.5
@@ -193,7 +193,8 @@ class PlanSearch:
         drawn = self._draw_order()
         if drawn is None:
             return None
-        most = math.inf if self._best is None else _LONGER_FRESH * self._best.n_ticks
+        longer = _LONGER_FRESH if self._n_fresh else _LONGER
+        most = math.inf if self._best is None else longer * self._best.n_ticks
         return self._build(Approach(*drawn, self._style(number)), number, most, (), ())
 
     def _neighbour(self, here: Made, number: int) -> Made | None:
@@ -250,7 +251,7 @@ class PlanSearch:
         if cost < self._lowest - EQUAL:
             self._n_stale, self._lowest = 0, cost
         if self._n_stale >= _PATIENCE:
-            if self.rng.random() < _BACK:
+            if self.goal.platform or self.rng.random() < _BACK:
                 self._here = self._best
                 self._n_stale, self._lowest = 0, self._cost(self._here)[0]
             else:

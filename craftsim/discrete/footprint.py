@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
@@ -42,8 +42,12 @@ class Footprint:
             self.space & other.space
             or self.changes & (other.changes | other.relies)
             or self.relies & other.changes
-            or (self.loads and other.loads and _beside(self.loads) & other.loads)
+            or (self.loads and other.loads and self._beside_loads & other.loads)
         )
+
+    @cached_property
+    def _beside_loads(self) -> frozenset[Cell]:
+        return _beside(self.loads)
 
 
 def of_nothing(before: Grid, after: Grid, car: int) -> Footprint:

@@ -19,7 +19,7 @@ from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind, beside
 from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.things import BuildingPart, put, take, with_car
-from craftsim.planning.ways import FAR, Nodes, Ways, is_free
+from craftsim.planning.ways import FAR, Maps, Nodes, Ways, is_free
 
 State = frozenset[BuildingPart]
 
@@ -47,9 +47,11 @@ class Assembly:
     """What is possible in a building under way; ``base`` is the world with its walls alone."""
 
     def __init__(self, base: Grid, rules: Rules) -> None:
-        self.base, self.rules = base, rules
+        self.base, self.rules, self.maps = base, rules, Maps(rules)
         self._ways = lru_cache(512)(self._make_ways)
         self._grids = lru_cache(512)(self._make_grid)
+        self.possible = lru_cache(4096)(self._is_possible)
+        """Whether a step can be made in a state, by a car that comes from free floor and goes back there."""
 
     def grid(self, state: State) -> Grid:
         """Return the world in which some things stand."""
@@ -63,11 +65,10 @@ class Assembly:
 
     def _make_ways(self, state: State, load: Kind) -> tuple[Ways, Nodes]:
         grid = self.grid(state)
-        ways = Ways(grid, self.rules, load)
+        ways = self.maps.ways(grid, load)
         return ways, ways.from_nodes(_outside(grid, ways, load))
 
-    def possible(self, state: State, step: Placing) -> bool:
-        """Return whether a step can be made by a car that comes from free floor and goes back there."""
+    def _is_possible(self, state: State, step: Placing) -> bool:
         if step.taken:
             return self._can_take(state, step.thing)
         return self._can_put(state, step.thing)
@@ -154,7 +155,9 @@ def ramp_places(grid: Grid, rules: Rules) -> Iterator[BuildingPart]:
 
 
 def taken_out(grid: Grid, things: list[BuildingPart]) -> Grid:
-    """Return a copy of a world without some things."""
+    """Return a world without some things."""
+    if not things:
+        return grid
     rest = grid.copy()
     take(rest, things)
     rest.derive_marks()

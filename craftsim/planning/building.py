@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
-from craftsim.planning.assembly import Assembly, Order, Placing, State, has_room, taken_out
-from craftsim.planning.crew import FLAP_TICKS, Crew, Errand, cells_on_way
-from craftsim.planning.things import BuildingPart, put, things_in, with_car
+from craftsim.planning.assembly import Assembly, Order, State, has_room, taken_out
+from craftsim.planning.crew import FLAP_TICKS, Crew, Errand, Saved, cells_on_way
+from craftsim.planning.grounds import Grounds
+from craftsim.planning.reach import Reach, nearest, onward_from, sources
+from craftsim.planning.things import things_in
 from craftsim.planning.ways import FAR, Nodes, Ways
 
 _FAILURES: Final = 40
@@ -23,12 +24,15 @@ _TRIES: Final = 6
 """So many jobs are tried in a turn."""
 _AHEAD: Final = 3
 """So many more steps than there are cars are looked at in a turn."""
-_PLACES: Final = 24
-"""So many places where something could be put aside are looked at."""
 
 
-Chances = tuple[tuple[int, int], ...]
-"""(turn, seed): what is decided by chance from a turn on comes from that seed; the first turn is 0."""
+class Turn(NamedTuple):
+    """A job and the car that has taken it over."""
+
+    car: int
+    job: Errand
+    step: int | None
+    """Which step of the order it makes; None where it clears the way."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,11 @@ class Style:
 
 
 class Construction:
-    """An attempt to build; :meth:`run` makes the plan, unless it takes more ticks than ``last_tick``."""
+    """An attempt to build; :meth:`run` makes the plan, unless it takes more ticks than ``last_tick``.
+
+    It may begin with ``past``, turns of another attempt with what came of each, and go on with the turns ``script``,
+    of which those are left out that have become impossible; None is whatever seems best then.
+    """
 
     def __init__(
         self,
@@ -59,55 +67,39 @@ class Construction:
         order: Order,
         fixed: State,
         style: Style,
-        chances: Chances,
+        rng: np.random.Generator,
         last_tick: float = math.inf,
+        past: Sequence[tuple[Turn, Saved]] = (),
+        script: Sequence[Turn | None] = (),
     ) -> None:
-        self.crew = Crew(start, assembly.rules)
-        self.assembly, self.order, self.style, self.chances = assembly, order, style, chances
-        self.rng = np.random.default_rng(chances[0][1])
-        self.n_turns = 0
-        self._last_tick = last_tick
+        self.crew = Crew(start, assembly.maps)
+        self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
+        self.turns = list(past)
+        """What was done so far, and the plan after each."""
+        self._script, self._last_tick = script, last_tick
         self._done: set[int] = set()
-        self._standing = set(fixed)
-        self._goal_cells = {cell for step in order.steps for cell in step.thing.cells} | {
-            cell for thing in fixed for cell in thing.cells
-        }
-        self._keep_free = self._goal_cells | {
-            beside(thing.cells[1], thing.yaw)
-            for thing in [*(step.thing for step in order.steps), *fixed]
-            if thing.kind == Kind.BODY
-        }
-        self._around = {
-            (x + dx, y + dy, 1) for x, y, _ in self._keep_free for dx in range(-2, 3) for dy in range(-2, 3)
-        }
+        self._standing = fixed
+        self._grounds = Grounds(assembly, [*(step.thing for step in order.steps), *fixed])
         n_cars = min(start.n_cars, style.n_cars)
         self._cars = sorted(self.rng.permutation(start.n_cars)[:n_cars].tolist())
+        for turn, _ in past:
+            self._note(turn.step)
+        if past:
+            self.crew.restore(past[-1][1])
 
     def run(self) -> bool:
         """Make the plan; return whether it came to its end."""
+        for turn in self._script:
+            if turn is None:
+                self._place()
+            elif self._fits(turn):
+                self._take_turn(*turn)
+            if self.n_ticks > self._last_tick:
+                return False
         failures = 0
         while len(self._done) < len(self.order.steps):
-            for turn, seed in self.chances[1:]:
-                if turn == self.n_turns:
-                    self.rng = np.random.default_rng(seed)
-            self.n_turns += 1
             made = bool(self.style.early) and self.rng.random() < self.style.early and self._clear()
-            options = [] if made else self._options()
-            tries = 0
-            safe: dict[int, bool] = {}
-            for _, car, k, job in options:
-                if k not in safe:
-                    safe[k] = self._bars_nothing(k)
-                if not safe[k]:
-                    continue
-                tries += 1
-                if tries > _TRIES:
-                    break
-                if self._take_over(car, job):
-                    made = True
-                    self._done.add(k)
-                    self._note(self.order.steps[k])
-                    break
+            made = made or self._place()
             if not made and not self._clear():
                 return False
             failures += not made
@@ -115,16 +107,59 @@ class Construction:
                 return False
         return True
 
+    def _fits(self, turn: Turn) -> bool:
+        """Return whether a turn of another attempt can still be tried."""
+        car, job, k = turn
+        if k is not None and not (
+            k not in self._done
+            and self.assembly.possible(self._standing, self.order.steps[k])
+            and self._bars_nothing(k)
+        ):
+            return False
+        if job.source is None:
+            return self.crew.load(car) == job.target.load
+        if self.crew.load(car) != Kind.AIR:
+            return False
+        grid = self.crew.end
+        if k is not None and self.order.steps[k].taken:
+            here = job.source in set(things_in(grid))
+        else:
+            here = job.source in sources(self.assembly, grid, self._standing).get(job.source.load, [])
+        return here and has_room(taken_out(grid, [job.source]), self.assembly.rules, job.target)
+
+    def _take_turn(self, car: int, job: Errand, k: int | None) -> bool:
+        """Let a car take over a job; return whether it could."""
+        if not self._take_over(car, job):
+            return False
+        self._note(k)
+        self.turns.append((Turn(car, job, k), self.crew.saved()))
+        return True
+
+    def _place(self) -> bool:
+        """Make the step that is made first, by whom it is made first; return whether one could be made."""
+        tries = 0
+        safe: dict[int, bool] = {}
+        for _, car, k, job in self._options():
+            if k not in safe:
+                safe[k] = self._bars_nothing(k)
+            if not safe[k]:
+                continue
+            if self._take_turn(car, job, k):
+                return True
+            tries += 1
+            if tries == _TRIES:
+                return False
+        return False
+
     @property
     def n_ticks(self) -> int:
         """How many ticks the jobs take that have been planned."""
         return max(self.crew.ready)
 
-    def _note(self, step: Placing) -> None:
-        if step.taken:
-            self._standing.discard(step.thing)
-        else:
-            self._standing.add(step.thing)
+    def _note(self, k: int | None) -> None:
+        if k is not None:
+            self._done.add(k)
+            self._standing = self.order.steps[k].after(self._standing)
 
     def _left(self) -> list[int]:
         """Return the first steps that have not been made, in order."""
@@ -133,12 +168,11 @@ class Construction:
 
     def _pending(self) -> list[int]:
         """Return the steps that could be made next."""
-        state = frozenset(self._standing)
-        return [k for k in self._left() if self.assembly.possible(state, self.order.steps[k])]
+        return [k for k in self._left() if self.assembly.possible(self._standing, self.order.steps[k])]
 
     def _bars_nothing(self, k: int) -> bool:
         """Return whether those steps that come before one in the order can still be made after it."""
-        state = self.order.steps[k].after(frozenset(self._standing))
+        state = self.order.steps[k].after(self._standing)
         for earlier in self._left():
             if earlier >= k:
                 break
@@ -151,37 +185,37 @@ class Construction:
     def _options(self) -> list[tuple[float, int, int, Errand]]:
         """Return what can be done next: cost, car, step and job, the cheapest first."""
         grid = self.crew.end
-        walking = Ways(grid, self.assembly.rules)
+        walking = self.assembly.maps.ways(grid)
         costs: list[tuple[float, int, int, Errand]] = []
         to_cells = {car: self._distances(walking, car) for car in self._cars}
-        sources = self._sources(grid)
+        loose = sources(self.assembly, grid, self._standing)
         loaded: dict[Kind, Ways] = {}
         for k in self._pending():
             step = self.order.steps[k]
             target = step.thing
             if step.taken:
-                aside = self._aside(grid, target, lambda moved: True)
+                aside = self._grounds.aside(grid, target, lambda moved: True)
                 if aside is None:
                     continue
                 target = aside
             load = target.load
             if load not in loaded:
-                loaded[load] = Ways(grid, self.assembly.rules, load)
+                loaded[load] = self.assembly.maps.ways(grid, load)
             onward = loaded[load].to_nodes(loaded[load].nodes(target.cell, target.yaws))
-            for source in [step.thing] if step.taken else sources.get(load, []):
+            for source in [step.thing] if step.taken else loose.get(load, []):
                 rest = taken_out(grid, [source])
-                far = _onward(onward, walking, grid, source)
+                far = onward_from(onward, walking, grid, source)
                 if load == Kind.FSLOPE:
                     # It stands in two cells, and can only be driven out of in one direction: so exactly.
-                    ways = Ways(rest, self.assembly.rules, load)
-                    far = _nearest(ways.to_nodes(ways.nodes(target.cell, target.yaws)), ways, source)
+                    ways = self.assembly.maps.ways(rest, load)
+                    far = nearest(ways.to_nodes(ways.nodes(target.cell, target.yaws)), ways, source)
                 if far >= FAR or not has_room(rest, self.assembly.rules, target):
                     continue
                 swings = (source.kind == Kind.BODY) + (target.kind == Kind.BODY)
                 for car in self._cars:
                     if self.crew.load(car) != Kind.AIR:
                         continue
-                    near = _nearest(to_cells[car], walking, source)
+                    near = nearest(to_cells[car], walking, source)
                     if near < FAR:
                         work = near + far + 2 + swings * (FLAP_TICKS + 1)
                         cost = self._cost(car, work) - swings * self.style.haste * FLAP_TICKS * 2
@@ -200,26 +234,9 @@ class Construction:
     def _distances(self, walking: Ways, car: int) -> Nodes:
         return walking.from_nodes([self.crew.node(car, self.crew.ready[car])])
 
-    def _sources(self, grid: Grid) -> dict[Kind, list[BuildingPart]]:
-        """Return what stands free to be used, by the load that it makes."""
-        found: dict[Kind, list[BuildingPart]] = {}
-        for thing in things_in(grid):
-            if thing in self._standing or (
-                thing.kind == Kind.BLOCK and thing._replace(yaw=0) in self._standing
-            ):
-                continue
-            if self._can_be_taken(grid, thing):
-                found.setdefault(thing.load, []).append(thing)
-        return found
-
-    def _can_be_taken(self, grid: Grid, thing: BuildingPart) -> bool:
-        yaw = thing.yaws[0]
-        action = Action.FOLD if thing.kind == Kind.BODY else Action.LIFT
-        return self.assembly.rules.legal(with_car(grid, thing.cell, yaw), 0, action)
-
     def _take_over(self, car: int, job: Errand) -> bool:
         """Let a car take over a job; cars that wait in its way are sent aside once."""
-        if self.crew.take_over(car, job, self._parking(car)):
+        if self.crew.take_over(car, job, self._grounds.parking(car)):
             return True
         way = self._way(car, job)
         # A load needs room beside its way, too.
@@ -230,82 +247,46 @@ class Construction:
             here = tuple(grid.cars[other, :3].tolist())
             if other != car and here in near and self.crew.load(other) == Kind.AIR:
                 sent |= any(
-                    self.crew.move_aside(other, near | kept) for kept in (self._around, self._goal_cells)
+                    self.crew.move_aside(other, near | kept)
+                    for kept in (self._grounds.around, self._grounds.cells)
                 )
-        return sent and self.crew.take_over(car, job, self._parking(car))
+        return sent and self.crew.take_over(car, job, self._grounds.parking(car))
 
     def _way(self, car: int, job: Errand) -> set[Cell]:
         """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
-        grid, rules = self.crew.end, self.assembly.rules
+        grid, maps = self.crew.end, self.assembly.maps
         node = self.crew.node(car, self.crew.ready[car])
         cells = {job.target.cell}
         if job.source is not None:
-            ways = Ways(grid, rules)
+            ways = maps.ways(grid)
             cells |= cells_on_way(ways, node, ways.to_nodes(ways.nodes(job.source.cell, job.source.yaws)))
             grid = taken_out(grid, [job.source])
-        ways = Ways(grid, rules, job.target.load)
+        ways = maps.ways(grid, job.target.load)
         distances = ways.to_nodes(ways.nodes(job.target.cell, job.target.yaws))
         if job.source is not None:
             node = min(ways.nodes(job.source.cell, job.source.yaws), key=lambda node: int(distances[node]))
         return cells | cells_on_way(ways, node, distances)
 
-    def _parking(self, car: int) -> Callable[[Ways, Grid], list[int]]:
-        """Return what says where a car may wait: on free floor, best two cells away from what is being built."""
-
-        def places(ways: Ways, grid: Grid) -> list[int]:
-            taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
-            free = {(x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()} - taken
-            for kept in (self._around, self._keep_free):
-                cells = sorted(free - kept)
-                if cells:
-                    return [ways.node(cell, yaw) for cell in cells for yaw in range(4)]
-            return []
-
-        return places
-
-    def _aside(self, grid: Grid, thing: BuildingPart, fits: Callable[[Grid], bool]) -> BuildingPart | None:
-        """Return where a thing could stand out of the way: the nearest such place with which a world will do."""
-        load = thing.load
-        rest = taken_out(grid, [thing])
-        ways = Ways(rest, self.assembly.rules, load)
-        distances = ways.from_nodes(ways.nodes(thing.cell, thing.yaws))
-        places = []
-        for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
-            for yaw in range(4) if load == Kind.FSLOPE else [0]:
-                there = BuildingPart(load, (x, y, 1), yaw)
-                far = min(int(distances[node]) for node in ways.nodes(there.cell, there.yaws))
-                free = set(there.cells).isdisjoint(self._keep_free)
-                if (
-                    free
-                    and far < FAR
-                    and there.cell != thing.cell
-                    and has_room(rest, self.assembly.rules, there)
-                ):
-                    places.append((far, there))
-        for _, there in sorted(places)[:_PLACES]:
-            moved = rest.copy()
-            put(moved, [there])
-            moved.derive_marks()
-            if fits(moved):
-                return there
-        return None
-
     def _clear(self) -> bool:
         """Move something that bars the next step out of the way; return whether that was possible."""
         grid = self.crew.end
-        loose = [thing for things in self._sources(grid).values() for thing in things]
+        loose = [
+            thing for things in sources(self.assembly, grid, self._standing).values() for thing in things
+        ]
+        nodes = [self.crew.node(car, self.crew.ready[car]) for car in self._cars]
+        reach = Reach(self.assembly, self._standing, nodes)
         for k in self._pending():
-            barring = self._barring(grid, loose, k)
+            target, taken = self.order.steps[k].thing, self.order.steps[k].taken
+            barring = [] if taken else reach.barring(grid, loose, target)
             for thing in barring:
                 others = [other for other in barring if other != thing]
-                target = self.order.steps[k].thing
-                aside = self._aside(grid, thing, partial(self._reaches, gone=others, target=target))
+                aside = self._grounds.aside(grid, thing, partial(reach.reaches, gone=others, target=target))
                 if aside is None:
                     continue
                 free = [car for car in self._cars if self.crew.load(car) == Kind.AIR]
                 hold = self.style.hold and len(free) > 1 and self._is_wanted(thing.load)
                 for car in sorted(free, key=lambda car: self.crew.ready[car]):
-                    if self._take_over(car, Errand(thing, aside, hold)):
+                    if self._take_turn(car, Errand(thing, aside, hold), None):
                         return True
         return False
 
@@ -317,62 +298,3 @@ class Construction:
             if k not in self._done
         )
         return wanted > sum(self.crew.load(car) == load for car in self._cars)
-
-    def _barring(self, grid: Grid, loose: list[BuildingPart], k: int) -> list[BuildingPart]:
-        """Return the loose things that must go before a step can be made; none of the others need to."""
-        step = self.order.steps[k]
-        if step.taken:
-            return []
-        gone = list(loose)
-        if not self._reaches(grid, gone, step.thing):
-            return []
-        near = sorted(loose, key=lambda thing: -_manhattan(thing.cell, step.thing.cell))
-        for thing in near:
-            fewer = [other for other in gone if other != thing]
-            if self._reaches(grid, fewer, step.thing):
-                gone = fewer
-        return gone
-
-    def _reaches(self, grid: Grid, gone: list[BuildingPart], target: BuildingPart) -> bool:
-        """Return whether a load can be driven to a place from somewhere else, once some things are gone."""
-        rest = taken_out(grid, gone)
-        if not has_room(rest, self.assembly.rules, target):
-            return False
-        ways = Ways(rest, self.assembly.rules, target.load)
-        distances = ways.to_nodes(ways.nodes(target.cell, target.yaws))
-        walking = Ways(rest, self.assembly.rules)
-        reached = np.min([self._distances(walking, car) for car in self._cars], axis=0)
-        for thing in things_in(grid):
-            if thing in self._standing or thing.load != target.load:
-                continue
-            if thing in gone:
-                if _onward(distances, ways, rest, thing) < FAR:
-                    return True
-            else:
-                carrying = Ways(taken_out(rest, [thing]), self.assembly.rules, target.load)
-                far = _nearest(carrying.to_nodes(carrying.nodes(target.cell, target.yaws)), carrying, thing)
-                if far < FAR and _nearest(reached, ways, thing) < FAR:
-                    return True
-        return False
-
-
-def _nearest(distances: Nodes, ways: Ways, thing: BuildingPart) -> int:
-    """Return the distance of the states below a thing."""
-    return min(int(distances[node]) for node in ways.nodes(thing.cell, thing.yaws))
-
-
-def _onward(distances: Nodes, ways: Ways, grid: Grid, thing: BuildingPart) -> int:
-    """Return the distance from a thing that has been taken up: from there, or from the next cell that is free."""
-    far = _nearest(distances, ways, thing)
-    for direction in range(4):
-        cell = beside(thing.cell, direction)
-        if all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True)) and grid.kind[cell] in (
-            Kind.AIR,
-            Kind.GEAR,
-        ):
-            far = min(far, 1 + _nearest(distances, ways, thing._replace(cell=cell)))
-    return far
-
-
-def _manhattan(a: Cell, b: Cell) -> int:
-    return sum(abs(i - j) for i, j in zip(a, b, strict=True))

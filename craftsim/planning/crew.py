@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.assembly import taken_out
 from craftsim.planning.paths import WAIT, PathFinder
 from craftsim.planning.things import BuildingPart
 from craftsim.planning.timeline import NOTHING_DONE, Timeline
-from craftsim.planning.ways import FAR, Nodes, Ways, cell_of_node, node_number
+from craftsim.planning.ways import FAR, Maps, Nodes, Ways, cell_of_node, node_number
 
 FLAP_TICKS: Final = 10
 """FOLD and UNFOLD take so many ticks longer than other actions."""
@@ -48,12 +48,17 @@ class Errand:
         return (self.source.cell, self.source.yaw) == (self.target.cell, self.target.yaw)
 
 
+Saved = tuple[NDArray[np.int8], tuple[int, ...]]
+"""A plan that has grown so far: its actions, and when each car's last job ends."""
+
+
 class Crew:
     """The cars of a plan that grows."""
 
-    def __init__(self, grid: Grid, rules: Rules) -> None:
-        self.rules, self.size, self.n_cars = rules, grid.size, grid.n_cars
-        self.timeline = Timeline(grid, rules)
+    def __init__(self, grid: Grid, maps: Maps) -> None:
+        self.size, self.n_cars = grid.size, grid.n_cars
+        self.timeline = Timeline(grid, maps.rules)
+        self._maps = maps
         self.ready = [0] * grid.n_cars
         """The tick in which each car's last job ends; what it does after that is given up for the next."""
         length, width, height = grid.size
@@ -63,6 +68,20 @@ class Crew:
     def end(self) -> Grid:
         """The world when everything planned so far is done."""
         return self.timeline.worlds.grid(self.timeline.end)
+
+    def saved(self) -> Saved:
+        """Return what is planned, for :meth:`restore`."""
+        return self.timeline.actions[: self.timeline.end].copy(), tuple(self.ready)
+
+    def restore(self, saved: Saved) -> None:
+        """Plan again what was saved."""
+        actions, ready = saved
+        self.timeline.reserve(len(actions))
+        self.timeline.actions[:] = NOTHING_DONE
+        self.timeline.actions[: len(actions)] = actions
+        self.timeline.shorten()
+        self.timeline.replay(0)
+        self.ready[:] = ready
 
     def node(self, car: int, tick: int) -> int:
         """Return a car's state before a tick."""
@@ -78,7 +97,7 @@ class Crew:
 
         ``parking`` returns the states in which a car may stay when the job is done.
         """
-        saved, ready = self.timeline.actions.copy(), self.ready[car]
+        saved, ready = self.saved(), self.ready[car]
         not_before = 0
         for attempt in range(_DELAYS + 1):
             last = attempt == _DELAYS or not_before >= self.timeline.end > 0
@@ -88,7 +107,7 @@ class Crew:
             conflict = self._plan(car, job, begin, not_before, parking)
             if conflict is None:
                 return True
-            self._restore(saved, car, ready)
+            self.restore(saved)
             if last:
                 break
             # Where there is no way now there may be one when all others have ended.
@@ -98,7 +117,7 @@ class Crew:
 
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
         """Let a car that waits go to the nearest cell of the floor outside of some; return whether it could."""
-        saved, ready = self.timeline.actions.copy(), self.ready[car]
+        saved, ready = self.saved(), self.ready[car]
         self.timeline.write(car, ready, [])
         ways, grid = self._ways(car, Kind.AIR)
         goals = [
@@ -113,16 +132,9 @@ class Crew:
         if moved:
             self.ready[car] = self._last_of(car)
         if not moved or self.timeline.replay(0) is not None:
-            self._restore(saved, car, ready)
+            self.restore(saved)
             return False
         return True
-
-    def _restore(self, actions: np.ndarray, car: int, ready: int) -> None:
-        self.timeline.actions[:] = NOTHING_DONE
-        self.timeline.actions[: len(actions)] = actions
-        self.timeline.shorten()
-        self.timeline.replay(0)
-        self.ready[car] = ready
 
     def _last_of(self, car: int) -> int:
         acting = np.flatnonzero(self.timeline.actions[:, car] != NOTHING_DONE)
@@ -131,7 +143,7 @@ class Crew:
     def _ways(self, car: int, load: Kind) -> tuple[Ways, Grid]:
         """Return the ways of a car in the world at the end, and that world."""
         grid = self.end
-        return Ways(grid, self.rules, load), grid
+        return self._maps.ways(grid, load), grid
 
     def _plan(
         self, car: int, job: Errand, tick: int, not_before: int, parking: Callable[[Ways, Grid], list[int]]
@@ -205,7 +217,7 @@ class Crew:
 
     def _pick_up(self, ways: Ways, source: BuildingPart, target: BuildingPart, start: int) -> list[int]:
         """Return the states in which to take up a thing so that the way there and on to its place is short."""
-        loaded = loaded_ways(self.end, self.rules, source)
+        loaded = self._maps.ways(taken_out(self.end, [source]), source.load)
         there = ways.from_nodes([start])
         onward = loaded.to_nodes(loaded.nodes(target.cell, target.yaws))
         nodes = ways.nodes(source.cell, source.yaws)
@@ -253,11 +265,6 @@ def cells_on_way(ways: Ways, node: int, distances: Nodes) -> set[Cell]:
         node = closer[0]
         cells.add(cell_of_node(ways.size, node)[0])
     return cells
-
-
-def loaded_ways(grid: Grid, rules: Rules, source: BuildingPart) -> Ways:
-    """Return the ways of a car that has taken up a thing."""
-    return Ways(taken_out(grid, [source]), rules, source.load)
 
 
 def _car_in(grid: Grid, car: int, cell: Cell) -> bool:

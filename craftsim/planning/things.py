@@ -9,7 +9,8 @@ import numpy as np
 
 from craftsim.discrete.grid import SECOND_PART, Cell, Grid, Kind, beside
 
-MOVABLE = (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
+_IS_MOVABLE = np.isin(list(Kind), (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY))
+"""(kinds,)."""
 
 
 class BuildingPart(NamedTuple):
@@ -37,7 +38,7 @@ class BuildingPart(NamedTuple):
 
 def things_in(grid: Grid) -> Iterator[BuildingPart]:
     """Yield what stands in a world and can be moved."""
-    for x, y, z in np.argwhere(np.isin(grid.kind, MOVABLE)).tolist():
+    for x, y, z in np.argwhere(_IS_MOVABLE[grid.kind]).tolist():
         yield BuildingPart(Kind(grid.kind[x, y, z]), (x, y, z), int(grid.yaw[x, y, z]))
 
 

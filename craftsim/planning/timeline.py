@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -103,6 +104,19 @@ class Timeline:
         _leave_out(stack.cars[tick], car)
         _replay_without(stack, self.actions, tick, self.end, car)
         return stack
+
+    def trim(self, reached: Callable[[Grid], bool]) -> None:
+        """Take the last actions of each car away as long as a goal is reached without them."""
+        for car in range(self.n_cars):
+            for tick in np.flatnonzero(self.actions[:, car] != NOTHING_DONE)[::-1].tolist():
+                action = self.actions[tick, car]
+                self.actions[tick, car] = NOTHING_DONE
+                if self.replay(tick) is None and reached(self.worlds.grid(self.end)):
+                    continue
+                self.actions[tick, car] = action
+                self.replay(tick)
+                break
+        self.shorten()
 
     def ticks(self) -> tuple[tuple[tuple[int, Action], ...], ...]:
         """Return the plan: for each tick the (car, action) pairs in acting order."""

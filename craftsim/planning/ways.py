@@ -6,7 +6,7 @@ asked of the rules; distances are counted in actions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 import numpy as np
@@ -26,6 +26,10 @@ FAR: Final = 1 << 28
 N_STEPS: Final = len(SUCCESSORS)
 HALF_TURN: Final = 2
 """A car below a slope heads uphill: the slope's yaw is half a turn from its own."""
+_DISTANCES: Final = 16
+"""So many distances in one world are kept, each way."""
+_KEPT_BYTES: Final = 30_000_000
+"""Steps of worlds that are kept; their distances may take five times as much."""
 
 
 class Ways:
@@ -41,6 +45,8 @@ class Ways:
         _fill_steps(world_of(alone, rules.flags), int(load), self.steps)
         self._firsts: Nodes | None = None
         self._befores: Nodes | None = None
+        self._from: dict[tuple[int, ...], Nodes] = {}
+        self._to: dict[tuple[int, ...], Nodes] = {}
 
     def node(self, cell: Cell, yaw: int) -> int:
         """Return the number of a state."""
@@ -52,25 +58,64 @@ class Ways:
 
     def from_nodes(self, nodes: list[int]) -> Nodes:
         """Return how many steps each state is from the nearest of some, shape (nodes,); FAR where no way leads."""
-        distances = np.full(len(self.steps), FAR, np.int32)
-        queue = np.empty(len(self.steps), np.int32)
-        queue[: len(nodes)] = nodes
-        distances[nodes] = 0
-        _spread(self.steps, queue, len(nodes), distances)
-        return distances
+        return self._kept(self._from, nodes, self._spread)
 
     def to_nodes(self, nodes: list[int]) -> Nodes:
         """Return how many steps it is from each state to the nearest of some, shape (nodes,)."""
+        return self._kept(self._to, nodes, self._spread_back)
+
+    def _kept(
+        self,
+        known: dict[tuple[int, ...], Nodes],
+        nodes: list[int],
+        spread: Callable[[Nodes, int, Nodes], None],
+    ) -> Nodes:
+        """Return the distances of some nodes, which are worked out at most once while they are kept."""
+        key = tuple(nodes)
+        if key not in known:
+            if len(known) >= _DISTANCES:
+                known.clear()
+            known[key] = distances = np.full(len(self.steps), FAR, np.int32)
+            queue = np.empty(len(self.steps), np.int32)
+            queue[: len(nodes)] = nodes
+            distances[nodes] = 0
+            spread(queue, len(nodes), distances)
+        return known[key]
+
+    def _spread(self, queue: Nodes, size: int, distances: Nodes) -> None:
+        _spread(self.steps, queue, size, distances)
+
+    def _spread_back(self, queue: Nodes, size: int, distances: Nodes) -> None:
         if self._firsts is None or self._befores is None:
             self._firsts = np.zeros(len(self.steps) + 1, np.int32)
             self._befores = np.empty(self.steps.size, np.int32)
             _reverse(self.steps, self._firsts, self._befores)
-        distances = np.full(len(self.steps), FAR, np.int32)
-        queue = np.empty(len(self.steps), np.int32)
-        queue[: len(nodes)] = nodes
-        distances[nodes] = 0
-        _spread_back(self._firsts, self._befores, queue, len(nodes), distances)
-        return distances
+        _spread_back(self._firsts, self._befores, queue, size, distances)
+
+
+class Maps:
+    """The ways of all worlds that were looked at lately: attempts at one plan see the same ones again and again."""
+
+    def __init__(self, rules: Rules) -> None:
+        self.rules = rules
+        self._known: dict[tuple[bytes, ...], Ways] = {}
+
+    def ways(self, grid: Grid, load: Kind = Kind.AIR) -> Ways:
+        """Return the ways of a car with a load in a world without other cars."""
+        # Where marks follow from what is there, they make no difference.
+        parts = (
+            (grid.kind, grid.yaw)
+            if self.rules.flags.derived_marks
+            else (grid.kind, grid.yaw, grid.top, grid.back)
+        )
+        key = (bytes([load]), *(part.tobytes() for part in parts))
+        found = self._known.get(key)
+        if found is None:
+            found = Ways(grid, self.rules, load)
+            if len(self._known) * found.steps.nbytes > _KEPT_BYTES:
+                self._known.clear()
+            self._known[key] = found
+        return found
 
 
 def node_number(size: Cell, cell: Cell, yaw: int) -> int:

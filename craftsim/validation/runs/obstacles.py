@@ -15,7 +15,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.reading import PLACE_TOLERANCE_M
 from craftsim.discrete.tasks import Task
-from craftsim.planning.planner import Ticks
+from craftsim.planning.planned import Ticks
 
 _HALF_M: Final = CELL_PITCH_M / 2 - PLACE_TOLERANCE_M
 """A car is taken to reach so far from its middle: one that stands in its cell to within what can be read fills it."""

@@ -1,0 +1,94 @@
+"""What can be fetched from where, and what must go before that: things within reach of some cars."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Cell, Grid, Kind, beside
+from craftsim.planning.assembly import Assembly, has_room, taken_out
+from craftsim.planning.things import BuildingPart, things_in, with_car
+from craftsim.planning.ways import FAR, Nodes, Ways
+
+
+def sources(
+    assembly: Assembly, grid: Grid, standing: Collection[BuildingPart]
+) -> dict[Kind, list[BuildingPart]]:
+    """Return what can be taken up and does not stand in its place already, by the load that it makes."""
+    found: dict[Kind, list[BuildingPart]] = {}
+    for thing in things_in(grid):
+        if thing in standing or (thing.kind == Kind.BLOCK and thing._replace(yaw=0) in standing):
+            continue
+        if _can_be_taken(assembly, grid, thing):
+            found.setdefault(thing.load, []).append(thing)
+    return found
+
+
+def _can_be_taken(assembly: Assembly, grid: Grid, thing: BuildingPart) -> bool:
+    yaw = thing.yaws[0]
+    action = Action.FOLD if thing.kind == Kind.BODY else Action.LIFT
+    return assembly.rules.legal(with_car(grid, thing.cell, yaw), 0, action)
+
+
+class Reach:
+    """What cars that wait in some states can bring."""
+
+    def __init__(self, assembly: Assembly, standing: Collection[BuildingPart], nodes: list[int]) -> None:
+        """Take what must stay where it is, and the states."""
+        self._assembly, self._standing, self._nodes = assembly, standing, nodes
+
+    def barring(self, grid: Grid, loose: list[BuildingPart], target: BuildingPart) -> list[BuildingPart]:
+        """Return the loose things that must go before a place can be filled; none of the others need to."""
+        gone = list(loose)
+        if not self.reaches(grid, gone, target):
+            return []
+        near = sorted(loose, key=lambda thing: -_manhattan(thing.cell, target.cell))
+        for thing in near:
+            fewer = [other for other in gone if other != thing]
+            if self.reaches(grid, fewer, target):
+                gone = fewer
+        return gone
+
+    def reaches(self, grid: Grid, gone: list[BuildingPart], target: BuildingPart) -> bool:
+        """Return whether a load can be driven to a place from somewhere else, once some things are gone."""
+        rest = taken_out(grid, gone)
+        if not has_room(rest, self._assembly.rules, target):
+            return False
+        ways = self._assembly.maps.ways(rest, target.load)
+        distances = ways.to_nodes(ways.nodes(target.cell, target.yaws))
+        walking = self._assembly.maps.ways(rest)
+        reached = walking.from_nodes(self._nodes)
+        for thing in things_in(grid):
+            if thing in self._standing or thing.load != target.load:
+                continue
+            if thing in gone:
+                if onward_from(distances, ways, rest, thing) < FAR:
+                    return True
+            else:
+                carrying = self._assembly.maps.ways(taken_out(rest, [thing]), target.load)
+                far = nearest(carrying.to_nodes(carrying.nodes(target.cell, target.yaws)), carrying, thing)
+                if far < FAR and nearest(reached, ways, thing) < FAR:
+                    return True
+        return False
+
+
+def nearest(distances: Nodes, ways: Ways, thing: BuildingPart) -> int:
+    """Return the distance of the states below a thing."""
+    return min(int(distances[node]) for node in ways.nodes(thing.cell, thing.yaws))
+
+
+def onward_from(distances: Nodes, ways: Ways, grid: Grid, thing: BuildingPart) -> int:
+    """Return the distance from a thing that has been taken up: from there, or from the next cell that is free."""
+    far = nearest(distances, ways, thing)
+    for direction in range(4):
+        cell = beside(thing.cell, direction)
+        if all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True)) and grid.kind[cell] in (
+            Kind.AIR,
+            Kind.GEAR,
+        ):
+            far = min(far, 1 + nearest(distances, ways, thing._replace(cell=cell)))
+    return far
+
+
+def _manhattan(a: Cell, b: Cell) -> int:
+    return sum(abs(i - j) for i, j in zip(a, b, strict=True))

@@ -1,0 +1,65 @@
+"""Neighbours of a plan: turns of it, and what they become when some of them change."""
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.tasks import make_task
+from craftsim.discrete.timetable import timetable
+from craftsim.planning import plan_building
+from craftsim.planning.building import Turn
+from craftsim.planning.crew import Errand
+from craftsim.planning.planned import Planned
+from craftsim.planning.things import BuildingPart
+from craftsim.planning.variation import vary
+
+RULES = Rules("physical")
+BLOCKS = tuple(BuildingPart(Kind.BLOCK, (x, 0, 1)) for x in range(5))
+TURNS = [Turn(x % 2, Errand(BLOCKS[x], BuildingPart(Kind.BLOCK, (x, 3, 1))), x) for x in range(4)]
+
+
+def neighbours(n=300, critical=()):
+    return [vary(TURNS, critical, BLOCKS, 2, np.random.default_rng(seed)) for seed in range(n)]
+
+
+def test_what_is_kept_is_the_beginning_and_what_follows_differs_from_it():
+    for n_kept, others in neighbours():
+        assert 0 <= n_kept <= len(TURNS)
+        assert others != TURNS[n_kept:] or n_kept == len(TURNS)
+
+
+def test_each_turn_still_brings_a_thing_to_a_place_of_the_plan():
+    places = {turn.job.target for turn in TURNS}
+    for _, others in neighbours():
+        jobs = [turn.job for turn in others if turn]
+        assert {job.target for job in jobs} <= places
+        assert len({job.source for job in jobs}) == len(jobs)
+
+
+def test_a_thing_that_nobody_used_may_be_used():
+    assert any(turn.job.source == BLOCKS[4] for _, others in neighbours() for turn in others if turn)
+
+
+def test_what_the_makespan_depends_on_changes_more_often():
+    first = [kept == 0 for kept, _ in neighbours(critical=(0,))]
+    assert np.mean(first) > np.mean([kept == 0 for kept, _ in neighbours(critical=(3,))]) + 0.2
+
+
+@pytest.fixture(scope="module")
+def planned() -> Planned:
+    task = make_task("breaking_barrier")
+    return plan_building(task.draw(np.random.default_rng(0)), task, RULES, rounds=4, time_s=60)
+
+
+def test_critical_actions_fill_the_makespan(planned):
+    acts = planned.critical()
+    steps = [i for i, step in enumerate(planned.schedule.steps) if (step.tick, step.car) in acts]
+    times = timetable(planned.schedule)[steps]
+    assert (times[:, 1] - times[:, 0]).sum() == pytest.approx(planned.makespan_s)
+
+
+def test_a_search_around_plans_finds_what_the_shipped_barrier_plan_takes():
+    task = make_task("breaking_barrier")
+    grid = task.draw(np.random.default_rng(0))
+    assert plan_building(grid, task, RULES, rounds=150, time_s=60).makespan_s < 15.76

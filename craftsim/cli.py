@@ -39,6 +39,7 @@ COMMANDS: Final[dict[str, str]] = {
     "identify": "Fit a car's figures, delays and biases to its log.",
     "robot": "Simulate robots on a network, for skills elsewhere to drive.",
     "train": "Let cars learn a task on the grid.",
+    "study": "Train over tasks, algorithms and seeds, and say what may be concluded.",
     "evaluate": "Count how often trained policies succeed, and from how many different starts.",
     "export": "Write episodes of a plan or a policy as a Minari dataset.",
     "conformance": "Compare the grid rules with recordings of CraftEnv.",

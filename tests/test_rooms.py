@@ -48,6 +48,7 @@ ALLOWED = {
         "logs",
     },
     "envs": {"planning", "storage", "checking", "skills", "models", "discrete", "rendering", "report"},
+    "studies": {"storage", "discrete", "training", "validation.campaign"},
     "training": {"storage", "discrete", "models.parameters", "envs", "report"},
     "rendering": {"storage", "checking", "skills", "models", "discrete", "report"},
     "testing": {"envs", "discrete"},

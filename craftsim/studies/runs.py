@@ -27,7 +27,7 @@ def run_study(
 ) -> list[TrialRecord]:
     """Do all runs of a study and return a record of each, in the order of its jobs.
 
-    A record's ``extra`` holds steps, explored ticks, CPU seconds, the learning curve and, by task, what evaluations
+    A record's ``extra`` holds steps, CPU seconds, the learning curve and, by task, what evaluations
     came to. A run that fails is a record with an error. Of a cut-off study what is finished is kept, and a run that was
     under way goes on from its last evaluation.
 
@@ -44,7 +44,9 @@ def run_study(
     """
     jobs = study.jobs
     folder = out.resolve() / RUNS
-    items = [Item(job.key, f"{job.config.task}, {job.config.algo}", job.config.seed, (job, folder)) for job in jobs]
+    items = [
+        Item(job.key, f"{job.config.task}, {job.config.algo}", job.config.seed, (job, folder)) for job in jobs
+    ]
     header = Header("study", 0, {"study": asdict(study)})
     records = run_campaign(
         items,
@@ -83,7 +85,6 @@ def do_job(asked: tuple[Job, Path]) -> Done:
         trainer.save(place)
         extra: dict[str, Any] = {
             "steps": trainer.steps,
-            "explored": trainer.explored,
             "cpu_s": round(time.process_time() - begun, 1),
             "resumed": resumed,
             "curve": [asdict(point) for point in trainer.curve],

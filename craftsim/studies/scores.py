@@ -1,87 +1,83 @@
-"""Statistics over training runs: rliable's measures (Agarwal et al., NeurIPS 2021)."""
+"""Statistics over training runs, as Agarwal et al. advise ("Deep reinforcement learning at the edge of the statistical
+precipice", NeurIPS 2021).
+
+The measures are those of their library rliable, which does not import beside pandas 3 (its dependency arch does not).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import trim_mean
 
 REPETITIONS: Final = 2000
 """Of the stratified bootstrap."""
 TAUS: Final = np.linspace(0.0, 1.0, 51)
 """Success rates at which performance profiles are drawn."""
-Scores = Mapping[str, NDArray[np.float64]]
-"""By algorithm: success rates, shape (seeds, tasks)."""
+Runs = NDArray[np.float64]
+"""Success rates, shape (..., seeds, tasks)."""
+Scores = Mapping[str, Runs]
+"""By algorithm."""
 
 
-def measures(scores: Scores) -> dict[str, Any]:
-    """Return, by algorithm, interquartile mean, mean, median and optimality gap over all runs, with 95 % intervals.
+def iqm(runs: Runs) -> NDArray[np.float64]:
+    """Return the interquartile mean over seeds and tasks: of the middle half of all runs, shape (...)."""
+    found: NDArray[np.float64] = trim_mean(runs.reshape(*runs.shape[:-2], -1), 0.25, axis=-1)
+    return found
 
-    Runs are drawn anew within each task. Each figure is [estimate, low, high].
-    """
-    from rliable import metrics
 
-    def all_of(runs: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array(
-            [
-                metrics.aggregate_iqm(runs),
-                metrics.aggregate_mean(runs),
-                metrics.aggregate_median(runs),
-                metrics.aggregate_optimality_gap(runs),
-            ]
-        )
+MEASURES: Final[Mapping[str, Callable[[Runs], NDArray[np.float64]]]] = {
+    "iqm": iqm,
+    "mean": lambda runs: runs.mean((-2, -1)),
+    "median": lambda runs: np.median(runs.mean(-2), -1),
+    "optimality_gap": lambda runs: 1 - np.minimum(runs, 1.0).mean((-2, -1)),
+}
+"""By name: what is said of all runs of an algorithm; the median is that of the tasks' means."""
 
-    points, intervals = _estimated(scores, all_of)
-    names = ("iqm", "mean", "median", "optimality_gap")
+
+def measures(runs: Runs) -> dict[str, list[float]]:
+    """Return every measure of an algorithm's runs (seeds, tasks), each as estimate, low and high at 95 %."""
+    drawn = _drawn(runs)
     return {
-        algo: {
-            name: [float(points[algo][i]), float(intervals[algo][0][i]), float(intervals[algo][1][i])]
-            for i, name in enumerate(names)
-        }
-        for algo in scores
+        name: [float(measure(runs)), *np.quantile(measure(drawn), (0.025, 0.975)).tolist()]
+        for name, measure in MEASURES.items()
     }
 
 
-def profiles(scores: Scores) -> dict[str, list[list[float]]]:
-    """Return, by algorithm, the share of runs above each success rate of TAUS: estimates, lows and highs."""
-    from rliable import library
+def profile(runs: Runs) -> NDArray[np.float64]:
+    """Return (3, len(TAUS)): the share of runs above each success rate, its low and its high at 95 %."""
 
-    points, intervals = library.create_performance_profile(
-        dict(scores), TAUS, reps=REPETITIONS, random_state=np.random.RandomState(0)
-    )
-    return {
-        algo: [points[algo].tolist(), intervals[algo][0].tolist(), intervals[algo][1].tolist()] for algo in scores
-    }
+    def above(some: Runs) -> NDArray[np.float64]:
+        shares: NDArray[np.float64] = (some[..., None] > TAUS).mean((-3, -2))
+        return shares
+
+    return np.stack([above(runs), *np.quantile(above(_drawn(runs)), (0.025, 0.975), axis=0)])
 
 
-def improvements(scores: Scores) -> dict[str, list[float]]:
-    """Return by 'A over B' how likely a run of A is better than one of B on a task, with its interval."""
-    from rliable import metrics
+def improvement(ours: Runs, theirs: Runs) -> list[float]:
+    """Return how likely a run of ours is better than one of theirs on a task, ties by half, its low and its high."""
 
-    names = list(scores)
-    pairs = {f"{a} over {b}": (scores[a], scores[b]) for i, a in enumerate(names) for b in names[i + 1 :]}
-    if not pairs:
-        return {}
-    points, intervals = _estimated(pairs, metrics.probability_of_improvement)
-    return {pair: [float(points[pair]), *map(float, intervals[pair][:, 0])] for pair in pairs}
+    def better(a: Runs, b: Runs) -> NDArray[np.float64]:
+        gap = a[..., :, None, :] - b[..., None, :, :]
+        likely: NDArray[np.float64] = ((gap > 0) + 0.5 * (gap == 0)).mean((-3, -2, -1))
+        return likely
+
+    bounds = np.quantile(better(_drawn(ours), _drawn(theirs, 1)), (0.025, 0.975))
+    return [float(better(ours, theirs)), *bounds.tolist()]
 
 
 def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return (3, len(at)): interquartile mean over runs, low and high, of success after so many steps.
+    """Return (3, len(at)): the interquartile mean over runs of success after so many steps, its low and its high.
 
-    A run has the success of its last evaluation until then, 0 before its first, and keeps its last one for good.
+    A run, a list of (steps, success), has the success of its last evaluation until then, and 0 before its first one.
     """
-    from rliable import metrics
-
     held = np.array([[_held(run, int(step)) for step in at] for run in runs])
-
-    def at_each(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array([metrics.aggregate_iqm(drawn[:, i]) for i in range(drawn.shape[1])])
-
-    points, intervals = _estimated({"runs": held}, at_each)
-    return np.stack([points["runs"], *intervals["runs"]])
+    columns = np.moveaxis(_drawn(held), -1, 0)[..., None]
+    bounds = np.quantile(iqm(columns), (0.025, 0.975), axis=-1)
+    return np.stack([iqm(held.T[..., None]), *bounds])
 
 
 def _held(run: Sequence[tuple[int, float]], step: int) -> float:
@@ -89,10 +85,8 @@ def _held(run: Sequence[tuple[int, float]], step: int) -> float:
     return before[-1] if before else 0.0
 
 
-def _estimated(scores: Mapping[str, Any], function: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    from rliable import library
-
-    found: tuple[dict[str, Any], dict[str, Any]] = library.get_interval_estimates(
-        dict(scores), function, reps=REPETITIONS, random_state=np.random.RandomState(0)
-    )
-    return found
+def _drawn(runs: Runs, seed: int = 0) -> Runs:
+    """Return (REPETITIONS, seeds, tasks): runs drawn with replacement, those of each task by themselves."""
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(len(runs), size=(REPETITIONS, *runs.shape))
+    return np.take_along_axis(np.broadcast_to(runs, rows.shape), rows, axis=1)

@@ -67,10 +67,16 @@ class Study:
             raise InputError(
                 f"seeds {self.seeds}, episodes {self.episodes}, steps {self.steps}: each must be 1 or more"
             )
-        for name, known in {"of_tasks": self.of_tasks, "tests": self.tests, "reference": self.reference}.items():
+        for name, known in {
+            "of_tasks": self.of_tasks,
+            "tests": self.tests,
+            "reference": self.reference,
+        }.items():
             for task in known:
                 if task not in self.tasks:
-                    raise InputError(f"key '{name}.{task}': no task of the study{suggestion(task, self.tasks)}")
+                    raise InputError(
+                        f"key '{name}.{task}': no task of the study{suggestion(task, self.tasks)}"
+                    )
         for where, given in {"settings": self.settings, **self.of_tasks}.items():
             for key in given:
                 if key not in (*SETTINGS, *(() if where == "settings" else ("steps",))):
@@ -85,11 +91,18 @@ class Study:
     def jobs(self) -> list[Job]:
         """All runs."""
         return [
-            self._job(task, algo, seed) for task in self.tasks for algo in self.algos for seed in range(self.seeds)
+            self._job(task, algo, seed)
+            for task in self.tasks
+            for algo in self.algos
+            for seed in range(self.seeds)
         ]
 
     def _job(self, task: str, algo: AlgoName, seed: int) -> Job:
-        given = {**(PRESETS[self.preset] if self.preset else {}), **self.settings, **self.of_tasks.get(task, {})}
+        given = {
+            **(PRESETS[self.preset] if self.preset else {}),
+            **self.settings,
+            **self.of_tasks.get(task, {}),
+        }
         steps = int(given.pop("steps", self.steps))
         config = TrainConfig(task=task, algo=algo, seed=seed, **given)
         return Job(config, steps, self.until, self.tests.get(task, (task,)), self.episodes)
@@ -100,7 +113,9 @@ def read_study(text: str) -> Study:
     if not exists(text):
         names = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
         if text not in names:
-            raise InputError(f"no study '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, and files")
+            raise InputError(
+                f"no study '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, and files"
+            )
         text = str(SHIPPED / f"{text}.yaml")
     from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 

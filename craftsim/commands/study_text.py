@@ -1,0 +1,54 @@
+"""What ``craftsim study`` says of its runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from craftsim.commands.bench_cells import Cells
+from craftsim.studies.study import Study
+
+
+def runs_table(study: Study, figures: dict[str, Any]) -> Cells:
+    """Return the table by task, what was played and algorithm."""
+    head = (
+        "trained on",
+        "played",
+        "algorithm",
+        "success, IQM",
+        "95 %",
+        "seeds",
+        "starts",
+        "steps",
+        "published",
+    )
+    rows = []
+    for row in figures["rows"]:
+        estimate, low, high = row["success"]["iqm"]
+        published = "" if row["published"] is None else f"{row['published']:.2f}"
+        played = "" if row["played"] == row["task"] else row["played"]
+        starts = str(row["distinct_starts"])
+        steps = f"{row['median_steps']:,.0f}"
+        rows.append(
+            (
+                *(row["task"], played, row["algo"], f"{estimate:.3f}", f"{low:.3f}-{high:.3f}"),
+                *(str(row["seeds"]), starts, steps, published),
+            )
+        )
+    return Cells(study.title, head, tuple(rows))
+
+
+def conclusions(figures: dict[str, Any]) -> list[str]:
+    """Return a line an algorithm on all its runs, one a pair of algorithms, and one on each run without a result."""
+    lines = []
+    for algo, found in figures["overall"].items():
+        (estimate, low, high), (gap, *_) = found["iqm"], found["optimality_gap"]
+        lines.append(
+            f"{algo}, all tasks: IQM {estimate:.3f} ({low:.3f} to {high:.3f}), optimality gap {gap:.3f}."
+        )
+    for pair, (likely, low, high) in figures["improvement"].items():
+        a, b = pair.split(" over ")
+        lines.append(
+            f"A run of {a} beats one of {b} with probability {likely:.2f} ({low:.2f} to {high:.2f})."
+        )
+    lines += [f"{run['key']}: {run['error']}" for run in figures["runs"] if run["error"]]
+    return lines

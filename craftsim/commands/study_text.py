@@ -9,32 +9,17 @@ from craftsim.studies.study import Study
 
 
 def runs_table(study: Study, figures: dict[str, Any]) -> Cells:
-    """Return the table by task, what was played and algorithm."""
-    head = (
-        "trained on",
-        "played",
-        "algorithm",
-        "success, IQM",
-        "95 %",
-        "seeds",
-        "starts",
-        "steps",
-        "published",
-    )
+    """Return the table by task, what was played and algorithm; starts are the different ones of an evaluation."""
+    head = ("task", "algo", "IQM", "95 %", "starts", "steps", "published")
     rows = []
     for row in figures["rows"]:
         estimate, low, high = row["success"]["iqm"]
         published = "" if row["published"] is None else f"{row['published']:.2f}"
-        played = "" if row["played"] == row["task"] else row["played"]
-        starts = str(row["distinct_starts"])
-        steps = f"{row['median_steps']:,.0f}"
-        rows.append(
-            (
-                *(row["task"], played, row["algo"], f"{estimate:.3f}", f"{low:.3f}-{high:.3f}"),
-                *(str(row["seeds"]), starts, steps, published),
-            )
-        )
-    return Cells(study.title, head, tuple(rows))
+        task = row["task"] if row["played"] == row["task"] else f"{row['task']}, on {row['played']}"
+        steps = f"{row['median_steps'] / 1000:,.0f} k"
+        success = f"{estimate:.3f}", f"{low:.3f}-{high:.3f}"
+        rows.append((task, row["algo"], *success, str(row["distinct_starts"]), steps, published))
+    return Cells(f"{study.title}: success over {study.seeds} seeds of training", head, tuple(rows))
 
 
 def conclusions(figures: dict[str, Any]) -> list[str]:

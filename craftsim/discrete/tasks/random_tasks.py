@@ -24,9 +24,9 @@ from craftsim.errors import InputError
 RANDOM: Final = "random_"
 RANDOM_NAMES: Final = tuple(f"{RANDOM}{name}" for name in TASK_NAMES)
 MAX_STEPS: Final = {
-    "strip": 36,
-    "block": 36,
-    "simple_two_story": 54,
+    "strip": 30,
+    "block": 29,
+    "simple_two_story": 51,
     "complex_two_story": 90,
     "free_building": 54,
     "breaking_barrier": 54,
@@ -36,7 +36,7 @@ _TRIES: Final = 1000
 
 
 @dataclass(frozen=True)
-class Placing:
+class RandomPlacement:
     """Random starts of a split, drawn as they are needed: what a blueprint lists stands, all else is placed at random.
 
     A start at which the work is done already is none.
@@ -129,7 +129,7 @@ def random_task(
     }
     if own.design is None and own.goal_cell is None:
         known["success"] = OnePlatform(blueprint.n_blocks)
-    source: StartSource = Placing(blueprint, Task(**known), split, flag_x)
+    source: StartSource = RandomPlacement(blueprint, Task(**known), split, flag_x)
     if split == "test" and (n_cars, n_blocks, area) == (None, None, None):
         source = Stored(RANDOM + name, "test")
     return VariedTask(**known, source=source, split=split)

@@ -50,6 +50,9 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
         (["--seed", "-1"], "seed is -1"),
         (["--novelty", "nan"], "novelty is nan"),
         (["--starts", "no_such.plan"], "no_such.plan"),
+        (["--starts", "some.plan", "--preset", "paper"], "learns from nothing; leave --starts out"),
+        (["--explore", "-1"], "--explore is -1"),
+        (["--helper-depth", "5", "--backend", "physics"], "or train on the grid"),
         (["--task", "strap"], "strip"),
     ],
 )
@@ -58,6 +61,13 @@ def test_wrong_input_gives_one_message(words, message, tmp_path, capsys):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_the_preset_of_the_paper_is_its_rules_and_its_helper(tmp_path):
+    assert _train(tmp_path, "--preset", "paper", "--steps", "1") == 0
+    asked = json.loads((tmp_path / "report.json").read_text())["config"]
+    assert asked.items() >= {"rules": "published", "helper_depth": 20, "explore": 0}.items()
+    assert load_policy(tmp_path).identity.rules == "published"
 
 
 def test_a_run_is_neither_overwritten_nor_mixed_with_another(tmp_path, capsys):

@@ -54,7 +54,7 @@ def study(
     sys.path.insert(0, os.getcwd())
     asked = read_study(what)
     folder, console, begun = output_directory(out), Terminal(), time.perf_counter()
-    with counting(console, "runs", len(asked.jobs)) as on_record:
+    with counting(console, "runs", len(asked.runs)) as on_record:
         records = run_study(
             asked,
             folder,

@@ -15,7 +15,9 @@ def runs_table(study: Study, figures: dict[str, Any]) -> Cells:
     for row in figures["rows"]:
         estimate, low, high = row["success"]["iqm"]
         published = "" if row["published"] is None else f"{row['published']:.2f}"
-        task = row["task"] if row["played"] == row["task"] else f"{row['task']}, on {row['played']}"
+        # A split of the task that it was trained on says so by its name.
+        own = row["played"].partition("@")[0] == row["task"]
+        task = row["played"] if own else f"{row['played']} by {row['task']}"
         steps = f"{row['median_steps'] / 1000:,.0f} k"
         success = f"{estimate:.3f}", f"{low:.3f}-{high:.3f}"
         rows.append((task, row["algo"], *success, str(row["distinct_starts"]), steps, published))

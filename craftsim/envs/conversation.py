@@ -15,7 +15,7 @@ Answer = Callable[[str, str], str]
 
 
 @dataclass(frozen=True)
-class Turn:
+class Exchange:
     """A text, what was answered, and what became of it."""
 
     text: str
@@ -29,7 +29,7 @@ class Turn:
 class Conversation:
     """An episode in words."""
 
-    turns: tuple[Turn, ...]
+    turns: tuple[Exchange, ...]
     """One a tick."""
     success: bool
     total_reward: float
@@ -74,7 +74,7 @@ def converse(env: TextConstruction, answer: Answer, seed: int | None = None) -> 
             wrong = str(error)
             after, reward, terminated, truncated, info = env.step(nothing)
             after = f"Your answer could not be read, and all cars stopped: {wrong}\n{after}"
-        turns.append(Turn(text, said, wrong, info["feedback"]))
+        turns.append(Exchange(text, said, wrong, info["feedback"]))
         total, duration_s = total + reward, duration_s + info["duration_s"]
         text, over, success = after, terminated or truncated, info["success"]
     return Conversation(tuple(turns), success, total, duration_s)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.storage.writing import whole
-from craftsim.studies.scores import TAUS, Runs, improvement, iqm, iqm_curve, measures, profile
-from craftsim.studies.study import Study
+from craftsim.studies.scores import TAUS, Runs, improvement, iqm_curve, measures, profile
+from craftsim.studies.study import Study, StudyRun
 from craftsim.validation.campaign import TrialRecord
 
 _POINTS: Final = 60
@@ -23,10 +23,8 @@ def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
 
     A run without a result counts as success 0.
     """
-    found = dict(zip([job.key for job in study.jobs], records, strict=True))
-    runs = [
-        _run(job.key, job.config.task, job.config.algo, job.config.seed, found[job.key]) for job in study.jobs
-    ]
+    found = dict(zip([asked.key for asked in study.runs], records, strict=True))
+    runs = [_run(asked, found[asked.key]) for asked in study.runs]
     rows = []
     for task in study.tasks:
         for name in study.tests.get(task, (task,)):
@@ -57,10 +55,12 @@ def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
     }
 
 
-def _run(key: str, task: str, algo: str, seed: int, record: TrialRecord) -> dict[str, Any]:
+def _run(asked: StudyRun, record: TrialRecord) -> dict[str, Any]:
     extra = record["extra"] if record["error"] is None else {}
-    run = {"key": key, "task": task, "algo": algo, "seed": seed, "error": record["error"]}
+    config = asked.config
+    run = {"key": asked.key, "task": config.task, "algo": config.algo, "seed": config.seed}
     return run | {
+        "error": record["error"],
         "steps": extra.get("steps", 0),
         "evaluations": extra.get("evaluations", {}),
         "curve": [
@@ -140,6 +140,3 @@ def _plot_profiles(path: Path, study: Study, figures: dict[str, Any]) -> Path:
 def _band(axes: Any, x: NDArray[Any], band: NDArray[np.float64], label: str) -> None:
     (line,) = axes.plot(x, band[0], label=label)
     axes.fill_between(x, band[1], band[2], color=line.get_color(), alpha=0.2)
-
-
-__all__ = ["figures_of", "iqm", "plot_results"]

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from craftsim.studies.study import Job, Study
+from craftsim.studies.study import Study, StudyRun
 from craftsim.validation.campaign import Done, Engine, Header, Item, TrialRecord, run_campaign
 
 RUNS = "runs"
@@ -25,7 +25,7 @@ def run_study(
     resume: bool = False,
     on_record: Callable[[TrialRecord], None] = lambda record: None,
 ) -> list[TrialRecord]:
-    """Do all runs of a study and return a record of each, in the order of its jobs.
+    """Do all runs of a study and return a record of each, in the order of its runs.
 
     A record's ``extra`` holds steps, CPU seconds, the learning curve and, by task, what evaluations
     came to. A run that fails is a record with an error. Of a cut-off study what is finished is kept, and a run that was
@@ -42,15 +42,16 @@ def run_study(
 
     Raises InputError where the folder holds another study.
     """
-    jobs = study.jobs
+    asked = study.runs
     folder = out.resolve() / RUNS
     items = [
-        Item(job.key, f"{job.config.task}, {job.config.algo}", job.config.seed, (job, folder)) for job in jobs
+        Item(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder))
+        for run in asked
     ]
     header = Header("study", 0, {"study": asdict(study)})
     records = run_campaign(
         items,
-        do_job,
+        train_and_evaluate,
         out,
         header,
         workers=workers,
@@ -62,7 +63,7 @@ def run_study(
     return list(records)
 
 
-def do_job(asked: tuple[Job, Path]) -> Done:
+def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
     """Train, or go on training, and evaluate; what a worker does of a study."""
     import torch
 
@@ -71,15 +72,15 @@ def do_job(asked: tuple[Job, Path]) -> Done:
     from craftsim.training.evaluation import evaluate
     from craftsim.training.trainer import Trainer
 
-    job, folder = asked
-    config, place = job.config, folder / job.key
+    run, folder = asked
+    config, place = run.config, folder / run.key
     place.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     begun = time.process_time()
     resumed = (place / RUN_FILE).exists()
     trainer = Trainer.resume(place, config=config) if resumed else Trainer(config)
     with closing(trainer):
-        for evaluated in trainer.run(job.steps, job.until):
+        for evaluated in trainer.run(run.steps, run.until):
             if evaluated:
                 trainer.save(place)
         trainer.save(place)
@@ -90,10 +91,10 @@ def do_job(asked: tuple[Job, Path]) -> Done:
             "curve": [asdict(point) for point in trainer.curve],
             "evaluations": {
                 name: evaluate(
-                    trainer.learner.net, as_task(name), job.episodes, 1, config.rules, config.helper_depth
+                    trainer.learner.net, as_task(name), run.episodes, 1, config.rules, config.helper_depth
                 ).as_figures()
-                for name in job.tests
+                for name in run.tests
             },
         }
-    own = extra["evaluations"][job.tests[0]]["success"]["rate"]
-    return Done(agrees=own >= job.until, extra=extra)
+    own = extra["evaluations"][run.tests[0]]["success"]["rate"]
+    return Done(agrees=own >= run.until, extra=extra)

@@ -11,7 +11,7 @@ from craftsim.discrete.files.documents import Node, Scalar, Sequence, exists, pa
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.mistakes import first_mistake
-from craftsim.training.config import ALGO_NAMES, PRESETS, AlgoName, PresetName, TrainConfig
+from craftsim.training.config import PRESETS, AlgoName, PresetName, TrainConfig
 
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "studies"
 _SETTLED: Final = ("task", "algo", "seed")
@@ -20,7 +20,7 @@ SETTINGS: Final = tuple(field.name for field in fields(TrainConfig) if field.nam
 
 
 @dataclass(frozen=True)
-class Job:
+class StudyRun:
     """One training run, and what it is evaluated on."""
 
     config: TrainConfig
@@ -83,21 +83,21 @@ class Study:
                     raise InputError(
                         f"key '{where}.{key}': unknown{suggestion(key, SETTINGS)}; there are {', '.join(SETTINGS)}"
                     )
-        for job in self.jobs:
-            for name in (job.config.task, *job.tests):
+        for run in self.runs:
+            for name in (run.config.task, *run.tests):
                 _with_goal(name)
 
     @property
-    def jobs(self) -> list[Job]:
+    def runs(self) -> list[StudyRun]:
         """All runs."""
         return [
-            self._job(task, algo, seed)
+            self._run(task, algo, seed)
             for task in self.tasks
             for algo in self.algos
             for seed in range(self.seeds)
         ]
 
-    def _job(self, task: str, algo: AlgoName, seed: int) -> Job:
+    def _run(self, task: str, algo: AlgoName, seed: int) -> StudyRun:
         given = {
             **(PRESETS[self.preset] if self.preset else {}),
             **self.settings,
@@ -105,7 +105,7 @@ class Study:
         }
         steps = int(given.pop("steps", self.steps))
         config = TrainConfig(task=task, algo=algo, seed=seed, **given)
-        return Job(config, steps, self.until, self.tests.get(task, (task,)), self.episodes)
+        return StudyRun(config, steps, self.until, self.tests.get(task, (task,)), self.episodes)
 
 
 def read_study(text: str) -> Study:
@@ -149,6 +149,3 @@ def _with_goal(name: str) -> Task:
     if not task.has_goal:
         raise InputError(f"task '{name}' has no goal to learn")
     return task
-
-
-__all__ = ["ALGO_NAMES", "Job", "Study", "read_study"]

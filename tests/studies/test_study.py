@@ -1,0 +1,78 @@
+"""Studies: what is read, what is refused, and that an interrupted one goes on."""
+
+import json
+
+import pytest
+
+from craftsim.cli import main
+from craftsim.errors import InputError
+from craftsim.studies.study import SHIPPED, read_study
+
+TEXT = """
+title: Tiny
+tasks: [strip]
+algos: [ippo]
+seeds: 2
+steps: 400
+episodes: 20
+settings: {worlds: 10, width: 8}
+tests: {strip: [strip, random_strip@test]}
+reference: {strip: 0.92}
+"""
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    path = tmp_path / "tiny.yaml"
+    path.write_text(TEXT)
+    return path
+
+
+def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["study", str(tiny), "--out", str(out)]) == 1  # so little training reaches nothing
+    whole = json.loads((out / "report.json").read_text())
+    rows = whole["figures"]["rows"]
+    assert [(row["played"], row["seeds"], row["distinct_starts"]) for row in rows] == [
+        ("strip", 2, 1),
+        ("random_strip@test", 2, 20),
+    ]
+    assert {run["steps"] for run in whole["figures"]["runs"]} == {400}
+    assert "IQM" in capsys.readouterr().out
+    first, _ = (out / "trials.jsonl").read_text().splitlines(keepends=True)
+    (out / "trials.jsonl").write_text(first)
+    assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 1
+    again = json.loads((out / "report.json").read_text())
+    assert again["figures"] == whole["figures"]
+    assert json.loads((out / "trials.jsonl").read_text().splitlines()[1])["extra"]["resumed"]
+    tiny.write_text(TEXT.replace("seeds: 2", "seeds: 3"))
+    assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 2
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in SHIPPED.glob("*.yaml")))
+def test_shipped_studies_are_sound(name):
+    assert read_study(name).runs
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("tasks: [strip]", "tasks: [stripe]", "no task of the study"),
+        ("algos: [ippo]", "algos: [ppo]", "key 'algos.0'"),
+        ("seeds: 2", "seeds: many", "key 'seeds'"),
+        ("seeds: 2", "seed: 2", "seed"),
+        ("{worlds: 10, width: 8}", "{world: 10}", "did you mean 'worlds'"),
+        ("{worlds: 10, width: 8}", "{width: 100000}", "width is 100000"),
+        ("reference: {strip: 0.92}", "reference: {block: 0.9}", "no task of the study"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_named(old, new, said, tiny):
+    tiny.write_text(TEXT.replace(old, new))
+    with pytest.raises(InputError, match=said) as error:
+        read_study(str(tiny))
+    assert str(tiny) in str(error.value)
+
+
+def test_a_study_that_is_not_there_is_named_with_those_that_are():
+    with pytest.raises(InputError, match="there are paper, quick, random"):
+        read_study("papers")

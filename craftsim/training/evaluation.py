@@ -15,8 +15,8 @@ from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.curve import Played
-from craftsim.training.distinct import Distinct
 from craftsim.training.networks import CarNet
+from craftsim.training.repetitions import Distinct
 
 
 def evaluate(

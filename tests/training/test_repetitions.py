@@ -6,7 +6,7 @@ import pytest
 from craftsim.cli import main
 from craftsim.training.config import TrainConfig
 from craftsim.training.curve import Played
-from craftsim.training.distinct import Distinct
+from craftsim.training.repetitions import Distinct
 from craftsim.training.trainer import Trainer
 
 ALL = np.arange(4)

@@ -25,6 +25,9 @@ SEGMENT: Final = 10
 """Ticks that are played from a world before another is returned to."""
 STARTS: Final = 1000
 """How many worlds are returned: half of them lie on the way to the best one, the others anywhere."""
+EPISODES: Final = 2
+"""Lengths of an episode, after which a world is not gone on from: a way may be longer than one, for learning shortens
+it."""
 _ARRAYS: Final = tuple(field.name for field in fields(Grid))
 _HASH_SEED: Final = 1
 
@@ -47,8 +50,8 @@ def explore(
             offered = episodes.offered()
             steps = episodes.step((rng.random(offered.shape) * offered).argmax(-1))
             played += int(running.sum())
-            at = reached.add(episodes, at, running, steps.done)
-            running &= ~steps.done
+            at = reached.add(episodes, at, running, steps.success)
+            running &= ~steps.success
     way = reached.way_to_best()
     return reached.grids([*rng.choice(way, STARTS // 2), *reached.draw(rng, STARTS // 2)])
 
@@ -61,7 +64,7 @@ class _Reached:
     """
 
     def __init__(self, episodes: Episodes) -> None:
-        self._limit = episodes.task.max_steps + 2
+        self._limit = EPISODES * (episodes.task.max_steps + 2)
         live = self._live(episodes)
         self._arrays = {
             name: np.empty((1 << 12, *array.shape[1:]), array.dtype) for name, array in live.items()
@@ -114,9 +117,9 @@ class _Reached:
         episodes: Episodes,
         before: NDArray[np.int64],
         running: NDArray[np.bool_],
-        done: NDArray[np.bool_],
+        success: NDArray[np.bool_],
     ) -> NDArray[np.int64]:
-        """Remember the worlds of running episodes, reached from ``before``; one goes on from those that are not done.
+        """Remember the worlds of running episodes, reached from ``before``; one goes on from those without success.
 
         Returns which worlds they are, ``before`` where an episode runs no more.
         """
@@ -138,7 +141,7 @@ class _Reached:
                 self._ticks[known], self._before[known] = ticks[i], int(before[i])
             else:
                 continue
-            if not done[i] and ticks[i] < self._limit:
+            if not success[i] and ticks[i] < self._limit:
                 self._open.setdefault(potential[i], {}).setdefault(ticks[i], []).append(known)
         self._store(live, new)
         return at

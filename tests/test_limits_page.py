@@ -82,6 +82,8 @@ PHRASES = {
     "IDENTIFIED_S": "are identified from {} s",
     "SHARE": "| `train`: until, novelty | {},",
     "BONUS": "| `train`: until, novelty | 0 to 1, {} |",
+    "EXPLORED_TICKS": "| `train`: explore, helper depth | {},",
+    "HELPER_DEPTH": "helper depth | 0 to 100000000, {} |",
     "NETWORK_WIDTH": "width is {}.",
 }
 """How the page says each number."""

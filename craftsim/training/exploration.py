@@ -1,11 +1,13 @@
 """Exploration before learning: return to a world that was reached, go on from there at random, remember what is new.
 
 After Ecoffet et al., "First return, then explore", Nature 590, 2021. Training then has starts among the worlds that
-were reached, of every potential alike. No plan and no other knowledge of the task goes in but its reward's potential.
+were reached: on the way to the best of them, and of every potential. No plan and no other knowledge of the task goes in
+but its reward's potential.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import Final
 
@@ -22,7 +24,10 @@ WORLDS: Final = 500
 SEGMENT: Final = 10
 """Ticks that are played from a world before another is returned to."""
 STARTS: Final = 1000
-"""How many of the worlds that were reached are kept."""
+"""How many worlds are returned: half of them lie on the way to the best one, the others anywhere."""
+EPISODES: Final = 2
+"""Lengths of an episode, after which a world is not gone on from: a way may be longer than one, for learning shortens
+it."""
 _ARRAYS: Final = tuple(field.name for field in fields(Grid))
 _HASH_SEED: Final = 1
 
@@ -30,31 +35,36 @@ _HASH_SEED: Final = 1
 def explore(
     task: Task, rules: RuleSet, helper_depth: int | None, ticks: int, rng: np.random.Generator
 ) -> list[Grid]:
-    """Return STARTS of the worlds that are reached within so many ticks; one may be there more than once."""
+    """Return STARTS of the worlds that are reached within so many ticks; one may be there more than once.
+
+    The best one has the highest potential, and was reached the earliest of these.
+    """
     episodes = Episodes(task, rng, WORLDS, rules, helper_depth)
     reached = _Reached(episodes)
     played = 0
     while played < ticks:
-        reached.put(episodes, reached.draw(rng, WORLDS))
+        at = reached.draw(rng, WORLDS)
+        reached.put(episodes, at)
         running = np.ones(WORLDS, np.bool_)
         for _ in range(SEGMENT):
             offered = episodes.offered()
             steps = episodes.step((rng.random(offered.shape) * offered).argmax(-1))
             played += int(running.sum())
-            reached.add(episodes, running, steps.done)
-            running &= ~steps.done
-    return reached.grids(reached.draw(rng, STARTS))
+            at = reached.add(episodes, at, running, steps.success)
+            running &= ~steps.success
+    way = reached.way_to_best()
+    return reached.grids([*rng.choice(way, STARTS // 2), *reached.draw(rng, STARTS // 2)])
 
 
 class _Reached:
-    """Every world that was reached, with the fewest ticks that it took.
+    """Every world that was reached, with the fewest ticks that it took, and from where.
 
     A world is that of the rules; what the action helper had still to do is left out, for each of its primitives is an
     action, too.
     """
 
     def __init__(self, episodes: Episodes) -> None:
-        self._limit = episodes.task.max_steps + 2
+        self._limit = EPISODES * (episodes.task.max_steps + 2)
         live = self._live(episodes)
         self._arrays = {
             name: np.empty((1 << 12, *array.shape[1:]), array.dtype) for name, array in live.items()
@@ -63,12 +73,14 @@ class _Reached:
         self._factors = np.random.default_rng(_HASH_SEED).integers(-(2**62), 2**62, length)
         self._index: dict[int, int] = {}
         self._ticks: list[int] = []
+        self._potential: list[float] = []
+        self._before: list[int] = []
         self._returns: list[int] = []
         self._open: dict[float, dict[int, list[int]]] = {}
         """By potential and ticks: where one may go on."""
         first = np.zeros(len(episodes.worlds), np.bool_)
         first[0] = True
-        self.add(episodes, first, np.zeros_like(first))
+        self.add(episodes, np.zeros(len(first), np.int64), first, np.zeros_like(first))
 
     @staticmethod
     def _live(episodes: Episodes) -> dict[str, NDArray[np.generic]]:
@@ -100,26 +112,39 @@ class _Reached:
         episodes.bonus_given[:] = False
         episodes.potential = episodes.task.reward.measure.of_worlds(episodes.worlds.arrays)
 
-    def add(self, episodes: Episodes, running: NDArray[np.bool_], done: NDArray[np.bool_]) -> None:
-        """Remember the worlds of running episodes; one goes on from those that are not done."""
+    def add(
+        self,
+        episodes: Episodes,
+        before: NDArray[np.int64],
+        running: NDArray[np.bool_],
+        success: NDArray[np.bool_],
+    ) -> NDArray[np.int64]:
+        """Remember the worlds of running episodes, reached from ``before``; one goes on from those without success.
+
+        Returns which worlds they are, ``before`` where an episode runs no more.
+        """
         live = self._live(episodes)
         flat = [array.reshape(len(running), -1).astype(np.int64) for array in live.values()]
         keys = (np.concatenate(flat, axis=1) * self._factors).sum(axis=1).tolist()
         ticks, potential = episodes.t.tolist(), episodes.potential.tolist()
-        new = []
+        at, new = before.copy(), []
         for i in np.flatnonzero(running).tolist():
             known = self._index.setdefault(keys[i], len(self._ticks))
+            at[i] = known
             if known == len(self._ticks):
                 new.append(i)
                 self._ticks.append(ticks[i])
+                self._potential.append(potential[i])
+                self._before.append(int(before[i]))
                 self._returns.append(0)
             elif ticks[i] < self._ticks[known]:
-                self._ticks[known] = ticks[i]
+                self._ticks[known], self._before[known] = ticks[i], int(before[i])
             else:
                 continue
-            if not done[i] and ticks[i] < self._limit:
+            if not success[i] and ticks[i] < self._limit:
                 self._open.setdefault(potential[i], {}).setdefault(ticks[i], []).append(known)
         self._store(live, new)
+        return at
 
     def _store(self, live: dict[str, NDArray[np.generic]], new: list[int]) -> None:
         n = len(self._ticks)
@@ -129,6 +154,14 @@ class _Reached:
                 kept = self._arrays[name] = np.concatenate([kept, np.empty_like(kept)])
             kept[n - len(new) : n] = array[new]
 
-    def grids(self, which: NDArray[np.int64]) -> list[Grid]:
+    def way_to_best(self) -> list[int]:
+        """Return the worlds on the way to the best one, which is left out unless it is the start."""
+        at = min(range(len(self._ticks)), key=lambda i: (-self._potential[i], self._ticks[i]))
+        way = [self._before[at]]
+        while way[-1]:
+            way.append(self._before[way[-1]])
+        return way
+
+    def grids(self, which: Sequence[int]) -> list[Grid]:
         """Return copies of worlds."""
         return [Grid(*(self._arrays[name][i].copy() for name in _ARRAYS)) for i in which]

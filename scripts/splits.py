@@ -22,7 +22,7 @@ from craftsim.discrete.tasks.splits import write_split
 from craftsim.discrete.tasks.varied import DESIGNS
 from craftsim.planning import NoPlanError, plan_building
 
-HELD_OUT = 1000
+HELD_OUT = {name: 750 if name == DESIGNS else 1000 for name in VARIED_NAMES}
 TRAINED = 4096
 """Designs to train from."""
 SAME = 25
@@ -91,13 +91,12 @@ def main() -> None:
     """Write the files of the tasks that are named."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("tasks", nargs="*", default=list(VARIED_NAMES), choices=VARIED_NAMES)
-    parser.add_argument("--starts", type=int, default=HELD_OUT)
     args = parser.parse_args()
     for name in args.tasks:
         if name == DESIGNS:
             starts = DrawnDesigns().fresh(np.random.default_rng(1), TRAINED)
             write_split(name, "train", starts, np.zeros(TRAINED, np.int64))
-        write_held_out(name, args.starts)
+        write_held_out(name, HELD_OUT[name])
 
 
 if __name__ == "__main__":

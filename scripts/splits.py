@@ -16,13 +16,14 @@ from dataclasses import replace
 import numpy as np
 
 from craftsim.designs.tasks import DrawnDesigns, shape_digest
-from craftsim.discrete.tasks import VARIED_NAMES, Task, as_task
+from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.batches import Starts
+from craftsim.discrete.tasks.random_tasks import LISTED, RANDOM
 from craftsim.discrete.tasks.splits import write_split
 from craftsim.discrete.tasks.varied import DESIGNS
 from craftsim.planning import NoPlanError, plan_building
 
-HELD_OUT = 1000
+HELD_OUT = {f"{RANDOM}{name}": 1000 for name in LISTED} | {DESIGNS: 800}
 TRAINED = 4096
 """Designs to train from."""
 SAME = 25
@@ -90,14 +91,13 @@ def write_held_out(name: str, n: int) -> None:
 def main() -> None:
     """Write the files of the tasks that are named."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tasks", nargs="*", default=list(VARIED_NAMES), choices=VARIED_NAMES)
-    parser.add_argument("--starts", type=int, default=HELD_OUT)
+    parser.add_argument("tasks", nargs="*", default=list(HELD_OUT), choices=HELD_OUT)
     args = parser.parse_args()
     for name in args.tasks:
         if name == DESIGNS:
             starts = DrawnDesigns().fresh(np.random.default_rng(1), TRAINED)
             write_split(name, "train", starts, np.zeros(TRAINED, np.int64))
-        write_held_out(name, args.starts)
+        write_held_out(name, HELD_OUT[name])
 
 
 if __name__ == "__main__":

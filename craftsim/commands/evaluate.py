@@ -20,8 +20,12 @@ EPISODES: Final = 1000
 
 
 def evaluate(
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional],
-    task: tuple[str, ...] = (),
+    policies: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="POLICY [POLICY ...]", help_behavior_hint=""),
+    ],
+    task: Annotated[tuple[str, ...], tyro.conf.arg(help_behavior_hint="")] = (),
     episodes: Annotated[int, TRAIN_EPISODES] = EPISODES,
     seed: Annotated[int, SEED] = 0,
     out: Dir = Path("out/evaluate"),

@@ -16,7 +16,7 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.curve import Played
 from craftsim.training.networks import CarNet
-from craftsim.training.repetitions import Distinct
+from craftsim.training.repetitions import Repetitions
 
 
 def evaluate(
@@ -37,17 +37,17 @@ def evaluate(
         worlds.begin(rows, listed.take(rows % len(listed.kind)))
     running = np.ones(episodes, np.bool_)
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
-    distinct = Distinct(worlds.designs)
+    repetitions = Repetitions(worlds.designs)
     while running.any():
         seen = worlds.vectors()
         chosen = best_actions(net, seen, worlds.offered())
-        distinct.add(np.flatnonzero(running), seen[running], chosen[running])
+        repetitions.add(np.flatnonzero(running), seen[running], chosen[running])
         steps = worlds.step(chosen)
         won[running & steps.success] = 1
         total += steps.reward * running
         ticks += running
         running &= ~steps.done
-    return _played(won, total, ticks, distinct)
+    return _played(won, total, ticks, repetitions)
 
 
 def evaluate_in_physics(net: CarNet, worlds: PhysicsVectorEnv, episodes: int, seed: int) -> Played:
@@ -56,14 +56,14 @@ def evaluate_in_physics(net: CarNet, worlds: PhysicsVectorEnv, episodes: int, se
     Episode i is seeded with ``seed + i``; how many worlds there are decides nothing.
     """
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
-    distinct = Distinct(np.zeros((episodes, 0, 5), np.int64))
+    repetitions = Repetitions(np.zeros((episodes, 0, 5), np.int64))
     for first in range(0, episodes, worlds.num_envs):
         masks = worlds.reset(seed=seed + first)[0]["action_mask"]
         ids = np.arange(min(worlds.num_envs, episodes - first))
         while len(ids):
             seen = worlds.car_vectors()[ids]
             chosen = best_actions(net, seen, masks[ids])
-            distinct.add(first + ids, seen, chosen)
+            repetitions.add(first + ids, seen, chosen)
             worlds.send(chosen, ids)
             observation, reward, terminated, truncated, infos = worlds.recv(len(ids))
             masks[ids] = observation["action_mask"]
@@ -71,14 +71,14 @@ def evaluate_in_physics(net: CarNet, worlds: PhysicsVectorEnv, episodes: int, se
             total[first + ids] += reward
             ticks[first + ids] += 1
             ids = ids[~(terminated | truncated)]
-    return _played(won, total, ticks, distinct)
+    return _played(won, total, ticks, repetitions)
 
 
 def _played(
-    won: NDArray[np.float64], total: NDArray[np.float64], ticks: NDArray[np.float64], distinct: Distinct
+    won: NDArray[np.float64], total: NDArray[np.float64], ticks: NDArray[np.float64], repetitions: Repetitions
 ) -> Played:
-    solved, starts = distinct.solved(won)
-    trajectories = len(np.unique(distinct.trajectories))
+    solved, starts = repetitions.solved(won)
+    trajectories = len(np.unique(repetitions.trajectories))
     means = float(total.mean()), float(ticks.mean())
     return Played(len(won), int(won.sum()), *means, starts, solved, trajectories)
 

@@ -11,7 +11,7 @@ _FACTOR: Final = np.int64(6364136223846793005)
 """Of Knuth's linear congruential generator; numbers are taken modulo 2**64."""
 
 
-class Distinct:
+class Repetitions:
     """Digests of n episodes: of how each began, and of all that its cars saw and did."""
 
     def __init__(self, designs: NDArray[np.integer]) -> None:

@@ -6,7 +6,7 @@ import pytest
 from craftsim.cli import main
 from craftsim.training.config import TrainConfig
 from craftsim.training.curve import Played
-from craftsim.training.repetitions import Distinct
+from craftsim.training.repetitions import Repetitions
 from craftsim.training.trainer import Trainer
 
 ALL = np.arange(4)
@@ -17,7 +17,7 @@ def _seen(*numbers):
 
 
 def test_a_start_and_a_trajectory_count_once():
-    distinct = Distinct(np.zeros((4, 0, 5), np.int64))
+    distinct = Repetitions(np.zeros((4, 0, 5), np.int64))
     distinct.add(ALL, _seen(1, 1, 1, 2), _seen(5, 5, 6, 5))
     distinct.add(ALL[:3], _seen(3, 3, 3), _seen(7, 7, 7))
     assert len(np.unique(distinct.trajectories)) == 3
@@ -28,7 +28,7 @@ def test_a_start_and_a_trajectory_count_once():
 def test_another_design_is_another_start():
     designs = np.zeros((4, 1, 5), np.int64)
     designs[3] = 1
-    distinct = Distinct(designs)
+    distinct = Repetitions(designs)
     distinct.add(ALL, _seen(1, 1, 1, 1), _seen(2, 2, 2, 2))
     assert distinct.solved(np.ones(4)) == (2, 2)
 

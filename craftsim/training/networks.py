@@ -30,7 +30,7 @@ class CarNet(nn.Module):
 
 
 class Critic(nn.Module):
-    """Gives every car a value from the vectors of the policy's encoder: from its own, or from those of the whole team."""
+    """Gives every car a value from the vectors of the policy's encoder: its own, or those of the whole team."""
 
     def __init__(self, shape: Shape, sees_team: bool) -> None:
         super().__init__()

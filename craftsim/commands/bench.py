@@ -20,7 +20,9 @@ DEPTH: Final = 20
 
 def bench(
     what: tyro.conf.Positional[
-        Literal["rules", "env", "physics", "steps", "trials", "workers", "render", "plans", "durations"]
+        Literal[
+            "rules", "env", "physics", "steps", "trials", "workers", "render", "plans", "train", "durations"
+        ]
     ],
     rules: RuleSet = "published",
     worlds: Annotated[int, BATCH] = 1000,
@@ -62,6 +64,8 @@ def bench(
     plans: the makespan of the planner's plans for the paper's tasks beside that of the shipped ones; how many random
     designs it plans; and what four cars gain over one.
 
+    train: steps of IPPO a CPU second on one thread, rollouts and updates apart, beside the grid alone.
+
     durations: how long actions take in physics, as craftsim/data/durations.yaml holds it for the grid environments.
 
     Args:
@@ -71,7 +75,8 @@ def bench(
         seconds: how long each measurement on the grid runs, each play of a task in physics, and each search for a plan.
         memory_worlds: how many worlds to make for the memory figure; rules only.
         episode: ticks of the episode that is timed in physics, 2 or more; env only.
-        runs: how often the task is built, or how many random designs are planned; workers and plans only.
+        runs: how often the task is built, how many random designs are planned, or rollouts learnt from;
+            workers, plans and train only.
         contexts: how many contexts of the audit are tried; steps and trials only.
         drive: of the cars; steps and trials only.
         seed: decides starts, actions and orders.
@@ -128,6 +133,11 @@ def bench(
 
             config |= {"runs": runs, "seconds": seconds}
             wall = bench_plans(console, seconds, runs, seed, out)
+        case "train":
+            from craftsim.commands.bench_train import bench_train
+
+            config |= {"runs": runs}
+            wall = bench_train(console, runs, seed, out)
         case "durations":
             import yaml
 

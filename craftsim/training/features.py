@@ -50,7 +50,10 @@ class Encoder(nn.Module):
 
     def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
         """Return one vector a car."""
-        places = self.places(observation)
+        return self.of_places(self.places(observation), mask)
+
+    def of_places(self, places: Tensor, mask: Tensor) -> Tensor:
+        """Return one vector a car from what :meth:`places` returned, and masks (..., n, 15)."""
         entities: Tensor = self.table(places.flatten(0, -2)).unflatten(0, places.shape[:-1])
         offered: Tensor = self.mask(mask.to(entities.dtype))
         return entities + self.car + offered

@@ -29,18 +29,19 @@ class CarNet(nn.Module):
         return out
 
 
-class TeamNet(nn.Module):
-    """Gives the team one number from what all its cars observe, the same for each car."""
+class Critic(nn.Module):
+    """Gives every car a value from the vectors of the policy's encoder: its own, or those of the whole team."""
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: Shape, sees_team: bool) -> None:
         super().__init__()
-        self.encoder = Encoder(shape)
+        self.sees_team = sees_team
         self.head = head(shape.width, 1)
 
-    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return (..., n, 1)."""
-        value: Tensor = self.head(self.encoder(observation, mask).mean(-2, keepdim=True))
-        return value.expand(*observation.shape[:-1], 1)
+    def forward(self, encoded: Tensor) -> Tensor:
+        """Return (..., n, 1) from vectors (..., n, width)."""
+        seen = encoded.mean(-2, keepdim=True) if self.sees_team else encoded
+        value: Tensor = self.head(seen)
+        return value.expand(*encoded.shape[:-1], 1)
 
 
 class StateQMixer(nn.Module):

@@ -8,14 +8,16 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import nn
-from torchrl.objectives import ClipPPOLoss, ValueEstimators
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
 
 from craftsim.discrete.rules.legality import N_ACTIONS
+from craftsim.training.distinct import Distinct
 from craftsim.training.learner import Learner
-from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, TeamNet
+from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, Critic
 from craftsim.training.restoring import adam_state, module_state
 from craftsim.training.shape import Shape
-from craftsim.training.team_networks import masked_actor
+from craftsim.training.team_networks import LOGITS, masked_actor
 
 GAMMA: Final = 0.99
 LAMBDA: Final = 0.95
@@ -30,52 +32,76 @@ MIN_ADVANTAGE_STD: Final = 0.1
 """Advantages of a smaller standard deviation are not scaled up to 1: they are noise of the critic."""
 
 VALUE: Final = ("agents", "state_value")
+LOG_PROB: Final = ("agents", "action_log_prob")
 
 
 class PPOLearner(Learner):
-    """IPPO, whose critic sees what one car observes, or MAPPO, whose critic sees what all cars observe."""
+    """IPPO, whose critic sees what one car observes, or MAPPO, whose critic sees what all cars observe.
+
+    Actor and critic share the encoder. A world that a batch meets many times is looked at once.
+    """
 
     def __init__(self, shape: Shape, ticks: int, sees_team: bool) -> None:
         self.ticks = ticks
         self.net = CarNet(shape, N_ACTIONS)
+        self.critic = Critic(shape, sees_team)
         self.plays = masked_actor(self.net)
-        critic = TensorDictModule(
-            TeamNet(shape) if sees_team else CarNet(shape, 1), in_keys=[OBSERVATION, MASK], out_keys=[VALUE]
+        # The loss is told what the networks say: it need not know that they say it once for all copies of a world.
+        self.loss = ClipPPOLoss(
+            masked_actor(nn.Identity(), [LOGITS]),
+            TensorDictModule(nn.Identity(), in_keys=[VALUE], out_keys=[VALUE]),
+            clip_epsilon=CLIP,
+            entropy_coeff=ENTROPY,
+            critic_coeff=CRITIC,
         )
-        self.modules = self.loss = ClipPPOLoss(
-            self.plays, critic, clip_epsilon=CLIP, entropy_coeff=ENTROPY, critic_coeff=CRITIC
-        )
-        of_cars = {key: ("agents", key) for key in ("reward", "done", "terminated")}
-        self.loss.set_keys(action=ACTION, value=VALUE, **of_cars)
-        self.loss.make_value_estimator(ValueEstimators.GAE, gamma=GAMMA, lmbda=LAMBDA, deactivate_vmap=True)
-        self.optimizer = torch.optim.Adam(self.loss.parameters(), LEARNING_RATE)
+        self.loss.set_keys(action=ACTION, value=VALUE)
+        self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic})
+        self.optimizer = torch.optim.Adam(self.modules.parameters(), LEARNING_RATE, fused=True)
 
     def update(self, rollout: TensorDictBase) -> None:
         """Learn from each tick EPOCHS times."""
-        n_cars = rollout[ACTION].shape[-1]
-        for key in ("reward", "done", "terminated"):
-            of_team = rollout["next", key].unsqueeze(-2)
-            rollout["next", "agents", key] = of_team.expand(*rollout.shape, n_cars, 1).contiguous()
+        n, n_cars = rollout.numel(), rollout[ACTION].shape[-1]
+        # Of now, then of the tick after: where an episode ends these are not the next of the rollout.
+        observed, masks = (
+            torch.cat([rollout[key].flatten(0, 1), rollout["next", *key].flatten(0, 1)])
+            for key in (OBSERVATION, MASK)
+        )
+        distinct = Distinct(observed, masks)
+        places, offers = self.net.encoder.places(observed[distinct.first]), masks[distinct.first]
         with torch.no_grad():
-            self.loss.value_estimator(rollout)
-        advantage = rollout["advantage"]
-        rollout["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp(min=MIN_ADVANTAGE_STD)
-        played = rollout.reshape(-1)
+            values = self.critic(self.net.encoder.of_places(places, offers)).squeeze(-1)
+        now, after = values[distinct.inverse].view(2, *rollout.shape, n_cars)
+        reward, done, terminated = (
+            rollout["next", key].expand_as(now) for key in ("reward", "done", "terminated")
+        )
+        advantage, target = vec_generalized_advantage_estimate(
+            *(GAMMA, LAMBDA, now, after, reward.contiguous(), done.contiguous(), terminated.contiguous())
+        )
+        advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=MIN_ADVANTAGE_STD)
+        played = rollout.select(ACTION, MASK, LOG_PROB).reshape(-1)
+        played["advantage"], played["value_target"] = (
+            column.reshape(n, n_cars, 1) for column in (advantage, target)
+        )
         for _ in range(EPOCHS):
-            for some in torch.randperm(len(played)).chunk(MINIBATCHES):
-                losses = self.loss(played[some])
+            for some in torch.randperm(n).chunk(MINIBATCHES):
+                batch = played[some]
+                met, inverse = torch.unique(distinct.inverse[some], return_inverse=True)
+                encoded = self.net.encoder.of_places(places[met], offers[met])
+                batch[LOGITS] = self.net.head(encoded).index_select(0, inverse)
+                batch[VALUE] = self.critic(encoded).index_select(0, inverse)
+                losses = self.loss(batch)
                 self.optimizer.zero_grad()
                 (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
-                nn.utils.clip_grad_norm_(self.loss.parameters(), MAX_GRADIENT)
+                nn.utils.clip_grad_norm_(self.modules.parameters(), MAX_GRADIENT)
                 self.optimizer.step()
 
     def state(self) -> dict[str, Any]:
         """Return weights and the optimiser's averages."""
-        return {"modules": self.loss.state_dict(), "optimizer": self.optimizer.state_dict()}
+        return {"modules": self.modules.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take them over, once all of them are checked."""
-        modules = module_state(state, "modules", self.loss)
+        modules = module_state(state, "modules", self.modules)
         optimizer = adam_state(state, self.optimizer)
-        self.loss.load_state_dict(modules)
+        self.modules.load_state_dict(modules)
         self.optimizer.load_state_dict(optimizer)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import torch
@@ -11,11 +12,12 @@ from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.training.features import Encoder
-from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, head
+from craftsim.training.networks import ACTION, MASK, OBSERVATION, head
 from craftsim.training.shape import Shape
 
 VALUE: Final = ("agents", "action_value")
 """Of each action of each car (..., n, 15)."""
+LOGITS: Final = ("agents", "logits")
 JOINT: Final = "joint_value"
 """Of what the team does (..., 1)."""
 REST: Final = "state_value"
@@ -59,11 +61,13 @@ def _looked_up(table: Tensor, action: Tensor) -> Tensor:
     return table[torch.arange(len(table)), action]
 
 
-def masked_actor(net: CarNet, logits: tuple[str, str] = ("agents", "logits")) -> ProbabilisticActor:
-    """Return what draws each car's action among those offered."""
+def masked_actor(
+    net: nn.Module, in_keys: Sequence[tuple[str, str]] = (OBSERVATION, MASK)
+) -> ProbabilisticActor:
+    """Return what draws each car's action among those offered, by the logits that a module gives them."""
     return ProbabilisticActor(
-        TensorDictModule(net, in_keys=[OBSERVATION, MASK], out_keys=[logits]),
-        in_keys={"logits": logits, "mask": MASK},
+        TensorDictModule(net, in_keys=[*in_keys], out_keys=[LOGITS]),
+        in_keys={"logits": LOGITS, "mask": MASK},
         out_keys=[ACTION],
         distribution_class=MaskedCategorical,
         default_interaction_type=InteractionType.RANDOM,

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 import torch
+from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from craftsim.discrete.tasks import Task, as_task
@@ -140,13 +141,17 @@ class Trainer:
         """End the processes that hold worlds in physics."""
         self.env.close(raise_if_closed=False)
 
+    def play(self, seed: int) -> TensorDictBase:
+        """Return a rollout, batch size (B, ticks), after seeding worlds and torch's default generator."""
+        torch.manual_seed(seed)
+        self.env.set_seed(seed)
+        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+            return self.env.rollout(self.learner.ticks, self.learner.plays, break_when_any_done=False)
+
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
         with torch.random.fork_rng():
-            torch.manual_seed(seed)
-            self.env.set_seed(seed)
-            with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-                rollout = self.env.rollout(self.learner.ticks, self.learner.plays, break_when_any_done=False)
+            rollout = self.play(seed)
             self.novelty.add_to(rollout)
             self.learner.update(rollout)
         if not all(weight.isfinite().all() for weight in self.learner.net.parameters()):

@@ -60,7 +60,8 @@ def evaluate(
         config = policy.config
         for name in task or (config.task,):
             asked = as_task(name) if task else as_task(name, config.n_cars, config.n_blocks)
-            if (shape := Shape.of(asked, policy.shape.width)) != policy.shape:
+            shape = Shape.of(asked, policy.shape.width, policy.shape.network)
+            if not policy.shape.fits(shape):
                 raise InputError(f"{path}: trained for {policy.shape}; task '{asked.name}' has {shape}")
             played = play(policy.net, asked, episodes, seed, config.rules, config.helper_depth)
             rows.append({"policy": path, "task": asked.name, **played.as_figures()})

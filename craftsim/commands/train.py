@@ -25,13 +25,22 @@ from craftsim.storage.limits import (
     CARS,
     EXPLORED_TICKS,
     HELPER_DEPTH,
+    NETWORK_WIDTH,
     SEED,
     SHARE,
     TRAIN_EPISODES,
     TRAIN_STEPS,
     WORKERS,
 )
-from craftsim.training.config import PRESETS, WORLDS, AlgoName, PresetName, TrainBackend, TrainConfig
+from craftsim.training.config import (
+    PRESETS,
+    WORLDS,
+    AlgoName,
+    NetworkName,
+    PresetName,
+    TrainBackend,
+    TrainConfig,
+)
 from craftsim.training.extra import need_torch
 
 if TYPE_CHECKING:
@@ -57,6 +66,8 @@ def train(
     preset: PresetName | None = None,
     rules: RuleSet | None = None,
     helper_depth: Annotated[int | None, HELPER_DEPTH] = None,
+    network: NetworkName = "map",
+    width: Annotated[int, NETWORK_WIDTH] = 128,
     novelty: Annotated[float, BONUS] = 0.0,
     explore: Annotated[int | None, EXPLORED_TICKS] = None,
     cars: Annotated[int | None, CARS] = None,
@@ -91,6 +102,9 @@ def train(
             starts and nothing shown.
         rules: what is legal on the grid: what physics supports, or what CraftEnv's code allows; physical unless given.
         helper_depth: search depth of the action helper on the grid; without it unless given.
+        network: what a car's observation is looked up by: each cell of the map, or how a thing lies from the car, which
+            serves any number of cars.
+        width: of the network's layers.
         novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
         explore: ticks of exploration at random on the grid before learning: worlds once reached are returned
             to, and every second episode of training starts with one of them.
@@ -116,6 +130,8 @@ def train(
     worlds = WORLDS[backend] if worlds is None else worlds
     config = TrainConfig(
         *(task, algo, seed, worlds),
+        width=width,
+        network=network,
         novelty=novelty,
         n_cars=cars,
         n_blocks=blocks,

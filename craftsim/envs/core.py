@@ -127,8 +127,8 @@ class Core:
         """Bring what the cars observe up to date; callers get copies, for the next tick is judged by these."""
         self.masks: NDArray[np.int8] = self.worlds.offered()[0].view(np.int8)
         """(n, 15): what each car is offered; STOP, which then does nothing, where the rules leave it nothing."""
-        self.rows: NDArray[np.int32] = self.worlds.entity_rows(self.layout)[0]
-        """(n_rows, 13): what is where."""
+        self.rows: NDArray[np.int32] = self.worlds.entity_rows(self.layout, self.designs)[0]
+        """(n_observed, 13): what is where, and what is to be built where that is shown."""
         self.images = self.backend.images()
         """What cameras see, by kind of image, of each camera."""
 
@@ -143,7 +143,7 @@ class Core:
         return np.pad(rows, ((0, self.task.n_targets - len(rows)), (0, 0)))[None]
 
     def state(self) -> NDArray[np.int32]:
-        """Return the global state: all rows, flattened, shape (13 * n_rows,). Raises InputError before a reset."""
+        """Return the global state: all rows, flattened, shape (13 * n_observed,). Raises InputError before a reset."""
         if self._worlds is None:
             raise InputError(_RESET_FIRST)
         return self.rows.ravel().copy()

@@ -92,7 +92,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
         self._ids = frozenset(range(num_envs))
         self._acting = np.zeros(num_envs, np.bool_)
         self._begun = False
-        self._rows = np.zeros((num_envs, self.task.layout.n_rows, ROW), np.int32)
+        self._rows = np.zeros((num_envs, self.task.layout.n_observed, ROW), np.int32)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

@@ -21,7 +21,7 @@ def entity_space(task: Task, n_rows: int) -> spaces.Box:
 
 def state_space(task: Task) -> spaces.Box:
     """Return the space of the global state: the rows of all entities."""
-    return entity_space(task, task.layout.n_rows)
+    return entity_space(task, task.layout.n_observed)
 
 
 def car_space(task: Task, own: spaces.Space[Any] | None = None, images: Images | None = None) -> spaces.Dict:
@@ -31,7 +31,7 @@ def car_space(task: Task, own: spaces.Space[Any] | None = None, images: Images |
     """
     return spaces.Dict(
         {
-            "observation": own or entity_space(task, 1 + task.layout.n_rows),
+            "observation": own or entity_space(task, 1 + task.layout.n_observed),
             "action_mask": spaces.Box(0, 1, (N_ACTIONS,), np.int8),
             **({} if images is None else images.spaces()),
         }

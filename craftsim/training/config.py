@@ -18,6 +18,8 @@ WORLDS: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 32}
 PresetName = Literal["paper"]
 PRESETS: Final[Mapping[PresetName, Mapping[str, Any]]] = {"paper": {"rules": "published", "helper_depth": 20}}
 """Fields of a configuration that belong together: the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023)."""
+NetworkName = Literal["map", "relative"]
+"""A table of what may be in each cell of the map, or of what may be in each direction and distance from a car."""
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
 
 
@@ -33,6 +35,8 @@ class TrainConfig:
     """How many worlds are stepped side by side in a rollout."""
     width: int = 128
     """Length of the vectors inside the networks."""
+    network: NetworkName = "map"
+    """How it looks at the world: cell by cell, or from each car, so that any number of cars may be there."""
     novelty: float = 0.0
     """Exploration bonus for a building never seen before; for one seen k times it is divided by the root of k."""
     n_cars: int | None = None
@@ -55,6 +59,8 @@ class TrainConfig:
             raise InputError(f"backend is {self.backend!r}; allowed: {', '.join(get_args(TrainBackend))}")
         if self.drive not in DRIVES:
             raise InputError(f"drive is {self.drive!r}; allowed: {', '.join(DRIVES)}")
+        if self.network not in get_args(NetworkName):
+            raise InputError(f"network is {self.network!r}; allowed: {', '.join(get_args(NetworkName))}")
         if self.rules not in RULE_FLAGS:
             raise InputError(f"rules is {self.rules!r}; allowed: {', '.join(RULE_FLAGS)}")
         if self.helper_depth is not None:

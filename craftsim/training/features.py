@@ -40,11 +40,12 @@ class Encoder(nn.Module):
         x, y, z = rows[..., 0], rows[..., 1], rows[..., 2] - 1
         length, width, height = self.map
         cell = (x * width + y) * height + z
-        kinds = rows[..., IS_CAR:IS_GOAL]  # a goal never moves, so there is nothing to learn from its row
+        kinds = rows[..., IS_CAR:IS_GOAL]
         yaw = 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW]
         form = (kinds * self.forms).sum(-1) + yaw * (kinds * self.turns).sum(-1) + 4 * rows[..., IS_LOADED]
         form[..., 0] -= FORMS[IS_CAR]
-        shown = kinds.any(-1) & (x >= 0) & (y >= 0) & (z >= 0)
+        # A goal never moves, so there is nothing to learn from its row; a design that does is not for a table of cells.
+        shown = kinds.any(-1) & (rows[..., IS_GOAL] == 0) & (x >= 0) & (y >= 0) & (z >= 0)
         shown &= (x < length) & (y < width) & (z < height)
         return torch.where(shown, form * self.cells + cell, self.absent)
 
@@ -57,3 +58,79 @@ class Encoder(nn.Module):
         entities: Tensor = self.table(places.flatten(0, -2)).unflatten(0, places.shape[:-1])
         offered: Tensor = self.mask(mask.to(entities.dtype))
         return entities + self.car + offered
+
+
+class RelativeEncoder(nn.Module):
+    """The same from a car's own point of view: things are looked up by how they lie and are turned as the car sees it.
+
+    Cars are alike, and so are all four directions. What is to be built is looked up, too, apart by whether it is there.
+    The car's own cell, and its heading, have a table to themselves: it says where the area ends.
+    """
+
+    steps: Tensor
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        length, width, height = shape.size
+        self.map = (length, width, height + 1)
+        self.reach = max(length, width) - 1
+        self.offsets = shape.offsets
+        self.own = FORMS[IS_CAR] * shape.cells
+        counts = [FORMS[kind] for kind in range(IS_CAR, IS_GOAL)]
+        forms = torch.tensor([0, *counts[:-1]]).cumsum(0)
+        self.n_forms = sum(counts)
+        self.register_buffer("forms", forms, persistent=False)
+        self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
+        self.register_buffer("steps", torch.tensor([[1, 0], [0, 1], [-1, 0], [0, -1]]), persistent=False)
+        self.absent = shape.places - 1
+        self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
+        self.mask = nn.Linear(N_ACTIONS, shape.width)
+        self.inner = nn.Linear(shape.width, shape.width)
+        nn.init.normal_(self.table.weight, std=0.3)
+
+    def places(self, observation: Tensor) -> Tensor:
+        """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
+        rows = observation.long().unflatten(-1, (-1, ROW))
+        x, y, z = rows[..., 0], rows[..., 1], rows[..., 2]
+        kinds, is_goal = rows[..., IS_CAR:IS_GOAL], rows[..., IS_GOAL] != 0
+        yaw = (2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW]) * (kinds * self.turns).sum(-1)
+        form = (kinds * self.forms).sum(-1)
+        length, width, height = self.map
+        inside = (x >= 0) & (y >= 0) & (z >= 1) & (x < length) & (y < width) & (z <= height)
+        cell = ((x * width + y) * height + z - 1).clamp(0, length * width * height - 1)
+        ahead = yaw[..., :1]
+        seen = form + (yaw - ahead) % 4 * (kinds * self.turns).sum(-1) + 4 * rows[..., IS_LOADED]
+        # A cell to be built is looked up by whether the thing is there; one that a car carries past is not.
+        what = (form + yaw) * length * width * height + cell
+        there = (
+            (what[..., :, None] == what[..., None, :]) & ~is_goal[..., None, :] & kinds.any(-1)[..., None, :]
+        )
+        loaded = (cell[..., :, None] == cell[..., None, :]) & (rows[..., IS_LOADED] != 0)[..., None, :]
+        built = there.any(-1) & ~loaded.any(-1)
+        seen = seen + self.n_forms * (is_goal * (1 + built))
+        turn = self.steps[ahead]
+        dx, dy, dz = x - x[..., :1], y - y[..., :1], z - z[..., :1]
+        side, size = 2 * self.reach + 1, 2 * (height - 1) + 1
+        front = dx * turn[..., 0] + dy * turn[..., 1] + self.reach
+        left = dy * turn[..., 0] - dx * turn[..., 1] + self.reach
+        offset = (front * side + left) * size + dz + height - 1
+        found = self.own + seen * self.offsets + offset
+        found[..., 0] = (ahead[..., 0] + 4 * rows[..., 0, IS_LOADED]) * (length * width * height) + cell[
+            ..., 0
+        ]
+        return torch.where(kinds.any(-1) & inside, found, self.absent)
+
+    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
+        """Return one vector a car."""
+        return self.of_places(self.places(observation), mask)
+
+    def of_places(self, places: Tensor, mask: Tensor) -> Tensor:
+        """Return one vector a car from what :meth:`places` returned, and masks (..., n, 15)."""
+        entities: Tensor = self.table(places.flatten(0, -2)).unflatten(0, places.shape[:-1])
+        vectors: Tensor = self.inner((entities + self.mask(mask.to(entities.dtype))).relu())
+        return vectors
+
+
+def make_encoder(shape: Shape) -> Encoder | RelativeEncoder:
+    """Return the encoder of a shape."""
+    return Encoder(shape) if shape.network == "map" else RelativeEncoder(shape)

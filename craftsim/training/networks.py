@@ -6,7 +6,7 @@ from typing import Final
 
 from torch import Tensor, nn
 
-from craftsim.training.features import Encoder
+from craftsim.training.features import make_encoder
 from craftsim.training.shape import Shape
 
 OBSERVATION: Final = ("agents", "observation")
@@ -20,7 +20,7 @@ class CarNet(nn.Module):
 
     def __init__(self, shape: Shape, n_out: int) -> None:
         super().__init__()
-        self.encoder = Encoder(shape)
+        self.encoder = make_encoder(shape)
         self.head = head(shape.width, n_out)
 
     def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
@@ -52,7 +52,7 @@ class StateQMixer(nn.Module):
         from torchrl.modules.models.multiagent import QMixer
 
         super().__init__()
-        self.encoder = Encoder(shape)
+        self.encoder = make_encoder(shape)
         self.mixer = QMixer((shape.width,), _MIXING_WIDTH, shape.n_cars, "cpu")
 
     def forward(self, chosen: Tensor, observation: Tensor, mask: Tensor) -> Tensor:

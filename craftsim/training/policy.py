@@ -54,7 +54,7 @@ class TrainedPolicy:
                 f"this policy was trained on {self.identity.name}, and cannot play {task.name}: {difference}; "
                 "train one with 'craftsim train --task'"
             )
-        shape = Shape.of(task, self.shape.width)
+        shape = Shape.of(task, self.shape.width, self.shape.network)
         if shape != self.shape:
             raise InputError(
                 f"this policy is damaged: its network is for {self.shape}, {task.name} has {shape}"

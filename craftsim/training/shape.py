@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 from craftsim.discrete.grid_checks import check_size
 from craftsim.discrete.tasks import Task
@@ -27,6 +27,8 @@ class Shape:
     """Numbers in one car's observation."""
     width: int
     """Length of the vectors inside the network."""
+    network: Literal["map", "relative"] = "map"
+    """Whether things are looked up by their cells, or by where they are as a car sees it."""
 
     def __post_init__(self) -> None:
         check_size(self.size, self.n_cars)
@@ -53,9 +55,23 @@ class Shape:
 
         The own car has a part of the table to itself.
         """
-        return (FORMS[IS_CAR] + sum(FORMS.values())) * self.cells + 1
+        if self.network == "map":
+            return (FORMS[IS_CAR] + sum(FORMS.values())) * self.cells + 1
+        return FORMS[IS_CAR] * self.cells + 3 * sum(FORMS.values()) * self.offsets + 1
+
+    @property
+    def offsets(self) -> int:
+        """Offsets that a thing may have from a car, however the car is turned."""
+        length, width, height = self.size
+        return (2 * max(length, width) - 1) ** 2 * (2 * height + 1)
 
     @classmethod
-    def of(cls, task: Task, width: int) -> Shape:
+    def of(cls, task: Task, width: int, network: Literal["map", "relative"] = "map") -> Shape:
         """Return the shape of networks for a task."""
-        return cls(task.starts[0].size, task.layout.n_cars, task.layout.vector_length, width)
+        return cls(task.starts[0].size, task.layout.n_cars, task.layout.vector_length, width, network)
+
+    def fits(self, other: Shape) -> bool:
+        """Whether networks for this shape serve the worlds of another; those that look from a car do not count things."""
+        if self.network == "map":
+            return self == other
+        return (self.size, self.width, self.network) == (other.size, other.width, other.network)

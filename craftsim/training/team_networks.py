@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
 from craftsim.discrete.rules.legality import N_ACTIONS
-from craftsim.training.features import Encoder
+from craftsim.training.features import make_encoder
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, head
 from craftsim.training.shape import Shape
 
@@ -29,7 +29,7 @@ class OthersNet(nn.Module):
 
     def __init__(self, shape: Shape) -> None:
         super().__init__()
-        self.encoder = Encoder(shape)
+        self.encoder = make_encoder(shape)
         self.actions = nn.Parameter(torch.zeros(shape.n_cars, N_ACTIONS, shape.width))
         self.head = head(shape.width, N_ACTIONS)
 
@@ -46,7 +46,7 @@ class JointNet(nn.Module):
 
     def __init__(self, shape: Shape) -> None:
         super().__init__()
-        self.encoder = Encoder(shape)
+        self.encoder = make_encoder(shape)
         self.actions = nn.Parameter(torch.zeros(shape.n_cars, N_ACTIONS, shape.width))
         self.joint, self.rest = head(shape.width, 1), head(shape.width, 1)
 

@@ -73,7 +73,7 @@ class Trainer:
         self.iteration = 0
         if config.explore:
             starts = self._explore(starts)
-        self.shape = Shape.of(self.task, config.width)
+        self.shape = Shape.of(self.task, config.width, config.network)
         self.env: GridEnv | PhysicsEnv
         if config.backend == "grid":
             self.env = GridEnv(starts or self.task, config.worlds, config.rules, config.helper_depth)

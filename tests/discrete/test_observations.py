@@ -5,6 +5,7 @@ import pytest
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks.batches import NO_TARGETS
 from craftsim.discrete.tasks.episodes import GridEpisode
 from craftsim.discrete.tasks.observation import Layout, as_arrays, design_rows
 from craftsim.discrete.tasks.worlds import Worlds
@@ -14,7 +15,7 @@ RULES = Rules("published")
 
 
 def rows_of(grid, layout):
-    return Worlds(RULES, [grid]).entity_rows(layout)[0].tolist()
+    return Worlds(RULES, [grid]).entity_rows(layout, NO_TARGETS)[0].tolist()
 
 
 def test_rows_list_carried_things_first_then_the_grid_in_scan_order(scene, car):

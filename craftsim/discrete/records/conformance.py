@@ -18,6 +18,7 @@ from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.records.schema import TASKS, Record
 from craftsim.discrete.records.traces import recorded_grid
 from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.tasks.batches import NO_TARGETS
 from craftsim.discrete.tasks.measures import FlagNearness
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.rewards import CodeBarrier
@@ -200,7 +201,7 @@ def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, A
     yield "reward", float(record["reward"]), float(got[0])
     limited = replace(task, max_steps=record["max_steps"])
     yield "done", record["done"], bool(limited.over(np.array(record["t"]), np.array(False)))
-    rows = Worlds(Rules("published"), [after]).entity_rows(layout)[0]
+    rows = Worlds(Rules("published"), [after]).entity_rows(layout, NO_TARGETS)[0]
     yield "observation", record["obs"], rows.tolist()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,10 @@ from craftsim.discrete.grid import Grid, Kind
 Targets = NDArray[np.int64]
 """(..., T, 5): what is to be built, rows (kind, x, y, z, yaw); yaw -1 where it does not matter, kind 0 in rows that are
 not needed."""
+
+
+NO_TARGETS: Final[Targets] = np.zeros((1, 0, 5), np.int64)
+"""Of one world in which nothing is to be built."""
 
 
 class Starts(NamedTuple):

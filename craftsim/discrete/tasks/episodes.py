@@ -110,8 +110,8 @@ class Episodes:
         return self.worlds.offered()
 
     def entity_rows(self) -> NDArray[np.int32]:
-        """Return (B, n_rows, 13): what is where, as :mod:`craftsim.discrete.tasks.observation` lays it out."""
-        return self.worlds.entity_rows(self.layout)
+        """Return (B, n_observed, 13): what is where, as :mod:`craftsim.discrete.tasks.observation` lays it out."""
+        return self.worlds.entity_rows(self.layout, self.designs)
 
     def vectors(self) -> NDArray[np.int32]:
         """Return (B, n, vector_length): each car's observation."""

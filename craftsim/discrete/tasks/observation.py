@@ -47,17 +47,24 @@ class Layout:
     goal: Cell | None
     shows_flag: bool
     """The flag row shows the flag; otherwise it repeats the goal row (docs/rules.md#flag-row)."""
+    n_targets: int = 0
+    """Rows after those of the entities that show what is to be built."""
 
     @classmethod
-    def of(cls, blueprint: Blueprint, shows_flag: bool) -> Layout:
+    def of(cls, blueprint: Blueprint, shows_flag: bool, n_targets: int = 0) -> Layout:
         """Return the layout for the worlds of a blueprint."""
         counts = (blueprint.n_cars, blueprint.n_slopes, blueprint.n_blocks)
-        return cls(*counts, blueprint.goal, shows_flag)
+        return cls(*counts, blueprint.goal, shows_flag, n_targets)
 
     @property
     def n_rows(self) -> int:
         """Rows of all entities: cars; folded slopes, bodies and feet; blocks; flag; goal."""
         return self.n_cars + 3 * self.n_slopes + self.n_blocks + 2
+
+    @property
+    def n_observed(self) -> int:
+        """Rows of an observation: of all entities, and of what is to be built where that is shown."""
+        return self.n_rows + self.n_targets
 
     @property
     def goal_cell(self) -> Cell:
@@ -72,7 +79,7 @@ class Layout:
     @property
     def vector_length(self) -> int:
         """Length of one car's observation: its own row, then all rows."""
-        return ROW * (1 + self.n_rows)
+        return ROW * (1 + self.n_observed)
 
 
 @compiled
@@ -169,6 +176,21 @@ def car_vectors(rows: NDArray[np.int32], n_cars: int) -> NDArray[np.int32]:
     everything = rows.reshape(*rows.shape[:-2], 1, -1)
     shared = np.broadcast_to(everything, (*rows.shape[:-2], n_cars, everything.shape[-1]))
     return np.concatenate([rows[..., :n_cars, :], shared], axis=-1)
+
+
+def target_rows(designs: NDArray[np.integer]) -> NDArray[np.int32]:
+    """Return a row for each cell to be built, (..., T, 13): as a thing would have there, and marked as a goal.
+
+    ``designs`` is (..., T, 5), rows (kind, x, y, z, yaw), kind 0 and a row of zeros where there is none.
+    """
+    kind, yaw = designs[..., 0], np.maximum(designs[..., 4], 0)
+    rows = np.zeros((*designs.shape[:-1], ROW), np.int32)
+    rows[..., :3] = designs[..., 1:4]
+    for one in (Kind.FSLOPE, Kind.BODY, Kind.FOOT, Kind.BLOCK):
+        rows[..., type_flag(one)] = kind == one
+    rows[..., YAW_HIGH], rows[..., YAW_LOW], rows[..., IS_GOAL] = yaw >> 1, yaw & 1, 1
+    rows[kind == 0] = 0
+    return rows
 
 
 def design_rows(design: Design) -> NDArray[np.int32]:

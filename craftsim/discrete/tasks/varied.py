@@ -11,6 +11,7 @@ from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks.batches import Starts, StartSource
 from craftsim.discrete.tasks.measures import Finished
+from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.splits import Split, Stored
 from craftsim.discrete.tasks.starts import starting_from
 from craftsim.discrete.tasks.task import Task
@@ -53,8 +54,13 @@ class VariedTask(Task):
     @property
     def n_targets(self) -> int:
         """How many rows say what is to be built: as many as a design can have at most."""
-        layout = self.layout
-        return layout.n_blocks + 2 * layout.n_slopes if self.draws_designs else super().n_targets
+        first = self.starts[0]
+        return first.n_blocks + 2 * first.n_slopes if self.draws_designs else super().n_targets
+
+    @property
+    def layout(self) -> Layout:
+        """Layout of the task's observations, which show what is to be built."""
+        return Layout.of(self.starts[0], self.shows_flag, self.n_targets)
 
     @property
     def digest(self) -> str:

@@ -15,8 +15,8 @@ from craftsim.discrete.planning.planner import empty_queue, run_helper_tick
 from craftsim.discrete.planning.search import Space, fill_reachable, make_space
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.rules.sets import Rules, fill_mask, run_tick
-from craftsim.discrete.tasks.batches import Starts
-from craftsim.discrete.tasks.observation import ROW, Layout, fill_rows
+from craftsim.discrete.tasks.batches import Starts, Targets
+from craftsim.discrete.tasks.observation import ROW, Layout, fill_rows, target_rows
 from craftsim.errors import CraftsimError
 
 
@@ -157,8 +157,8 @@ class Worlds:
         np.put_along_axis(applied, turns, in_order, axis=1)
         return applied
 
-    def entity_rows(self, layout: Layout) -> NDArray[np.int32]:
-        """Return (B, n_rows, 13): the rows of all entities of each world.
+    def entity_rows(self, layout: Layout, designs: Targets) -> NDArray[np.int32]:
+        """Return (B, n_observed, 13): the rows of all entities of each world, and of its design (B, T, 5) if it shows.
 
         Raises CraftsimError if a world has more slopes or blocks than the layout has rows for.
         """
@@ -167,4 +167,4 @@ class Worlds:
         counts = (layout.n_slopes, layout.n_blocks)
         if not _fill_rows(self.arrays, *counts, layout.goal_cell, layout.shows_flag, slots, out):
             raise CraftsimError(layout.overflow)
-        return out
+        return np.concatenate([out, target_rows(designs)], axis=1) if layout.n_targets else out

@@ -71,7 +71,7 @@ class Shape:
         return cls(task.starts[0].size, task.layout.n_cars, task.layout.vector_length, width, network)
 
     def fits(self, other: Shape) -> bool:
-        """Whether networks for this shape serve the worlds of another; those that look from a car do not count things."""
+        """Whether networks for this shape serve the worlds of another; those that look from a car count nothing."""
         if self.network == "map":
             return self == other
         return (self.size, self.width, self.network) == (other.size, other.width, other.network)

@@ -4,10 +4,23 @@ import numpy as np
 import pytest
 import torch
 
-from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.observation import IS_BLOCK, ROW
-from craftsim.training.features import Encoder, Shape
+from craftsim.discrete.tasks.observation import (
+    IS_BLOCK,
+    IS_BODY,
+    IS_CAR,
+    IS_FOOT,
+    IS_FSLOPE,
+    IS_GOAL,
+    ROW,
+    YAW_HIGH,
+    YAW_LOW,
+)
+from craftsim.discrete.tasks.random_tasks import random_task
+from craftsim.training.features import Encoder, make_encoder
+from craftsim.training.networks import CarNet
+from craftsim.training.shape import Shape
 
 
 @pytest.mark.parametrize("name", TASK_NAMES)
@@ -47,3 +60,57 @@ def test_the_order_of_blocks_plays_no_part():
     encoder = Encoder(Shape.of(task, 8))
     assert not torch.equal(turned, rows)
     assert torch.allclose(encoder(turned.flatten(-2), mask), encoder(seen, mask), atol=1e-6)
+
+
+def _turned(grids_rows, size, quarters):
+    """Return rows as they are after a quarter turn of a square world, counter-clockwise, so many times."""
+    rows = grids_rows.copy()
+    for _ in range(quarters):
+        x, y = rows[..., 0].copy(), rows[..., 1].copy()
+        there = rows[..., 3:10].any(-1)
+        rows[..., 0] = np.where(there, size - 1 - y, 0)
+        rows[..., 1] = np.where(there, x, 0)
+        turns = rows[..., [IS_CAR, IS_FSLOPE, IS_BODY, IS_FOOT]].any(-1)
+        yaw = (2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW] + turns) % 4
+        rows[..., YAW_HIGH], rows[..., YAW_LOW] = yaw >> 1, yaw & 1
+    return rows
+
+
+def test_a_world_that_is_turned_looks_the_same_from_a_car():
+    task = as_task("designs")
+    episodes, rng = Episodes(task, np.random.default_rng(0), 100), np.random.default_rng(1)
+    encoder = make_encoder(Shape.of(task, 4, "relative"))
+    size = task.starts[0].size[0]
+    for _ in range(20):
+        mask = episodes.offered()
+        episodes.step((rng.random(mask.shape) * mask).argmax(-1))
+    rows = episodes.vectors().reshape(100, 2, -1, ROW)
+    places = encoder.places(torch.from_numpy(rows).flatten(-2))
+    assert encoder.own <= int(places[..., 1:].min())
+    assert int(places.max()) <= encoder.absent
+    for quarters in (1, 2, 3):
+        turned = encoder.places(torch.from_numpy(_turned(rows, size, quarters)).flatten(-2))
+        assert torch.equal(turned[..., 1:], places[..., 1:])
+
+
+def test_a_design_that_is_built_looks_otherwise_than_one_that_is_not():
+    task = as_task("random_strip")
+    encoder = make_encoder(Shape.of(task, 4, "relative"))
+    episodes = Episodes(task, np.random.default_rng(0), 50)
+    free = encoder.places(torch.from_numpy(episodes.vectors()))[..., -task.n_targets :]
+    rows = episodes.vectors().reshape(50, task.layout.n_cars, -1, ROW)
+    targets, blocks = rows[..., -task.n_targets :, :3], rows[..., IS_BLOCK].astype(bool)
+    built = (rows[:, :, None, :, :3] == targets[..., None, :]).all(-1) & (blocks & (rows[..., IS_GOAL] == 0))[
+        :, :, None
+    ]
+    kinds = (free - encoder.own) // encoder.offsets // encoder.n_forms
+    assert torch.equal(kinds, 1 + torch.from_numpy(built.any(-1)).long())
+
+
+def test_networks_that_look_from_a_car_serve_more_cars():
+    two, three = (random_task("strip", n_cars=n) for n in (2, 3))
+    net = CarNet(Shape.of(two, 8, "relative"), 15)
+    assert net.encoder.absent == make_encoder(Shape.of(three, 8, "relative")).absent
+    episodes = Episodes(three, np.random.default_rng(0), 4)
+    seen, mask = torch.from_numpy(episodes.vectors()), torch.from_numpy(episodes.offered())
+    assert net(seen, mask).shape == (4, 3, 15)

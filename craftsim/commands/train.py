@@ -42,6 +42,7 @@ from craftsim.training.config import (
     TrainConfig,
 )
 from craftsim.training.extra import need_torch
+from craftsim.training.settings import read_settings
 
 if TYPE_CHECKING:
     from craftsim.discrete.tasks import Task
@@ -70,6 +71,7 @@ def train(
     width: Annotated[int, NETWORK_WIDTH] = 128,
     novelty: Annotated[float, BONUS] = 0.0,
     explore: Annotated[int | None, EXPLORED_TICKS] = None,
+    settings: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     cars: Annotated[int | None, CARS] = None,
     blocks: Annotated[int | None, BLOCKS] = None,
     starts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -108,6 +110,7 @@ def train(
         novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
         explore: ticks of exploration at random on the grid before learning: worlds once reached are returned
             to, and every second episode of training starts with one of them.
+        settings: YAML file of the algorithm's hyperparameters that are not to be its own, such as learning_rate.
         cars: other than the task's number of cars; those that its start does not list are drawn at random.
         blocks: the same for blocks.
         starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
@@ -137,6 +140,7 @@ def train(
         n_blocks=blocks,
         backend=backend,
         drive=drive or "reduced",
+        hyperparameters=read_settings(settings, algo) if settings else {},
         **_protocol(preset, starts, rules=rules, helper_depth=helper_depth, explore=explore),
     )
     learnt = as_task(task, cars, blocks)

@@ -21,16 +21,9 @@ from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet
 from craftsim.training.restoring import adam_state, module_state
+from craftsim.training.settings import COMASettings
 from craftsim.training.shape import Shape
 from craftsim.training.team_networks import VALUE, OthersNet, masked_actor
-
-GAMMA: Final = 0.99
-LAMBDA: Final = 0.8
-ENTROPY: Final = 0.01
-LEARNING_RATE: Final = 1e-3
-MINIBATCHES: Final = 16
-MAX_GRADIENT: Final = 1.0
-TARGET_RATE: Final = 0.05
 
 RETURN: Final = ("agents", "value_target")
 
@@ -42,7 +35,7 @@ class COMALoss(LossModule):
         actor: from what is observed to a distribution of ``ACTION``.
         critic: from what is observed and ``ACTION`` to ``VALUE`` (..., n, n_actions): what the team gets for each
             action of a car, all others acting as they did.
-        entropy: weight of the policy's entropy.
+        settings: discount, lambda and the weight of the policy's entropy.
     """
 
     actor: ProbabilisticActor
@@ -52,9 +45,11 @@ class COMALoss(LossModule):
     critic_params: TensorDictParams
     target_critic_params: TensorDictParams
 
-    def __init__(self, actor: ProbabilisticActor, critic: TensorDictModuleBase, entropy: float) -> None:
+    def __init__(
+        self, actor: ProbabilisticActor, critic: TensorDictModuleBase, settings: COMASettings
+    ) -> None:
         super().__init__()
-        self.entropy = entropy
+        self.settings = settings
         self.convert_to_functional(actor, "actor", create_target_params=False)
         self.convert_to_functional(critic, "critic", create_target_params=True)
 
@@ -71,7 +66,7 @@ class COMALoss(LossModule):
             {
                 "loss_objective": -(choice.log_prob(action) * advantage).mean(),
                 "loss_critic": mse_loss(taken, tensordict[RETURN]),
-                "loss_entropy": -self.entropy * choice.entropy().mean(),
+                "loss_entropy": -self.settings.entropy * choice.entropy().mean(),
             }
         )
 
@@ -85,31 +80,34 @@ class COMALoss(LossModule):
         reward, done = (
             rollout["next", key].unsqueeze(1).expand_as(taken).contiguous() for key in ("reward", "done")
         )
-        found: torch.Tensor = vec_td_lambda_return_estimate(GAMMA, LAMBDA, follows, reward, done, done)
+        found: torch.Tensor = vec_td_lambda_return_estimate(
+            *(self.settings.gamma, self.settings.td_lambda, follows, reward, done, done)
+        )
         return found.transpose(1, 2)
 
 
 class COMALearner(Learner):
     """One pass over each rollout, whose actions are those of the policy that learns from them."""
 
-    def __init__(self, shape: Shape, ticks: int) -> None:
+    def __init__(self, shape: Shape, ticks: int, settings: COMASettings) -> None:
+        self.settings = settings
         self.ticks = ticks
         self.net = CarNet(shape, N_ACTIONS)
         self.plays = masked_actor(self.net)
         critic = TensorDictModule(OthersNet(shape), in_keys=[OBSERVATION, MASK, ACTION], out_keys=[VALUE])
-        self.modules = self.loss = COMALoss(self.plays, critic, ENTROPY)
-        self.targets = SoftUpdate(self.loss, tau=TARGET_RATE)
-        self.optimizer = torch.optim.Adam(self.loss.parameters(), LEARNING_RATE)
+        self.modules = self.loss = COMALoss(self.plays, critic, settings)
+        self.targets = SoftUpdate(self.loss, tau=settings.target_rate)
+        self.optimizer = torch.optim.Adam(self.loss.parameters(), settings.learning_rate)
 
     def update(self, rollout: TensorDictBase) -> None:
         """Learn from each tick once."""
         rollout[RETURN] = self.loss.returns(rollout)
         played = rollout.reshape(-1)
-        for some in torch.randperm(len(played)).chunk(MINIBATCHES):
+        for some in torch.randperm(len(played)).chunk(self.settings.minibatches):
             losses = self.loss(played[some])
             self.optimizer.zero_grad()
             (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
-            nn.utils.clip_grad_norm_(self.loss.parameters(), MAX_GRADIENT)
+            nn.utils.clip_grad_norm_(self.loss.parameters(), self.settings.max_gradient)
             self.optimizer.step()
             self.targets.step()
 

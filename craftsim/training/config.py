@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Literal, get_args
 
 from craftsim.discrete.rules import RULE_FLAGS, RuleSet
 from craftsim.errors import InputError
 from craftsim.models.parameters import DRIVES, Drive
 from craftsim.storage.limits import BATCH, BONUS, EXPLORED_TICKS, HELPER_DEPTH, NETWORK_WIDTH, SEED
+from craftsim.training.settings import settings_of
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran"]
 TrainBackend = Literal["grid", "physics"]
@@ -53,8 +54,13 @@ class TrainConfig:
     """Search depth of the action helper, on the grid; None is without it."""
     explore: int = 0
     """Ticks of exploration on the grid before learning; half of the episodes then start with a world it reached."""
+    hyperparameters: dict[str, float] = field(default_factory=dict)
+    """Of the algorithm, by name, where they are not its own; see :mod:`craftsim.training.settings`."""
 
     def __post_init__(self) -> None:
+        if self.algo not in ALGO_NAMES:
+            raise InputError(f"algo is {self.algo!r}; allowed: {', '.join(ALGO_NAMES)}")
+        settings_of(self.algo, self.hyperparameters)
         if self.backend not in get_args(TrainBackend):
             raise InputError(f"backend is {self.backend!r}; allowed: {', '.join(get_args(TrainBackend))}")
         if self.drive not in DRIVES:

@@ -22,21 +22,12 @@ from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, StateQMixer
 from craftsim.training.qtran import QTRANLoss
 from craftsim.training.restoring import adam_state, check_like, module_state, part
+from craftsim.training.settings import QSettings
 from craftsim.training.shape import Shape
 from craftsim.training.team_networks import JOINT, REST, VALUE, JointNet
 
-GAMMA: Final = 0.99
-LEARNING_RATE: Final = 5e-4
-MAX_GRADIENT: Final = 10.0
 BUFFER: Final = 50_000
 """Ticks that are remembered."""
-BATCH: Final = 512
-LEARNS_EVERY: Final = 128
-"""Ticks played for each batch learnt from."""
-TARGET_RATE: Final = 0.01
-EPSILON: Final = (1.0, 0.03)
-EPSILON_TICKS: Final = 300_000
-"""After how many ticks the part of random actions has come down from the first to the last EPSILON."""
 
 CHOSEN: Final = ("agents", "chosen_action_value")
 
@@ -46,7 +37,8 @@ _Columns = dict[str, tuple[tuple[int, ...], torch.dtype]]
 class QLearner(Learner):
     """Learns the value of each action of a car: alone (iql), or such that the cars' values mix to the team's."""
 
-    def __init__(self, shape: Shape, ticks: int, algo: AlgoName) -> None:
+    def __init__(self, shape: Shape, ticks: int, algo: AlgoName, settings: QSettings) -> None:
+        self.settings = settings
         self.ticks = ticks
         self.shape = shape
         self.of_team = algo != "iql"
@@ -64,7 +56,7 @@ class QLearner(Learner):
         if algo == "qtran":
             sees = [OBSERVATION, MASK, ACTION]
             team = TensorDictModule(JointNet(shape), in_keys=sees, out_keys=[JOINT, REST])
-            self.loss = QTRANLoss(values, team, GAMMA)
+            self.loss = QTRANLoss(values, team, settings.gamma)
         elif self.of_team:
             mixer = StateQMixer(shape) if algo == "qmix" else VDNMixer(shape.n_cars, "cpu")
             sees = [CHOSEN, OBSERVATION, MASK] if algo == "qmix" else [CHOSEN]
@@ -75,21 +67,22 @@ class QLearner(Learner):
             of_cars = {key: ("agents", key) for key in ("reward", "done", "terminated")}
             self.loss.set_keys(action=ACTION, action_value=VALUE, value=CHOSEN, **of_cars)
         if algo != "qtran":
-            self.loss.make_value_estimator(gamma=GAMMA)
+            self.loss.make_value_estimator(gamma=settings.gamma)
         self.modules = self.loss
-        self.targets = SoftUpdate(self.loss, tau=TARGET_RATE)
+        self.targets = SoftUpdate(self.loss, tau=settings.target_rate)
         self.explores = EGreedyModule(
             Categorical(
                 N_ACTIONS, (shape.n_cars,), mask=torch.ones(shape.n_cars, N_ACTIONS, dtype=torch.bool)
             ),
-            *EPSILON,
-            annealing_num_steps=EPSILON_TICKS,
+            settings.epsilon_start,
+            settings.epsilon_end,
+            annealing_num_steps=settings.epsilon_ticks,
             action_key=ACTION,
             action_mask_key=MASK,
         )
         self.plays = TensorDictSequential(values, self.explores)
-        self.optimizer = torch.optim.Adam(self.loss.parameters(), LEARNING_RATE)
-        self.buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(BUFFER), batch_size=BATCH)
+        self.optimizer = torch.optim.Adam(self.loss.parameters(), settings.learning_rate)
+        self.buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(BUFFER), batch_size=settings.batch)
 
     def update(self, rollout: TensorDictBase) -> None:
         """Remember what was played and learn from batches of what is remembered."""
@@ -106,11 +99,11 @@ class QLearner(Learner):
                 played["next", "agents", key] = of_team.expand(-1, n_cars, 1).contiguous()
         self.buffer.extend(played)
         self.explores.step(len(played))
-        for _ in range(-(-len(played) // LEARNS_EVERY)):
+        for _ in range(-(-len(played) // self.settings.learns_every)):
             loss = self.loss(self.buffer.sample())["loss"]
             self.optimizer.zero_grad()
             loss.backward()
-            nn.utils.clip_grad_norm_(self.loss.parameters(), MAX_GRADIENT)
+            nn.utils.clip_grad_norm_(self.loss.parameters(), self.settings.max_gradient)
             self.optimizer.step()
             self.targets.step()
 

@@ -16,18 +16,10 @@ from craftsim.training.distinct import Distinct
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, Critic
 from craftsim.training.restoring import adam_state, module_state
+from craftsim.training.settings import PPOSettings
 from craftsim.training.shape import Shape
 from craftsim.training.team_networks import LOGITS, masked_actor
 
-GAMMA: Final = 0.99
-LAMBDA: Final = 0.95
-CLIP: Final = 0.2
-ENTROPY: Final = 0.01
-CRITIC: Final = 0.5
-LEARNING_RATE: Final = 1e-3
-EPOCHS: Final = 4
-MINIBATCHES: Final = 4
-MAX_GRADIENT: Final = 1.0
 MIN_ADVANTAGE_STD: Final = 0.1
 """Advantages of a smaller standard deviation are not scaled up to 1: they are noise of the critic."""
 
@@ -41,7 +33,8 @@ class PPOLearner(Learner):
     Actor and critic share the encoder. A world that a batch meets many times is looked at once.
     """
 
-    def __init__(self, shape: Shape, ticks: int, sees_team: bool) -> None:
+    def __init__(self, shape: Shape, ticks: int, sees_team: bool, settings: PPOSettings) -> None:
+        self.settings = settings
         self.ticks = ticks
         self.net = CarNet(shape, N_ACTIONS)
         self.critic = Critic(shape, sees_team)
@@ -50,16 +43,17 @@ class PPOLearner(Learner):
         self.loss = ClipPPOLoss(
             masked_actor(nn.Identity(), [LOGITS]),
             TensorDictModule(nn.Identity(), in_keys=[VALUE], out_keys=[VALUE]),
-            clip_epsilon=CLIP,
-            entropy_coeff=ENTROPY,
-            critic_coeff=CRITIC,
+            clip_epsilon=settings.clip,
+            entropy_coeff=settings.entropy,
+            critic_coeff=settings.critic,
         )
         self.loss.set_keys(action=ACTION, value=VALUE)
         self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic})
-        self.optimizer = torch.optim.Adam(self.modules.parameters(), LEARNING_RATE, fused=True)
+        self.optimizer = torch.optim.Adam(self.modules.parameters(), settings.learning_rate, fused=True)
 
     def update(self, rollout: TensorDictBase) -> None:
-        """Learn from each tick EPOCHS times."""
+        """Learn from each tick as many times as there are epochs."""
+        settings = self.settings
         n, n_cars = rollout.numel(), rollout[ACTION].shape[-1]
         # Of now, then of the tick after: where an episode ends these are not the next of the rollout.
         observed, masks = (
@@ -75,15 +69,16 @@ class PPOLearner(Learner):
             rollout["next", key].expand_as(now) for key in ("reward", "done", "terminated")
         )
         advantage, target = vec_generalized_advantage_estimate(
-            *(GAMMA, LAMBDA, now, after, reward.contiguous(), done.contiguous(), terminated.contiguous())
+            *(settings.gamma, settings.gae_lambda, now, after),
+            *(column.contiguous() for column in (reward, done, terminated)),
         )
         advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=MIN_ADVANTAGE_STD)
         played = rollout.select(ACTION, MASK, LOG_PROB).reshape(-1)
         played["advantage"], played["value_target"] = (
             column.reshape(n, n_cars, 1) for column in (advantage, target)
         )
-        for _ in range(EPOCHS):
-            for some in torch.randperm(n).chunk(MINIBATCHES):
+        for _ in range(settings.epochs):
+            for some in torch.randperm(n).chunk(settings.minibatches):
                 batch = played[some]
                 met, inverse = torch.unique(distinct.inverse[some], return_inverse=True)
                 encoded = self.net.encoder.of_places(places[met], offers[met])
@@ -92,7 +87,7 @@ class PPOLearner(Learner):
                 losses = self.loss(batch)
                 self.optimizer.zero_grad()
                 (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
-                nn.utils.clip_grad_norm_(self.modules.parameters(), MAX_GRADIENT)
+                nn.utils.clip_grad_norm_(self.modules.parameters(), settings.max_gradient)
                 self.optimizer.step()
 
     def state(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from torchrl.objectives.multiagent import QMixerLoss
 from craftsim.training.coma import RETURN, COMALoss
 from craftsim.training.networks import ACTION, OBSERVATION
 from craftsim.training.qtran import QTRANLoss
+from craftsim.training.settings import COMASettings
 from craftsim.training.team_networks import JOINT, REST, VALUE
 
 PAYOFF = torch.tensor([[8.0, -12.0, -12.0], [-12.0, 0.0, 0.0], [-12.0, 0.0, 0.0]])
@@ -104,7 +105,9 @@ def test_the_gradient_of_coma_is_that_of_its_formula():
         out_keys=[ACTION],
         distribution_class=torch.distributions.Categorical,
     )
-    loss = COMALoss(actor, TensorDictModule(critic, in_keys=[OBSERVATION], out_keys=[VALUE]), 0.0)
+    loss = COMALoss(
+        actor, TensorDictModule(critic, in_keys=[OBSERVATION], out_keys=[VALUE]), COMASettings(entropy=0.0)
+    )
     action = torch.randint(n_actions, (ticks, n))
     played = TensorDict({"agents": {"observation": torch.zeros(ticks, n, 1)}}, [ticks])
     played.set(ACTION, action).set(RETURN, torch.zeros(ticks, n, 1))

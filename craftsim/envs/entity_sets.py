@@ -46,8 +46,8 @@ def entity_sets(
         raise InputError(f"unknown frame '{frame}'; there are car, map")
     if radius is not None and not (isinstance(radius, int) and radius >= 0):
         raise InputError(f"radius is {radius!r}; allowed: None, or 0 and more cells")
-    # The last row repeats the goal, which is nothing that stands there.
-    rows = worlds.entity_rows(layout)[:, :-1]
+    # The last row of these repeats the goal, which is nothing that stands there.
+    rows = worlds.entity_rows(layout, designs)[:, : layout.n_rows - 1]
     things = np.zeros((*rows.shape[:2], FEATURES), np.int16)
     flags = rows[..., IS_CAR : IS_FLAG + 1]
     things[..., WHAT] = flags @ np.arange(1, TARGET)

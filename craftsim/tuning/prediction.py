@@ -15,7 +15,7 @@ import numpy as np
 
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
-from craftsim.models.config import SimulationConfig
+from craftsim.models.config import STEPS_S, SimulationConfig
 from craftsim.models.motors import Motors
 from craftsim.models.parameters import Machines
 from craftsim.models.sensing import Sensors
@@ -35,7 +35,7 @@ CHANNELS: Final = {
 }
 """What is compared: its unit, and its columns."""
 N_COLUMNS: Final = 9
-_LONGEST_STEP_S: Final = 0.005
+_SHORTEST_PERIOD_S: Final = 0.005
 _TILTED_RAD: Final = 0.05
 """A car that leans more stands on a ramp, of which the model knows nothing."""
 
@@ -63,13 +63,11 @@ class Predictor:
             raise InputError(
                 f"the log is {log.duration_s:.0f} s long; allowed: {IDENTIFIED_S:g}; give a part of it"
             )
-        self.period_s = max(_LONGEST_STEP_S, log.period_s)
+        self.period_s = max(_SHORTEST_PERIOD_S, log.period_s)
         self.log = log.resampled(self.period_s)
         if not (np.isfinite(self.log.pose).any() or np.isfinite(self.log.wheel_speeds).any()):
             raise InputError("the log has neither poses nor wheel speeds; at least one of them is needed")
-        steps = math.ceil(self.period_s / _LONGEST_STEP_S - 1e-9)
-        if machines.drive == "rollers":
-            steps = math.ceil(self.period_s / 0.004 - 1e-9)
+        steps = math.ceil(self.period_s / STEPS_S[machines.drive] - 1e-9)
         self._config = SimulationConfig(self.period_s / steps, self.period_s, sleep=False)
         self._grid = free_area(Area(), loaded)
         self._kept: dict[tuple[Machines, float], Motion] = {}

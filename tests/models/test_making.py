@@ -89,7 +89,7 @@ def test_unequal_wheels_turn_a_car(drive):
         assert abs(_radii(site) - NOMINAL.cars[0].wheel_radius_m).max() <= tolerance
         assert len(np.unique(_radii(site))) == 4
         site.drive(0, [8.0] * 4)
-        for _ in range(60):
+        for _ in range(100):
             site.advance()
         headings.append(abs(_heading(site)))
     assert headings[1] > max(0.002, 2 * headings[0])

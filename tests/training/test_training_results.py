@@ -1,0 +1,31 @@
+"""The tables of docs/training.md are those of the studies whose reports lie beside it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from craftsim.commands.study_text import conclusions, runs_table
+from craftsim.studies.study import read_study
+
+DOCS = Path(__file__).parents[2] / "docs"
+STUDIES = ("paper_ippo", "paper_ippo_long", "random")
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_page_has_what_the_stored_report_holds(name):
+    report = json.loads((DOCS / f"training/{name}.json").read_text(encoding="utf-8"))
+    page = (DOCS / "training.md").read_text(encoding="utf-8")
+    table = runs_table(read_study(name), report["figures"]).as_markdown()
+    for line in table.splitlines()[2:]:
+        assert line in page
+    for line in conclusions(report["figures"]):
+        assert line in page
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_stored_report_is_of_the_shipped_study(name):
+    report = json.loads((DOCS / f"training/{name}.json").read_text(encoding="utf-8"))
+    study, asked = read_study(name), report["config"]["study"]
+    assert (asked["tasks"], asked["seeds"], asked["steps"]) == ([*study.tasks], study.seeds, study.steps)
+    assert [run["key"] for run in report["figures"]["runs"]] == [run.key for run in study.runs]

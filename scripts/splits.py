@@ -12,6 +12,8 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
@@ -19,73 +21,90 @@ from craftsim.designs.tasks import DrawnDesigns, shape_digest
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.batches import Starts
 from craftsim.discrete.tasks.random_tasks import LISTED, RANDOM
-from craftsim.discrete.tasks.splits import write_split
+from craftsim.discrete.tasks.splits import Split, write_split
 from craftsim.discrete.tasks.varied import DESIGNS
 from craftsim.planning import NoPlanError, plan_building
 
 HELD_OUT = {f"{RANDOM}{name}": 1000 for name in LISTED} | {DESIGNS: 800}
-TRAINED = 4096
+TRAINED = 6000
 """Designs to train from."""
 SAME = 25
-"""Held-out designs of one shape at most, so that no simple one prevails."""
+"""Designs of one shape at most, so that no simple one prevails."""
 ROUNDS = 8
 """Attempts of the planner at each start."""
 BATCH = 50
 
 
-def held_out(name: str) -> Iterator[Starts]:
-    """Yield batches of held-out starts, without end."""
-    rng = np.random.default_rng(0)
-    train = as_task(name).source
-    draw = DrawnDesigns(split="test").fresh if name == DESIGNS else replace(train, split="test").draw
+def batches(name: str, split: Split) -> Iterator[Starts]:
+    """Yield batches of starts, without end."""
+    rng = np.random.default_rng(0 if split == "test" else 1)
+    source = as_task(name).source
+    draw = DrawnDesigns(split=split).fresh if name == DESIGNS else replace(source, split=split).draw
     while True:
         yield draw(rng, BATCH)
 
 
-def planned_ticks(task: Task, starts: Starts, i: int) -> int:
+def distinct(name: str, split: Split) -> Iterator[Starts]:
+    """Yield distinct starts one by one, without end; of designs not too many of one shape."""
+    seen: set[bytes] = set()
+    shapes: Counter[bytes] = Counter()
+    for starts in batches(name, split):
+        for i, digest in enumerate(starts.digests()):
+            if digest in seen:
+                continue
+            seen.add(digest)
+            if name == DESIGNS:
+                shape = shape_digest(starts.designs[i])
+                if shapes[shape] == SAME:
+                    continue
+                shapes[shape] += 1
+            yield starts.take(np.array([i]))
+
+
+def planned_ticks(task: Task, start: Starts) -> int:
     """Return how many ticks a plan takes, 0 where none is found."""
-    grid = starts.grid(i)
-    one = task.starting_at(grid, starts.design(i, DESIGNS)) if task.draws_designs else task
+    grid = start.grid(0)
+    one = task.starting_at(grid, start.design(0, DESIGNS)) if task.draws_designs else task
     try:
         return len(plan_building(grid, one, rounds=ROUNDS, time_s=math.inf).ticks)
     except NoPlanError:
         return 0
 
 
+def write(name: str, split: Split, kept: list[Starts], ticks: list[int]) -> Path:
+    """Write starts into the file of a split."""
+    return write_split(name, split, Starts(*map(np.concatenate, zip(*kept, strict=True))), np.array(ticks))
+
+
 def write_held_out(name: str, n: int) -> None:
     """Write n distinct starts that a plan within the task's step limit is known for."""
     task = as_task(name)
     kept: list[Starts] = []
-    seen: set[bytes] = set()
-    shapes: Counter[bytes] = Counter()
     ticks: list[int] = []
     lengths: list[int] = []
-    for starts in held_out(name):
-        for i, digest in enumerate(starts.digests()):
-            if digest in seen:
-                continue
-            seen.add(digest)
-            if task.draws_designs:
-                shape = shape_digest(starts.designs[i])
-                if shapes[shape] == SAME:
-                    continue
-                shapes[shape] += 1
-            lengths.append(planned_ticks(task, starts, i))
-            # An episode has two ticks more than its step limit.
-            if 0 < lengths[-1] <= task.max_steps + 2:
-                kept.append(starts.take(np.array([i])))
-                ticks.append(lengths[-1])
-            if len(kept) == n:
-                path = write_split(
-                    name, "test", Starts(*map(np.concatenate, zip(*kept, strict=True))), np.array(ticks)
-                )
-                found = [length for length in lengths if length]
-                print(
-                    f"{name}: {len(found)} of {len(lengths)} starts planned, in {np.median(found):.0f} ticks in the "
-                    f"median, {np.percentile(found, 95):.0f} in 95 %; {n} of at most {task.max_steps + 2} in {path}",
-                    flush=True,
-                )
-                return
+    for start in distinct(name, "test"):
+        lengths.append(planned_ticks(task, start))
+        # An episode has two ticks more than its step limit.
+        if 0 < lengths[-1] <= task.max_steps + 2:
+            kept.append(start)
+            ticks.append(lengths[-1])
+        if len(kept) == n:
+            break
+    path = write(name, "test", kept, ticks)
+    found = [length for length in lengths if length]
+    print(
+        f"{name}: {len(found)} of {len(lengths)} starts planned, in {np.median(found):.0f} ticks in the "
+        f"median, {np.percentile(found, 95):.0f} in 95 %; {n} of at most {task.max_steps + 2} in {path}",
+        flush=True,
+    )
+
+
+def write_trained() -> None:
+    """Write designs to train from, whether a plan is known or not."""
+    kept = list(islice(distinct(DESIGNS, "train"), TRAINED))
+    shapes = {shape_digest(start.designs[0]) for start in kept}
+    path = write(DESIGNS, "train", kept, [0] * TRAINED)
+    print(f"{DESIGNS}: {TRAINED} of {len(shapes)} shapes in {path}", flush=True)
 
 
 def main() -> None:
@@ -95,8 +114,7 @@ def main() -> None:
     args = parser.parse_args()
     for name in args.tasks:
         if name == DESIGNS:
-            starts = DrawnDesigns().fresh(np.random.default_rng(1), TRAINED)
-            write_split(name, "train", starts, np.zeros(TRAINED, np.int64))
+            write_trained()
         write_held_out(name, HELD_OUT[name])
 
 

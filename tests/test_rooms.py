@@ -49,7 +49,7 @@ ALLOWED = {
     },
     "envs": {"planning", "storage", "checking", "skills", "models", "discrete", "rendering", "report"},
     "studies": {"storage", "discrete", "training", "validation.campaign"},
-    "training": {"storage", "discrete", "models.parameters", "envs", "report"},
+    "training": {"storage", "discrete", "models.parameters", "envs", "planning", "report"},
     "rendering": {"storage", "checking", "skills", "models", "discrete", "report"},
     "testing": {"envs", "discrete"},
     "report": {"storage"},

@@ -13,7 +13,7 @@ from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.errors import InputError
 from craftsim.report import output_directory, write_report
-from craftsim.storage.limits import SEED, TRAIN_EPISODES
+from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, SEED, TRAIN_EPISODES
 from craftsim.training.extra import need_torch
 
 EPISODES: Final = 1000
@@ -27,19 +27,26 @@ def evaluate(
     ],
     task: Annotated[tuple[str, ...], tyro.conf.arg(help_behavior_hint="")] = (),
     episodes: Annotated[int, TRAIN_EPISODES] = EPISODES,
+    cars: Annotated[int | None, CARS] = None,
+    blocks: Annotated[int | None, BLOCKS] = None,
+    area: Annotated[tuple[int, ...], DESIGN_SIDE] = (),
     seed: Annotated[int, SEED] = 0,
     out: Dir = Path("out/evaluate"),
 ) -> int:
     """Play trained policies on the grid, each with the action that it rates highest, and count what differs.
 
     A deterministic policy plays one start alike each time: what is repeated counts once, and only different starts have
-    an interval. Tasks may start otherwise than those of training, but are of the same size and numbers of things.
+    an interval. Tasks may start otherwise than those of training, but are of the same size, and have as many cars and
+    things unless the network looks from a car.
     'craftsim validate --policy' plays it in physics. Exit status 0, or 2 for wrong input.
 
     Args:
         policies: what 'craftsim train' wrote, files or folders.
         task: tasks to play, such as random_strip@test; that which a policy was trained on unless given.
         episodes: how many of each; of a list of held-out starts one after the other.
+        cars: other than the task's number of cars, for networks that look from a car.
+        blocks: the same for blocks.
+        area: length, width and height of another area, of tasks that vary.
         seed: of starts, and of the order in which cars act.
         out: folder for report.json.
     """
@@ -59,7 +66,8 @@ def evaluate(
         policy = load_policy(path)
         config = policy.config
         for name in task or (config.task,):
-            asked = as_task(name) if task else as_task(name, config.n_cars, config.n_blocks)
+            given = (cars, blocks) if task else (cars or config.n_cars, blocks or config.n_blocks)
+            asked = as_task(name, *given, area or None)
             shape = Shape.of(asked, policy.shape.width, policy.shape.network)
             if not policy.shape.fits(shape):
                 raise InputError(f"{path}: trained for {policy.shape}; task '{asked.name}' has {shape}")
@@ -72,6 +80,7 @@ def evaluate(
             table.add_row(Path(path).name, asked.name, f"{played.success:.3f}", *figures)
     Terminal().print(table)
     asked_of = {"policies": list(policies), "task": list(task), "episodes": episodes}
+    asked_of |= {"cars": cars, "blocks": blocks, "area": list(area)}
     say(
         f"Report: {write_report(folder, {'evaluations': rows}, command='evaluate', seed=seed, config=asked_of)}"
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import time
-from contextlib import closing
+from collections.abc import Callable
+from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -12,6 +13,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from craftsim.commands.progress import counting
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.discrete.rules import RuleSet
@@ -25,6 +27,7 @@ from craftsim.storage.limits import (
     CARS,
     EXPLORED_TICKS,
     HELPER_DEPTH,
+    IMITATED_PLANS,
     NETWORK_WIDTH,
     SEED,
     SHARE,
@@ -71,6 +74,7 @@ def train(
     width: Annotated[int, NETWORK_WIDTH] = 128,
     novelty: Annotated[float, BONUS] = 0.0,
     explore: Annotated[int | None, EXPLORED_TICKS] = None,
+    imitate: Annotated[int | None, IMITATED_PLANS] = None,
     settings: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     cars: Annotated[int | None, CARS] = None,
     blocks: Annotated[int | None, BLOCKS] = None,
@@ -109,7 +113,9 @@ def train(
         width: of the network's layers.
         novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
         explore: ticks of exploration at random on the grid before learning: worlds once reached are returned
-            to, and every second episode of training starts with one of them.
+            to, the way to the best is imitated, and every second episode of training starts with one of them.
+        imitate: how many plans of the planner are imitated before learning; every second episode of training then
+            starts with a world of one of them.
         settings: YAML file of the algorithm's hyperparameters that are not to be its own, such as learning_rate.
         cars: other than the task's number of cars; those that its start does not list are drawn at random.
         blocks: the same for blocks.
@@ -141,7 +147,7 @@ def train(
         backend=backend,
         drive=drive or "reduced",
         hyperparameters=read_settings(settings, algo) if settings else {},
-        **_protocol(preset, starts, rules=rules, helper_depth=helper_depth, explore=explore),
+        **_protocol(preset, starts, rules=rules, helper_depth=helper_depth, explore=explore, imitate=imitate),
     )
     learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:
@@ -176,8 +182,8 @@ def train(
 
 def _protocol(preset: PresetName | None, starts: Path | None, **given: Any) -> dict[str, Any]:
     """Return what is given; a preset settles the rest."""
-    if preset is not None and starts is not None:
-        raise InputError(f"--preset {preset} learns from nothing; leave --starts out")
+    if preset is not None and (starts is not None or given["imitate"]):
+        raise InputError(f"--preset {preset} learns from nothing; leave --starts and --imitate out")
     return {**(PRESETS[preset] if preset else {}), **{k: v for k, v in given.items() if v is not None}}
 
 
@@ -188,12 +194,15 @@ def _trainer(
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
+    def progress(total: int) -> AbstractContextManager[Callable[[bool], None]]:
+        return counting(Terminal(), "plans", total, bool)
+
     other = with_starts(task, starts, config.rules) if starts else None
     if resume:
-        return Trainer.resume(folder, other, config=config, workers=workers)
+        return Trainer.resume(folder, other, config=config, workers=workers, progress=progress)
     if (folder / RUN_FILE).exists():
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
-    return Trainer(config, other, task, workers)
+    return Trainer(config, other, task, workers, progress)
 
 
 def _log(folder: Path, trainer: Trainer) -> TensorboardLog:

@@ -21,7 +21,7 @@ from craftsim.discrete.tasks.batches import Starts, Targets
 from craftsim.discrete.tasks.measures import Finished, target_array
 from craftsim.discrete.tasks.splits import Split, Stored, belongs, check_split, read_split
 from craftsim.discrete.tasks.task import RewardName, build_task
-from craftsim.discrete.tasks.varied import DESIGNS, VariedTask
+from craftsim.discrete.tasks.varied import DESIGNS, VariedTask, whole_size
 from craftsim.errors import InputError
 from craftsim.storage.limits import SHARE
 
@@ -99,7 +99,7 @@ def designs_task(
     difficulty: tuple[float, float] = (0.0, 1.0),
     n_cars: int | None = None,
     n_blocks: int | None = None,
-    area: tuple[int, int] | None = None,
+    area: tuple[int, ...] | None = None,
     max_steps: int = MAX_STEPS,
 ) -> VariedTask:
     """Return the task in which each episode has a random design with a start: on one or two levels, at most one ramp.
@@ -113,7 +113,7 @@ def designs_task(
             often a second level.
         n_cars: 2 unless given.
         n_blocks: of a design at most, 6 unless given.
-        area: (length, width) in cells, (6, 6) unless given.
+        area: (length, width) or (length, width, height) in cells, (6, 6, 2) unless given.
         max_steps: the step limit.
 
     Raises InputError.
@@ -128,7 +128,7 @@ def designs_task(
     for end in difficulty:
         SHARE.check("the difficulty", end)
     cars, blocks = CARS if n_cars is None else n_cars, BLOCKS if n_blocks is None else n_blocks
-    size = AREA if area is None else (*area, AREA[2])
+    size = whole_size(area, AREA)
     check_size(size, cars)
     if blocks < 2 or min(size[:2]) < _LEAST:
         raise InputError(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from craftsim.training.networks import CarNet
 
 RUN_FILE: Final = "run.pt"
-FORMAT: Final = 3
+FORMAT: Final = 4
 """Raised whenever older files cannot be read any more."""
 
 T = TypeVar("T")
@@ -96,14 +96,13 @@ def read_policy(path: Path) -> tuple[TrainConfig, TaskIdentity, Shape, CarNet]:
             raise InputError("it has no part 'net'")
         import torch
 
-        from craftsim.discrete.rules.legality import N_ACTIONS
         from craftsim.training.networks import CarNet
         from craftsim.training.restoring import weights
 
         with torch.device("meta"):
-            like = CarNet(head.shape, N_ACTIONS).state_dict()
+            like = CarNet(head.shape).state_dict()
         state = weights(saved, like)
-        net = CarNet(head.shape, N_ACTIONS)
+        net = CarNet(head.shape)
         net.load_state_dict(state)
         return head.config, head.task, head.shape, net.eval()
 

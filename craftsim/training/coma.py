@@ -17,7 +17,6 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.value.functional import vec_td_lambda_return_estimate
 
-from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet
 from craftsim.training.restoring import adam_state, module_state
@@ -92,7 +91,7 @@ class COMALearner(Learner):
     def __init__(self, shape: Shape, ticks: int, settings: COMASettings) -> None:
         self.settings = settings
         self.ticks = ticks
-        self.net = CarNet(shape, N_ACTIONS)
+        self.net = CarNet(shape)
         self.plays = masked_actor(self.net)
         critic = TensorDictModule(OthersNet(shape), in_keys=[OBSERVATION, MASK, ACTION], out_keys=[VALUE])
         self.modules = self.loss = COMALoss(self.plays, critic, settings)

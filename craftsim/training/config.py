@@ -9,7 +9,15 @@ from typing import Any, Final, Literal, get_args
 from craftsim.discrete.rules import RULE_FLAGS, RuleSet
 from craftsim.errors import InputError
 from craftsim.models.parameters import DRIVES, Drive
-from craftsim.storage.limits import BATCH, BONUS, EXPLORED_TICKS, HELPER_DEPTH, NETWORK_WIDTH, SEED
+from craftsim.storage.limits import (
+    BATCH,
+    BONUS,
+    EXPLORED_TICKS,
+    HELPER_DEPTH,
+    IMITATED_PLANS,
+    NETWORK_WIDTH,
+    SEED,
+)
 from craftsim.training.settings import settings_of
 
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran"]
@@ -54,6 +62,8 @@ class TrainConfig:
     """Search depth of the action helper, on the grid; None is without it."""
     explore: int = 0
     """Ticks of exploration on the grid before learning; half of the episodes then start with a world it reached."""
+    imitate: int = 0
+    """Plans of the planner that are imitated before learning; half of the episodes then start with a world of one."""
     hyperparameters: dict[str, float] = field(default_factory=dict)
     """Of the algorithm, by name, where they are not its own; see :mod:`craftsim.training.settings`."""
 
@@ -80,6 +90,12 @@ class TrainConfig:
             raise InputError(
                 "in physics cars are trained under the physical rule set, without action helper and exploration; leave "
                 "rules, helper_depth and explore out, or train on the grid"
+            )
+        IMITATED_PLANS.check("imitate", self.imitate)
+        if self.imitate and (self.algo not in ("ippo", "mappo") or self.rules != "physical" or self.explore):
+            raise InputError(
+                "plans are imitated by ippo and mappo, under the physical rule set, without exploration; leave imitate "
+                "out, or change algo, rules or explore"
             )
         SEED.check("seed", self.seed)
         BATCH.check("worlds", self.worlds)

@@ -1,73 +1,123 @@
 """Exploration before learning: return to a world that was reached, go on from there at random, remember what is new.
 
 After Ecoffet et al., "First return, then explore", Nature 590, 2021. Training then has starts among the worlds that
-were reached: on the way to the best of them, and of every potential. No plan and no other knowledge of the task goes in
-but its reward's potential.
+were reached: on the way to the best of them, and of every potential; what was done on that way is imitated first. No
+plan and no other knowledge of the task goes in but its reward's potential.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.planning.planned import Ticks
 
 WORLDS: Final = 500
 """How many are stepped side by side."""
 SEGMENT: Final = 10
 """Ticks that are played from a world before another is returned to."""
-STARTS: Final = 1000
-"""How many worlds are returned: half of them lie on the way to the best one, the others anywhere."""
+EARLY: Final = 2.0
+"""Of the worlds of one potential those are returned to that took so many ticks more than the earliest, on average."""
 EPISODES: Final = 2
 """Lengths of an episode, after which a world is not gone on from: a way may be longer than one, for learning shortens
 it."""
+STARTS: Final = 1000
+"""How many worlds are returned: half of them lie on the way to the best one, the others anywhere."""
 _ARRAYS: Final = tuple(field.name for field in fields(Grid))
+_STORED: Final = np.dtype(np.int16)
+"""Wide enough for all that a world holds."""
 _HASH_SEED: Final = 1
 
 
-def explore(
-    task: Task, rules: RuleSet, helper_depth: int | None, ticks: int, rng: np.random.Generator
-) -> list[Grid]:
-    """Return STARTS of the worlds that are reached within so many ticks; one may be there more than once.
+@dataclass(frozen=True)
+class Explored:
+    """What exploration found."""
 
-    The best one has the highest potential, and was reached the earliest of these.
+    starts: list[Grid]
+    """STARTS of the worlds that were reached; one may be there more than once."""
+    way: list[Grid]
+    """From the start to the world of the highest potential, of these the one that was reached the earliest."""
+
+
+def explore(task: Task, rules: RuleSet, ticks: int, rng: np.random.Generator) -> Explored:
+    """Explore for so many ticks, without an action helper, each of whose primitives is an action, too.
+
+    Where there are no slopes no car turns, for it would make no difference.
     """
-    episodes = Episodes(task, rng, WORLDS, rules, helper_depth)
+    episodes = Episodes(task, rng, WORLDS, rules)
     reached = _Reached(episodes)
+    plays = np.ones(N_ACTIONS, np.bool_)
+    plays[[Action.ROTATE_LEFT, Action.ROTATE_RIGHT]] = task.layout.n_slopes > 0
     played = 0
     while played < ticks:
         at = reached.draw(rng, WORLDS)
         reached.put(episodes, at)
         running = np.ones(WORLDS, np.bool_)
         for _ in range(SEGMENT):
-            offered = episodes.offered()
+            offered = episodes.offered() & plays
             steps = episodes.step((rng.random(offered.shape) * offered).argmax(-1))
             played += int(running.sum())
             at = reached.add(episodes, at, running, steps.success)
             running &= ~steps.success
     way = reached.way_to_best()
-    return reached.grids([*rng.choice(way, STARTS // 2), *reached.draw(rng, STARTS // 2)])
+    starts = [*rng.choice(way[:-1] or way, STARTS // 2), *reached.draw(rng, STARTS // 2)]
+    return Explored(reached.grids(starts), reached.grids(way))
+
+
+def done_on(way: Sequence[Grid], rules: Rules) -> Ticks:
+    """Return what cars did in each tick from one world to the next, in the order in which they acted.
+
+    Raises ValueError where no actions lead from one to the next.
+    """
+    done = []
+    for before, after in pairwise(way):
+        found = _done_between(before, after, frozenset(range(before.n_cars)), rules)
+        if found is None:
+            raise ValueError("no actions lead from one world to the next")
+        done.append(found)
+    return tuple(done)
+
+
+def _done_between(
+    before: Grid, after: Grid, left: frozenset[int], rules: Rules
+) -> tuple[tuple[int, Action], ...] | None:
+    """Return what the cars that are left may have done, each at most one action; None where there is nothing."""
+    if before.same_visible(after) and before.same_marks(after):
+        return ()
+    offered = rules.mask(before)
+    for car in left:
+        for action in np.flatnonzero(offered[car]).tolist():
+            then = rules.apply(before, car, action)
+            # No car moves another.
+            if np.array_equal(then.cars[car], after.cars[car]):
+                rest = _done_between(then, after, left - {car}, rules)
+                if rest is not None:
+                    return ((car, Action(action)), *rest)
+    return None
 
 
 class _Reached:
-    """Every world that was reached, with the fewest ticks that it took, and from where.
-
-    A world is that of the rules; what the action helper had still to do is left out, for each of its primitives is an
-    action, too.
-    """
+    """Every world that was reached, with the fewest ticks that it took, and from where."""
 
     def __init__(self, episodes: Episodes) -> None:
         self._limit = EPISODES * (episodes.task.max_steps + 2)
         live = self._live(episodes)
         self._arrays = {
-            name: np.empty((1 << 12, *array.shape[1:]), array.dtype) for name, array in live.items()
+            name: np.empty(
+                (1 << 12, *array.shape[1:]), min(array.dtype, _STORED, key=lambda kind: kind.itemsize)
+            )
+            for name, array in live.items()
         }
         length = sum(array[0].size for array in live.values())
         self._factors = np.random.default_rng(_HASH_SEED).integers(-(2**62), 2**62, length)
@@ -87,7 +137,7 @@ class _Reached:
         return {name: getattr(episodes.worlds.arrays, name) for name in _ARRAYS}
 
     def draw(self, rng: np.random.Generator, n: int) -> NDArray[np.int64]:
-        """Return n worlds to go on from: higher potentials more often, early ones as often as late ones.
+        """Return n worlds to go on from: those of higher potentials more often, of these rather the earliest.
 
         Of two candidates the one that was returned to less often.
         """
@@ -96,8 +146,8 @@ class _Reached:
         chosen = np.empty(n, np.int64)
         for i, level in enumerate(rng.choice(len(levels), n, p=weights / weights.sum())):
             by_tick = self._open[levels[level]]
-            ticks = list(by_tick)
-            cells = by_tick[ticks[int(rng.integers(len(ticks)))]]
+            ticks = sorted(by_tick)
+            cells = by_tick[ticks[min(int(rng.exponential(EARLY)), len(ticks) - 1)]]
             first, second = (cells[int(k)] for k in rng.integers(len(cells), size=2))
             chosen[i] = first if self._returns[first] <= self._returns[second] else second
             self._returns[chosen[i]] += 1
@@ -107,7 +157,6 @@ class _Reached:
         """Return to worlds, one an episode."""
         for name, array in self._live(episodes).items():
             array[:] = self._arrays[name][which]
-        episodes.worlds.queue[:] = -1
         episodes.t[:] = [self._ticks[i] for i in which]
         episodes.bonus_given[:] = False
         episodes.potential = episodes.task.reward.measure.of_worlds(episodes.worlds.arrays)
@@ -155,13 +204,15 @@ class _Reached:
             kept[n - len(new) : n] = array[new]
 
     def way_to_best(self) -> list[int]:
-        """Return the worlds on the way to the best one, which is left out unless it is the start."""
-        at = min(range(len(self._ticks)), key=lambda i: (-self._potential[i], self._ticks[i]))
-        way = [self._before[at]]
+        """Return the worlds from the start to the best one."""
+        way = [min(range(len(self._ticks)), key=lambda i: (-self._potential[i], self._ticks[i]))]
         while way[-1]:
             way.append(self._before[way[-1]])
-        return way
+        return way[::-1]
 
     def grids(self, which: Sequence[int]) -> list[Grid]:
         """Return copies of worlds."""
-        return [Grid(*(self._arrays[name][i].copy() for name in _ARRAYS)) for i in which]
+        made = [Grid(*(self._arrays[name][i].copy() for name in _ARRAYS)) for i in which]
+        for grid in made:
+            grid.cars = grid.cars.astype(np.int64)
+        return made

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from craftsim.discrete.actions import MOVE_DIRECTION
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.tasks.observation import IS_CAR, IS_GOAL, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
 from craftsim.training.shape import FORMS, Shape
@@ -53,6 +54,11 @@ class Encoder(nn.Module):
         """Return one vector a car."""
         return self.of_places(self.places(observation), mask)
 
+    @staticmethod
+    def on_map(values: Tensor, places: Tensor) -> Tensor:
+        """Return values of actions (..., n, 15), as they are."""
+        return values
+
     def of_places(self, places: Tensor, mask: Tensor) -> Tensor:
         """Return one vector a car from what :meth:`places` returned, and masks (..., n, 15)."""
         entities: Tensor = self.table(places.flatten(0, -2)).unflatten(0, places.shape[:-1])
@@ -63,11 +69,15 @@ class Encoder(nn.Module):
 class RelativeEncoder(nn.Module):
     """The same from a car's own point of view: things are looked up by how they lie and are turned as the car sees it.
 
-    Cars are alike, and so are all four directions. What is to be built is looked up, too, apart by whether it is there.
-    The car's own cell, and its heading, have a table to themselves: it says where the area ends.
+    Cars are alike, and so are all four directions: a move is one ahead, to the left, back or to the right until
+    :meth:`on_map` says which that is. What is to be built is looked up, too, apart by whether it is there.
+    The car's own cell has a table to itself, which says where the area ends; a square area is turned as the car is.
     """
 
     steps: Tensor
+    from_map: Tensor
+    to_map: Tensor
+    turned: Tensor
 
     def __init__(self, shape: Shape) -> None:
         super().__init__()
@@ -82,6 +92,10 @@ class RelativeEncoder(nn.Module):
         self.register_buffer("forms", forms, persistent=False)
         self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
         self.register_buffer("steps", torch.tensor([[1, 0], [0, 1], [-1, 0], [0, -1]]), persistent=False)
+        seen_as = _moves_as_seen()
+        self.register_buffer("from_map", seen_as.argsort(-1), persistent=False)
+        self.register_buffer("to_map", seen_as, persistent=False)
+        self.register_buffer("turned", _as_seen_from(self.map), persistent=False)
         self.absent = shape.places - 1
         self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
         self.mask = nn.Linear(N_ACTIONS, shape.width)
@@ -126,9 +140,45 @@ class RelativeEncoder(nn.Module):
 
     def of_places(self, places: Tensor, mask: Tensor) -> Tensor:
         """Return one vector a car from what :meth:`places` returned, and masks (..., n, 15)."""
-        entities: Tensor = self.table(places.flatten(0, -2)).unflatten(0, places.shape[:-1])
-        vectors: Tensor = self.inner((entities + self.mask(mask.to(entities.dtype))).relu())
+        own = self.turned[places[..., :1].long()]
+        looked_up = torch.cat([own, places[..., 1:]], -1)
+        entities: Tensor = self.table(looked_up.flatten(0, -2)).unflatten(0, places.shape[:-1])
+        offered = mask.gather(-1, self.from_map[self._heading(places)]).to(entities.dtype)
+        vectors: Tensor = self.inner((entities + self.mask(offered)).relu())
         return vectors
+
+    def on_map(self, values: Tensor, places: Tensor) -> Tensor:
+        """Return values of actions (..., n, 15) that a car sees as its own, in the order of the map's."""
+        return values.gather(-1, self.to_map[self._heading(places)])
+
+    def _heading(self, places: Tensor) -> Tensor:
+        """Return (..., n): the yaw of each car, from its own place in the table."""
+        length, width, height = self.map
+        return places[..., 0].long() // (length * width * height) % 4
+
+
+def _moves_as_seen() -> Tensor:
+    """Return (4, 15): by a car's yaw, the action that each action of the map is to the car: yaw 0 sees the map's."""
+    actions = {yaw: action for action, yaw in MOVE_DIRECTION.items()}
+    seen = torch.arange(N_ACTIONS).repeat(4, 1)
+    for heading in range(4):
+        for direction, action in actions.items():
+            seen[heading, action] = int(actions[(direction - heading) % 4])
+    return seen
+
+
+def _as_seen_from(size: tuple[int, int, int]) -> Tensor:
+    """Return, for each place of a car's own, which it is looked up by: those that a square area turns into each other
+    are one.
+    """
+    length, width, height = size
+    places = torch.arange(FORMS[IS_CAR] * length * width * height)
+    if length != width:
+        return places
+    by_form = places.view(2, 4, length, width, height).clone()
+    for yaw in range(1, 4):
+        by_form[:, yaw] = by_form[:, 0].rot90(yaw, (1, 2))
+    return by_form.flatten()
 
 
 def make_encoder(shape: Shape) -> Encoder | RelativeEncoder:

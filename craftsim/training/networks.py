@@ -6,6 +6,7 @@ from typing import Final
 
 from torch import Tensor, nn
 
+from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.training.features import make_encoder
 from craftsim.training.shape import Shape
 
@@ -16,17 +17,21 @@ _MIXING_WIDTH: Final = 32
 
 
 class CarNet(nn.Module):
-    """Gives every car ``n_out`` numbers from what it observes; all cars share it and differ by their number."""
+    """Gives every car a number for each action from what it observes; all cars share it."""
 
-    def __init__(self, shape: Shape, n_out: int) -> None:
+    def __init__(self, shape: Shape) -> None:
         super().__init__()
         self.encoder = make_encoder(shape)
-        self.head = head(shape.width, n_out)
+        self.head = head(shape.width, N_ACTIONS)
 
     def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return (..., n, n_out) from observations (..., n, vector_length) and masks (..., n, 15)."""
-        out: Tensor = self.head(self.encoder(observation, mask))
-        return out
+        """Return (..., n, 15) from observations (..., n, vector_length) and masks (..., n, 15)."""
+        places = self.encoder.places(observation)
+        return self.on_places(self.encoder.of_places(places, mask), places)
+
+    def on_places(self, encoded: Tensor, places: Tensor) -> Tensor:
+        """Return the same from the encoder's vectors and the places in its table that they were made of."""
+        return self.encoder.on_map(self.head(encoded), places)
 
 
 class Critic(nn.Module):

@@ -42,7 +42,7 @@ class QLearner(Learner):
         self.ticks = ticks
         self.shape = shape
         self.of_team = algo != "iql"
-        self.net = CarNet(shape, N_ACTIONS)
+        self.net = CarNet(shape)
         values = TensorDictSequential(
             TensorDictModule(self.net, in_keys=[OBSERVATION, MASK], out_keys=[VALUE]),
             QValueModule(

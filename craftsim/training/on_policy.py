@@ -11,7 +11,6 @@ from torch import nn
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
 
-from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.training.distinct import Distinct
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, Critic
@@ -36,7 +35,7 @@ class PPOLearner(Learner):
     def __init__(self, shape: Shape, ticks: int, sees_team: bool, settings: PPOSettings) -> None:
         self.settings = settings
         self.ticks = ticks
-        self.net = CarNet(shape, N_ACTIONS)
+        self.net = CarNet(shape)
         self.critic = Critic(shape, sees_team)
         self.plays = masked_actor(self.net)
         # The loss is told what the networks say: it need not know that they say it once for all copies of a world.
@@ -82,7 +81,7 @@ class PPOLearner(Learner):
                 batch = played[some]
                 met, inverse = torch.unique(distinct.inverse[some], return_inverse=True)
                 encoded = self.net.encoder.of_places(places[met], offers[met])
-                batch[LOGITS] = self.net.head(encoded).index_select(0, inverse)
+                batch[LOGITS] = self.net.on_places(encoded, places[met]).index_select(0, inverse)
                 batch[VALUE] = self.critic(encoded).index_select(0, inverse)
                 losses = self.loss(batch)
                 self.optimizer.zero_grad()

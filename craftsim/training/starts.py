@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.batches import Starts, StartSource
 from craftsim.discrete.tasks.starts import load_starts, starting_from
+from craftsim.discrete.tasks.varied import VariedTask
 
 
 def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
@@ -35,6 +38,26 @@ def half_from(task: Task, grids: Sequence[Grid]) -> Task:
     """Return a task of whose episodes half start as ever and half with one of these worlds."""
     own = task.draw(np.random.default_rng(0))
     return starting_from(task, [*grids, *[own] * len(grids)])
+
+
+@dataclass(frozen=True)
+class HalfShown:
+    """Starts of which half come from one source, and half are drawn from others, with what is to be built in each."""
+
+    own: StartSource
+    others: Starts
+
+    def draw(self, rng: np.random.Generator, n: int) -> Starts:
+        """Return n starts."""
+        starts = self.own.draw(rng, n)
+        rows = np.flatnonzero(rng.random(n) < 0.5)
+        starts.put(rows, self.others.take(rng.integers(len(self.others.kind), size=len(rows))))
+        return starts
+
+
+def half_shown(task: VariedTask, worlds: Starts) -> VariedTask:
+    """Return a varied task of whose episodes half start as ever and half with one of these worlds."""
+    return replace(task, source=HalfShown(task.source, worlds))
 
 
 def along_plan(start: Grid, path: Path, rule_set: RuleSet) -> list[Grid]:

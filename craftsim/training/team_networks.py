@@ -37,8 +37,9 @@ class OthersNet(nn.Module):
         """Return (..., n, 15) from observations, masks and actions (..., n)."""
         did = _looked_up(self.actions, action)
         others = did.sum(-2, keepdim=True) - did
-        values: Tensor = self.head(self.encoder(observation, mask) + others)
-        return values
+        places = self.encoder.places(observation)
+        encoded = self.encoder.of_places(places, mask)
+        return self.encoder.on_map(self.head(encoded + others), places)
 
 
 class JointNet(nn.Module):

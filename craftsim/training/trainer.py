@@ -15,7 +15,11 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
+from craftsim.discrete.tasks.batches import Starts
+from craftsim.discrete.tasks.measures import target_array
+from craftsim.discrete.tasks.varied import VariedTask
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.interrupts import finishing_first
@@ -24,17 +28,26 @@ from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import RUN_FILE, RunHead, open_run, save_policy, save_run
 from craftsim.training.config import TrainBackend, TrainConfig
 from craftsim.training.curve import Played, Point
+from craftsim.training.demonstrations import (
+    Demonstrations,
+    Progress,
+    planned_demonstrations,
+    replayed,
+    silent,
+)
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
-from craftsim.training.exploration import explore
+from craftsim.training.exploration import STARTS, done_on, explore
 from craftsim.training.extra import PACKAGES
 from craftsim.training.grid_env import GridEnv
 from craftsim.training.identity import TaskIdentity, starts_digest
+from craftsim.training.imitation import imitate
 from craftsim.training.novelty import Novelty
+from craftsim.training.on_policy import PPOLearner
 from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.policy import POLICY_FILE
 from craftsim.training.restoring import numbers
 from craftsim.training.shape import Shape
-from craftsim.training.starts import half_from
+from craftsim.training.starts import half_from, half_shown
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next."""
@@ -52,6 +65,7 @@ class Trainer:
         starts: Task | None = None,
         task: Task | None = None,
         workers: int | None = None,
+        progress: Progress = silent,
     ) -> None:
         """Prepare a run; close it when it is done with.
 
@@ -60,6 +74,7 @@ class Trainer:
             starts: the task with other starts to train from, where they are not its own.
             task: the task itself; made of its name in the configuration unless given.
             workers: how many processes share the worlds in physics; one for each processor unless given.
+            progress: shows how many plans have been made, where plans are imitated.
 
         Raises:
             InputError: there is no such task.
@@ -71,8 +86,11 @@ class Trainer:
         self.starts = "" if starts is None else starts_digest(starts)
         """Digest of the other starts; empty without."""
         self.iteration = 0
+        self._shown: Demonstrations | None = None
         if config.explore:
             starts = self._explore(starts)
+        if config.imitate:
+            starts = self._plan(starts, progress)
         self.shape = Shape.of(self.task, config.width, config.network)
         self.env: GridEnv | PhysicsEnv
         if config.backend == "grid":
@@ -88,17 +106,32 @@ class Trainer:
 
     def _explore(self, starts: Task | None) -> Task:
         """Return the task with starts among what exploration reaches; the same whenever the run is resumed."""
-        config = self.config
+        config, task = self.config, self.task
         if starts is not None:
             raise InputError("exploration finds starts of its own: leave explore or starts out")
-        if not self.task.always_starts_the_same:
+        if not task.always_starts_the_same:
             raise InputError(
-                f"exploration needs a fixed start, which task '{self.task.name}' has not: leave it out"
+                f"exploration needs a fixed start, which task '{task.name}' has not: leave it out"
             )
         rng = np.random.default_rng(self._seed(_EXPLORATION))
-        return half_from(
-            self.task, explore(self.task, config.rules, config.helper_depth, config.explore, rng)
-        )
+        found = explore(task, config.rules, config.explore, rng)
+        if 1 < len(found.way) <= task.max_steps + 3:
+            start = Starts.of(found.way[:1], target_array(task.design))
+            ticks = done_on(found.way, Rules(config.rules))
+            self._shown = replayed(task, start, [ticks], config.rules)
+        return half_from(task, found.starts)
+
+    def _plan(self, starts: Task | None, progress: Progress) -> Task:
+        """Return the task with starts on the way of plans, which are to be imitated; the same when it is resumed."""
+        if starts is not None:
+            raise InputError("imitation makes plans of its own: leave imitate or starts out")
+        rng = np.random.default_rng(self._seed(_EXPLORATION))
+        self._shown = planned_demonstrations(self.task, self.config.imitate, rng, progress)
+        worlds = self._shown.worlds
+        if isinstance(self.task, VariedTask):
+            return half_shown(self.task, worlds)
+        some = rng.integers(len(worlds.kind), size=STARTS)
+        return half_from(self.task, [worlds.grid(i) for i in some])
 
     @property
     def steps(self) -> int:
@@ -151,6 +184,10 @@ class Trainer:
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
         with torch.random.fork_rng():
+            if self.iteration == 0 and self._shown is not None and isinstance(self.learner, PPOLearner):
+                torch.manual_seed(seed)
+                config = self.config
+                imitate(self.learner, self.task, self._shown, config.rules, config.helper_depth)
             rollout = self.play(seed)
             self.novelty.add_to(rollout)
             self.learner.update(rollout)
@@ -182,6 +219,7 @@ class Trainer:
         task: Task | None = None,
         config: TrainConfig | None = None,
         workers: int | None = None,
+        progress: Progress = silent,
     ) -> Trainer:
         """Return the run that a folder holds, as it was when it was saved.
 
@@ -195,11 +233,12 @@ class Trainer:
                 or the configuration, for a file from others.
             config: what the run must have been begun with; anything unless given.
             workers: as in the constructor.
+            progress: as in the constructor.
         """
         with open_run(folder / RUN_FILE) as run:
             if config is not None and run.head.config != config:
                 raise InputError(f"it was begun with {run.head.config}, not with {config}")
-            trainer = cls(run.head.config, starts, task, workers)
+            trainer = cls(run.head.config, starts, task, workers, progress)
             if run.head.task.digest != trainer.identity.digest:
                 raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
             if run.head.starts != trainer.starts:

@@ -198,7 +198,7 @@ def test_numbers_and_area_can_be_others():
     [
         (lambda: as_task("random_strip@tset"), "unknown split 'tset'; did you mean 'test'"),
         (lambda: as_task("strip@test"), "unknown task 'strip@test'"),
-        (lambda: random_task("strip", area=(3, 4)), r"area is \(3, 4\); allowed: at least \(4, 4\)"),
+        (lambda: random_task("strip", area=(3, 4)), r"area is \(3, 4, 3\); allowed: at least \(4, 4, 1\)"),
         (lambda: random_task("strip", n_blocks=3), "3 blocks; allowed: at least 4"),
         (lambda: random_task("strip", n_cars=14).draw(np.random.default_rng(0)), "no room for 14 cars"),
         (lambda: designs_task(area=(4, 6)), "allowed: 2 blocks or more, 6 cells a side"),
@@ -218,3 +218,12 @@ def test_what_cannot_be_is_refused_with_what_is_allowed(make, message):
 def _parts():
     task = make_task("strip")
     return task.starts, task.reward, task.success
+
+
+def test_an_area_is_that_of_tasks_that_vary():
+    assert as_task("random_strip@test", area=(6, 5, 2)).starts[0].size == (6, 5, 2)
+    assert as_task("designs", area=(7, 6)).starts[0].size == (7, 6, 2)
+    with pytest.raises(InputError, match="only those that vary take one"):
+        as_task("strip", area=(6, 6))
+    with pytest.raises(InputError, match="length and width, perhaps height"):
+        as_task("designs", area=(6,))

@@ -8,33 +8,63 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
 from craftsim.training.config import TrainConfig
-from craftsim.training.exploration import explore
+from craftsim.training.exploration import done_on, explore
+from craftsim.training.imitation import imitate
 from craftsim.training.trainer import Trainer
 
 
-def _explored(seed, rules="published", depth=20, ticks=20_000):
+def _explored(seed, rules="published", ticks=20_000):
     task = make_task("block")
-    return task, explore(task, rules, depth, ticks, np.random.default_rng(seed))
+    return task, explore(task, rules, ticks, np.random.default_rng(seed))
 
 
 def test_it_reaches_every_potential_but_the_last():
-    task, grids = _explored(0)
-    assert {task.reward.measure.of(grid) for grid in grids} == {0.0, 1.0, 2.0, 3.0}
-    assert not any(task.succeeded(grid) for grid in grids)
+    task, found = _explored(0)
+    assert {task.reward.measure.of(grid) for grid in found.starts} == {0.0, 1.0, 2.0, 3.0}
+    assert not any(task.succeeded(grid) for grid in found.starts)
+
+
+@pytest.mark.parametrize("rules", ["published", "physical"])
+def test_the_way_to_the_best_world_can_be_gone_again(rules):
+    task, found = _explored(2, rules)
+    ticks = done_on(found.way, Rules(rules))
+    assert len(ticks) == len(found.way) - 1
+    grid = task.draw(np.random.default_rng(0))
+    for joint, reached in zip(ticks, found.way[1:], strict=True):
+        grid, applied = Rules(rules).tick(grid, joint)
+        assert applied.all()
+        assert grid.same_visible(reached)
+    assert task.reward.measure.of(grid) == max(
+        task.reward.measure.of(other) for other in found.starts + found.way
+    )
+
+
+def test_what_no_actions_do_is_no_way():
+    _, found = _explored(2, ticks=2000)
+    with pytest.raises(ValueError, match="no actions lead"):
+        done_on([found.way[0], found.way[-1]], Rules("published"))
+
+
+def test_a_policy_first_does_what_led_to_the_best_world():
+    config = TrainConfig("block", worlds=4, rules="published", helper_depth=20, explore=20_000)
+    trainer = Trainer(config)
+    imitate(trainer.learner, trainer.task, trainer._shown, "published", 20)
+    best = trainer._shown.rewards.sum()
+    assert trainer.evaluate(20).mean_return > 0.7 * best
 
 
 def test_the_same_seed_reaches_the_same_and_another_something_else():
     first, again, other = (
-        [grid.cars.tolist() for grid in _explored(seed, ticks=5000)[1]] for seed in (1, 1, 2)
+        [grid.cars.tolist() for grid in _explored(seed, ticks=5000)[1].starts] for seed in (1, 1, 2)
     )
     assert first == again
     assert first != other
 
 
 def test_worlds_that_were_reached_are_legal_ones_with_all_that_was_there():
-    task, grids = _explored(3, "physical", None, 5000)
+    task, found = _explored(3, "physical", 5000)
     start, rules = task.draw(np.random.default_rng(0)), Rules("physical")
-    for grid in grids[:200]:
+    for grid in found.starts[:200]:
         loads = np.count_nonzero(grid.cars[:, CarField.LOAD] != Kind.AIR)
         assert np.count_nonzero(grid.kind) + loads == np.count_nonzero(start.kind)
         assert rules.mask(grid).shape == (grid.n_cars, 15)

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
+from craftsim.discrete.actions import MOVE_DIRECTION
 from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import (
@@ -79,8 +81,9 @@ def _turned(grids_rows, size, quarters):
 def test_a_world_that_is_turned_looks_the_same_from_a_car():
     task = as_task("designs")
     episodes, rng = Episodes(task, np.random.default_rng(0), 100), np.random.default_rng(1)
-    encoder = make_encoder(Shape.of(task, 4, "relative"))
-    size = task.starts[0].size[0]
+    net = CarNet(Shape.of(task, 4, "relative"))
+    nn.init.normal_(net.head[1][-1].weight)
+    encoder, size = net.encoder, task.starts[0].size[0]
     for _ in range(20):
         mask = episodes.offered()
         episodes.step((rng.random(mask.shape) * mask).argmax(-1))
@@ -88,9 +91,15 @@ def test_a_world_that_is_turned_looks_the_same_from_a_car():
     places = encoder.places(torch.from_numpy(rows).flatten(-2))
     assert encoder.own <= int(places[..., 1:].min())
     assert int(places.max()) <= encoder.absent
+    offered = torch.from_numpy(episodes.offered())
+    values = net(torch.from_numpy(rows).flatten(-2), offered)
+    moves = sorted(MOVE_DIRECTION, key=MOVE_DIRECTION.__getitem__)
     for quarters in (1, 2, 3):
-        turned = encoder.places(torch.from_numpy(_turned(rows, size, quarters)).flatten(-2))
-        assert torch.equal(turned[..., 1:], places[..., 1:])
+        seen = torch.from_numpy(_turned(rows, size, quarters)).flatten(-2)
+        assert torch.equal(encoder.places(seen)[..., 1:], places[..., 1:])
+        order = torch.arange(15)
+        order[moves] = torch.tensor(moves).roll(quarters)
+        torch.testing.assert_close(net(seen, offered[..., order]), values[..., order])
 
 
 def test_a_design_that_is_built_looks_otherwise_than_one_that_is_not():
@@ -109,7 +118,7 @@ def test_a_design_that_is_built_looks_otherwise_than_one_that_is_not():
 
 def test_networks_that_look_from_a_car_serve_more_cars():
     two, three = (random_task("strip", n_cars=n) for n in (2, 3))
-    net = CarNet(Shape.of(two, 8, "relative"), 15)
+    net = CarNet(Shape.of(two, 8, "relative"))
     assert net.encoder.absent == make_encoder(Shape.of(three, 8, "relative")).absent
     episodes = Episodes(three, np.random.default_rng(0), 4)
     seen, mask = torch.from_numpy(episodes.vectors()), torch.from_numpy(episodes.offered())

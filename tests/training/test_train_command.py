@@ -50,7 +50,10 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
         (["--seed", "-1"], "seed is -1"),
         (["--novelty", "nan"], "novelty is nan"),
         (["--starts", "no_such.plan"], "no_such.plan"),
-        (["--starts", "some.plan", "--preset", "paper"], "learns from nothing; leave --starts out"),
+        (
+            ["--starts", "some.plan", "--preset", "paper"],
+            "learns from nothing; leave --starts and --imitate out",
+        ),
         (["--explore", "-1"], "--explore is -1"),
         (["--helper-depth", "5", "--backend", "physics"], "or train on the grid"),
         (["--task", "strap"], "strip"),

@@ -18,7 +18,7 @@ from craftsim.discrete.tasks.measures import OnePlatform, target_array
 from craftsim.discrete.tasks.placing import place_all
 from craftsim.discrete.tasks.splits import Split, Stored, belongs, check_split
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
-from craftsim.discrete.tasks.varied import VariedTask
+from craftsim.discrete.tasks.varied import VariedTask, whole_size
 from craftsim.errors import InputError
 
 RANDOM: Final = "random_"
@@ -95,7 +95,7 @@ def random_task(
     reward: RewardName = "paper",
     n_cars: int | None = None,
     n_blocks: int | None = None,
-    area: tuple[int, int] | None = None,
+    area: tuple[int, ...] | None = None,
     max_steps: int | None = None,
 ) -> Task:
     """Return one of the paper's six tasks with a random start in each episode.
@@ -112,7 +112,7 @@ def random_task(
         reward: see :func:`make_task`.
         n_cars: other than the paper's number of cars.
         n_blocks: the same for blocks, not fewer than the design takes.
-        area: (length, width) in cells, other than the paper's, not smaller than the design.
+        area: (length, width) or (length, width, height) in cells, other than the paper's, not smaller than the design.
         max_steps: the step limit, unless given 1.5 times what 95 % of the planner's plans take.
 
     Raises InputError.
@@ -139,21 +139,21 @@ def random_task(
 
 
 def _blueprint(
-    task: Task, n_cars: int | None, n_blocks: int | None, area: tuple[int, int] | None
+    task: Task, n_cars: int | None, n_blocks: int | None, area: tuple[int, ...] | None
 ) -> tuple[Blueprint, int]:
     """Return the numbers of all that there is, with what stays in its place, and the lowest x of the flag."""
     paper = task.starts[0]
-    size = (*(paper.size[:2] if area is None else area), paper.size[2])
+    size = whole_size(area, paper.size)
     check_size(size, paper.n_cars)
     stays: list[ListedObject] = []
     flag_x = -1
-    least = (1, 1) if task.design is None else task.design.size[:2]
+    least = (1, 1, 1) if task.design is None else task.design.size
     if task.goal_cell is not None:
         flag_x = next(item.cell[0] for item in paper.objects if item.kind == Kind.FLAG)
         stays = [ListedObject(Kind.BLOCK, (flag_x - 1, y, 1), 0, 0) for y in range(size[1])]
-        least = flag_x + 1, task.goal_cell[1] + 1
-    if size[0] < least[0] or size[1] < least[1]:
-        raise InputError(f"task '{RANDOM}{task.name}': the area is {size[:2]}; allowed: at least {least}")
+        least = flag_x + 1, task.goal_cell[1] + 1, 1
+    if any(found < needed for found, needed in zip(size, least, strict=True)):
+        raise InputError(f"task '{RANDOM}{task.name}': the area is {size}; allowed: at least {least}")
     # A wider area takes a longer barrier.
     needed = len(stays) if task.design is None else len(task.design.of_kind(Kind.BLOCK))
     blocks = paper.n_blocks + (size[1] - paper.size[1] if stays else 0) if n_blocks is None else n_blocks

@@ -55,21 +55,30 @@ def task_names() -> list[str]:
     return [*TASK_NAMES, *VARIED_NAMES, *_REGISTERED]
 
 
-def as_task(task: Task | str, n_cars: int | None = None, n_blocks: int | None = None) -> Task:
+def as_task(
+    task: Task | str,
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    area: tuple[int, ...] | None = None,
+) -> Task:
     """Return a task as it is, or the one that a text stands for, see :func:`task_of`; InputError for anything else."""
     if isinstance(task, Task):
-        if n_cars is not None or n_blocks is not None:
+        if (n_cars, n_blocks, area) != (None, None, None):
             raise InputError(
-                f"the task '{task.name}' has its own numbers of cars and blocks; they cannot be given"
+                f"the task '{task.name}' has its own area and numbers of cars and blocks; they cannot be given"
             )
         return task
     if isinstance(task, str):
-        return task_of(task, n_cars=n_cars, n_blocks=n_blocks)
+        return task_of(task, n_cars=n_cars, n_blocks=n_blocks, area=area)
     raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
 
 
 def task_of(
-    text: str, reward: RewardName = "paper", n_cars: int | None = None, n_blocks: int | None = None
+    text: str,
+    reward: RewardName = "paper",
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    area: tuple[int, ...] | None = None,
 ) -> Task:
     """Return the task that a text stands for.
 
@@ -81,15 +90,20 @@ def task_of(
         reward: how a named task or a blueprint rewards; a registered task and a factory have their own.
         n_cars: other than the start file's number of cars; those that it does not list are drawn at random.
         n_blocks: the same for blocks.
+        area: (length, width) or (length, width, height) in cells, of a task that varies.
 
-    Raises InputError for a text that stands for nothing, a file that is wrong, a factory that raises, and counts for a
-    registered task or a factory, which have their own.
+    Raises InputError for a text that stands for nothing, a file that is wrong, a factory that raises, counts for a
+    registered task or a factory, which have their own, and an area for any but a task that varies.
     """
-    if text in TASK_NAMES:
-        return make_task(text, reward, n_cars=n_cars, n_blocks=n_blocks)
     varied, _, split = text.partition("@")
     if varied in VARIED_NAMES:
-        return _varied(varied, split or "train", reward, n_cars, n_blocks)
+        return _varied(varied, split or "train", reward, n_cars, n_blocks, area)
+    if area is not None:
+        raise InputError(
+            f"task '{text}' has its own area; only those that vary take one: {', '.join(VARIED_NAMES)}"
+        )
+    if text in TASK_NAMES:
+        return make_task(text, reward, n_cars=n_cars, n_blocks=n_blocks)
     is_file = exists(text) and Path(text).is_file()
     own = text in _REGISTERED or (":" in text and not is_file)
     if own and (n_cars is not None or n_blocks is not None):
@@ -107,13 +121,20 @@ def task_of(
     )
 
 
-def _varied(name: str, split: Any, reward: RewardName, n_cars: int | None, n_blocks: int | None) -> Task:
+def _varied(
+    name: str,
+    split: Any,
+    reward: RewardName,
+    n_cars: int | None,
+    n_blocks: int | None,
+    area: tuple[int, ...] | None,
+) -> Task:
     """Return a task that varies."""
     if name != DESIGNS:
-        return random_task(name.removeprefix(RANDOM), split, reward, n_cars, n_blocks)
+        return random_task(name.removeprefix(RANDOM), split, reward, n_cars, n_blocks, area)
     # The generator's room is above this one, as those are that factories of one's own lie in.
     drawn: Task = importlib.import_module("craftsim.designs.tasks").designs_task(
-        split, reward, n_cars=n_cars, n_blocks=n_blocks
+        split, reward, n_cars=n_cars, n_blocks=n_blocks, area=area
     )
     return drawn
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.batches import Starts, StartSource
 from craftsim.discrete.tasks.measures import Finished
 from craftsim.discrete.tasks.observation import Layout
@@ -19,6 +19,14 @@ from craftsim.errors import InputError
 
 DESIGNS: Final = "designs"
 """The name of the task in which each episode has a random design."""
+
+
+def whole_size(area: tuple[int, ...] | None, usual: Cell) -> Cell:
+    """Return length, width and height of an area that is given without some of them; InputError for what is none."""
+    given = () if area is None else area
+    if len(given) not in (0, 2, 3):
+        raise InputError(f"the area is {given}; allowed: length and width, perhaps height, in cells")
+    return cast(Cell, (*given, *usual[len(given) :]))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,90 @@
+"""Imitation of the planner: what is shown, and that a policy then does it."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.actions import Action
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import as_task
+from craftsim.errors import InputError
+from craftsim.training.config import TrainConfig
+from craftsim.training.demonstrations import NOT_SHOWN, planned_demonstrations
+from craftsim.training.imitation import imitate
+from craftsim.training.trainer import Trainer
+
+
+@pytest.mark.parametrize("name", ["random_strip", "random_breaking_barrier", "designs"])
+def test_what_is_shown_leads_from_world_to_world_by_the_rules(name):
+    task, rules = as_task(name), Rules("physical")
+    shown = planned_demonstrations(task, 5, np.random.default_rng(0))
+    assert len(shown.worlds.kind) == len(shown.actions) == len(shown.rewards) == len(shown.first)
+    assert shown.first.sum() == 5
+    for i in np.flatnonzero(~shown.first):
+        before, after = shown.worlds.grid(i - 1), shown.worlds.grid(i)
+        did = [
+            (car, Action(action)) for car, action in enumerate(shown.actions[i - 1]) if action != NOT_SHOWN
+        ]
+        tries = [rules.tick(before, joint)[0] for joint in (did, did[::-1])]
+        assert any(grid.same_visible(after) for grid in tries)
+        assert np.array_equal(shown.worlds.designs[i - 1], shown.worlds.designs[i])
+
+
+def test_returns_add_up_to_the_end_of_each_plan():
+    shown = planned_demonstrations(as_task("random_strip"), 4, np.random.default_rng(0))
+    returns = shown.returns(0.5)
+    firsts = [*np.flatnonzero(shown.first), len(returns)]
+    for first, end in pairwise(firsts):
+        for i in range(first, end):
+            expected = sum(0.5 ** (j - i) * shown.rewards[j] for j in range(i, end))
+            assert returns[i] == pytest.approx(expected)
+
+
+def test_the_same_seed_shows_the_same():
+    first, again = (planned_demonstrations(as_task("designs"), 3, np.random.default_rng(5)) for _ in range(2))
+    assert all(np.array_equal(a, b) for a, b in zip(first.worlds, again.worlds, strict=True))
+    assert np.array_equal(first.actions, again.actions)
+
+
+def test_a_policy_does_what_it_was_shown():
+    trainer = Trainer(TrainConfig("random_strip", worlds=4, network="relative", imitate=300))
+    before = trainer.evaluate(100).mean_return
+    imitate(trainer.learner, trainer.task, trainer._shown)
+    assert trainer.evaluate(100).mean_return > before + 1
+
+
+def test_half_of_the_episodes_start_on_the_way_of_a_plan():
+    trainer = Trainer(TrainConfig("designs", worlds=400, width=4, network="relative", imitate=5))
+    shown = {world.tobytes() for world in trainer._shown.worlds.designs}
+    there = sum(design.tobytes() in shown for design in trainer.env.episodes.designs)
+    assert 140 < there < 260
+
+
+def test_a_run_that_imitates_goes_on_as_if_it_had_never_stopped(tmp_path):
+    config = TrainConfig("designs", worlds=4, width=8, network="relative", imitate=3)
+    whole, part = Trainer(config), Trainer(config)
+    list(whole.run(2 * whole.steps_an_iteration, until=2.0))
+    list(part.run(part.steps_an_iteration, until=2.0))
+    part.save(tmp_path)
+    resumed = Trainer.resume(tmp_path, config=config)
+    list(resumed.run(2 * whole.steps_an_iteration, until=2.0))
+    weights = (run.learner.net.state_dict().values() for run in (whole, resumed))
+    assert all(a.equal(b) for a, b in zip(*weights, strict=True))
+
+
+@pytest.mark.parametrize(
+    "options", [{"algo": "qmix"}, {"rules": "published"}, {"explore": 5}], ids=["algo", "rules", "explore"]
+)
+def test_what_does_not_go_with_plans_is_refused(options):
+    with pytest.raises(InputError, match="leave imitate out"):
+        TrainConfig("strip", imitate=5, **options)
+    with pytest.raises(InputError, match="imitate is -1"):
+        TrainConfig("strip", imitate=-1)
+
+
+def test_a_task_that_nothing_can_be_planned_for_is_refused():
+    task = as_task("random_strip")
+    short = type(task)(**task.parts | {"max_steps": 1, "source": task.source})
+    with pytest.raises(InputError, match="no plan within 3 ticks for any of 2 starts"):
+        planned_demonstrations(short, 2, np.random.default_rng(0))

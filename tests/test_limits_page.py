@@ -82,8 +82,9 @@ PHRASES = {
     "IDENTIFIED_S": "are identified from {} s",
     "SHARE": "| `train`: until, novelty | {},",
     "BONUS": "| `train`: until, novelty | 0 to 1, {} |",
-    "EXPLORED_TICKS": "| `train`: explore, helper depth | {},",
-    "HELPER_DEPTH": "helper depth | 0 to 100000000, {} |",
+    "EXPLORED_TICKS": "| `train`: explore, imitate, helper depth | {},",
+    "IMITATED_PLANS": "imitate, helper depth | 0 to 10000000, {},",
+    "HELPER_DEPTH": "helper depth | 0 to 10000000, 0 to 50000, {} |",
     "NETWORK_WIDTH": "width is {}.",
 }
 """How the page says each number."""

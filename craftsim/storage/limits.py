@@ -179,7 +179,7 @@ SHARE: Final = Range(0, 1)
 BONUS: Final = Range(0, 1000)
 """Of novelty."""
 NETWORK_WIDTH: Final = Range(1, 4096)
-EXPLORED_TICKS: Final = Range(0, 5_000_000)
+EXPLORED_TICKS: Final = Range(0, 10_000_000)
 IMITATED_PLANS: Final = Range(0, 50_000)
 """Of exploration before learning; a world that is reached takes up to a kilobyte."""
 HELPER_DEPTH: Final = Range(0, 100)

@@ -49,9 +49,11 @@ class TaskIdentity:
             return "its worlds start otherwise"
         if self.design and other.design and self.design != other.design:
             return "its design is another"
-        if self.rules != other.rules:
-            return f"its rule set is {other.rules}, not {self.rules}"
-        return ""
+        return self.rules_difference(rules)
+
+    def rules_difference(self, rules: RuleSet | None) -> str:
+        """Return in words that a rule set is another, or nothing where it is the same or none is given."""
+        return f"its rule set is {rules}, not {self.rules}" if rules and rules != self.rules else ""
 
     def as_dict(self) -> dict[str, str]:
         """Return the fields by name."""

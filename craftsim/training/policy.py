@@ -41,21 +41,25 @@ class TrainedPolicy:
     def check_task(self, task: Task | str, rules: RuleSet | None = None) -> None:
         """Raise InputError for another task than the one that it was trained for, or another rule set if one is given.
 
-        Observations of :func:`craftsim.envs.parallel_env` are checked by themselves, the rule set aside; whoever calls
-        a policy with observations from elsewhere calls this before.
+        A network that looks from a car plays every task of its area that shows what is to be built, with any number of
+        cars. Observations of :func:`craftsim.envs.parallel_env` are checked by themselves, the rule set aside; whoever
+        calls a policy with observations from elsewhere calls this before.
         """
         from craftsim.discrete.tasks import as_task
         from craftsim.training.shape import Shape
 
         task = as_task(task)
-        difference = self.identity.difference(task, rules)
+        shape = Shape.of(task, self.shape.width, self.shape.network)
+        if self.shape.network == "relative" and task.layout.n_targets and self.shape.fits(shape):
+            difference = self.identity.rules_difference(rules)
+        else:
+            difference = self.identity.difference(task, rules)
         if difference:
             raise InputError(
                 f"this policy was trained on {self.identity.name}, and cannot play {task.name}: {difference}; "
                 "train one with 'craftsim train --task'"
             )
-        shape = Shape.of(task, self.shape.width, self.shape.network)
-        if shape != self.shape:
+        if not self.shape.fits(shape):
             raise InputError(
                 f"this policy is damaged: its network is for {self.shape}, {task.name} has {shape}"
             )
@@ -63,12 +67,14 @@ class TrainedPolicy:
 
     def __call__(self, observations: Observations) -> dict[str, int]:
         """Return one action for each agent; raises InputError if the observations are those of another task."""
+        from craftsim.discrete.tasks.observation import ROW
         from craftsim.training.evaluation import best_actions
 
         task = getattr(observations, "task", None)
         if task is not None and task is not self._checked:
             self.check_task(task)
-        names = [f"car_{i}" for i in range(self.shape.n_cars)]
+        any_number = self.shape.network == "relative" and len(observations) > 0
+        names = [f"car_{i}" for i in range(len(observations) if any_number else self.shape.n_cars)]
         if set(observations) != set(names):
             raise InputError(
                 f"this policy was trained on {self.identity.name} with the agents {', '.join(names)}; "
@@ -77,7 +83,7 @@ class TrainedPolicy:
         seen, mask = (
             np.stack([observations[name][key] for name in names]) for key in ("observation", "action_mask")
         )
-        if seen.shape[-1] != self.shape.vector_length:
+        if seen.shape[-1] % ROW if any_number else seen.shape[-1] != self.shape.vector_length:
             raise InputError(
                 f"this policy was trained on {self.identity.name}, whose observations have "
                 f"{self.shape.vector_length} numbers, not {seen.shape[-1]}"

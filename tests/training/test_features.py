@@ -5,6 +5,7 @@ import pytest
 import torch
 from torch import nn
 
+import craftsim
 from craftsim.discrete.actions import MOVE_DIRECTION
 from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
@@ -20,9 +21,13 @@ from craftsim.discrete.tasks.observation import (
     YAW_LOW,
 )
 from craftsim.discrete.tasks.random_tasks import random_task
+from craftsim.errors import InputError
+from craftsim.training.config import TrainConfig
 from craftsim.training.features import Encoder, make_encoder
 from craftsim.training.networks import CarNet
+from craftsim.training.policy import load_policy
 from craftsim.training.shape import Shape
+from craftsim.training.trainer import Trainer
 
 
 @pytest.mark.parametrize("name", TASK_NAMES)
@@ -123,3 +128,18 @@ def test_networks_that_look_from_a_car_serve_more_cars():
     episodes = Episodes(three, np.random.default_rng(0), 4)
     seen, mask = torch.from_numpy(episodes.vectors()), torch.from_numpy(episodes.offered())
     assert net(seen, mask).shape == (4, 3, 15)
+
+
+def test_a_policy_that_looks_from_a_car_plays_other_tasks_that_show_their_design(tmp_path):
+    trainer = Trainer(TrainConfig("designs", worlds=1, width=4, network="relative"))
+    trainer.save(tmp_path)
+    policy = load_policy(tmp_path)
+    env = craftsim.parallel_env("designs", "grid", n_cars=3)
+    assert set(policy(env.reset(seed=0)[0])) == {"car_0", "car_1", "car_2"}
+    policy.check_task(as_task("random_strip", area=(6, 6, 2)))
+    with pytest.raises(InputError, match="cannot play strip"):
+        policy.check_task("strip")
+    with pytest.raises(InputError, match="cannot play random_strip: its worlds start otherwise"):
+        policy.check_task("random_strip")
+    with pytest.raises(InputError, match="its rule set is published, not physical"):
+        policy.check_task("designs@test", "published")

@@ -9,7 +9,7 @@ from craftsim.commands.study_text import conclusions, runs_table
 from craftsim.studies.study import read_study
 
 DOCS = Path(__file__).parents[2] / "docs"
-STUDIES = ("paper_ippo", "paper_ippo_long", "random")
+STUDIES = ("paper_ippo", "random", "designs")
 
 
 @pytest.mark.parametrize("name", STUDIES)

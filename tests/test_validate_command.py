@@ -226,6 +226,7 @@ def test_a_killed_validation_goes_on_to_the_report_of_an_undisturbed_one(folder)
 
 def test_worlds_that_each_run_draws_anew_differ_and_are_the_same_at_any_number_of_workers(folder):
     words = ["random", "--cars", "2", "--max-steps", "3", "--trials", "2", "--randomize", "none"]
+    words += ["--drive", "reduced"]
     assert _validate(*words, out="one") == 0
     assert _validate(*words, "--workers", "2", out="two") == 0
     one, other = _records(folder / "one")

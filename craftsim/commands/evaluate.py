@@ -14,6 +14,7 @@ from craftsim.commands.text import say
 from craftsim.errors import InputError
 from craftsim.report import output_directory, write_report
 from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, SEED, TRAIN_EPISODES
+from craftsim.training.config import Acting
 from craftsim.training.extra import need_torch
 
 EPISODES: Final = 1000
@@ -30,10 +31,11 @@ def evaluate(
     cars: Annotated[int | None, CARS] = None,
     blocks: Annotated[int | None, BLOCKS] = None,
     area: Annotated[tuple[int, ...], DESIGN_SIDE] = (),
+    acting: Acting | None = None,
     seed: Annotated[int, SEED] = 0,
     out: Dir = Path("out/evaluate"),
 ) -> int:
-    """Play trained policies on the grid, each with the action that it rates highest, and count what differs.
+    """Play trained policies on the grid, and count what differs.
 
     A deterministic policy plays one start alike each time: what is repeated counts once, and only different starts have
     an interval. Tasks may start otherwise than those of training, but are of the same size, and have as many cars and
@@ -47,7 +49,8 @@ def evaluate(
         cars: other than the task's number of cars, for networks that look from a car.
         blocks: the same for blocks.
         area: length, width and height of another area, of tasks that vary.
-        seed: of starts, and of the order in which cars act.
+        acting: do what a policy rates highest, or draw by its probabilities; as it was trained for unless given.
+        seed: of starts, of the order in which cars act, and of what is drawn.
         out: folder for report.json.
     """
     if not policies:
@@ -71,8 +74,9 @@ def evaluate(
             shape = Shape.of(asked, policy.shape.width, policy.shape.network)
             if not policy.shape.fits(shape):
                 raise InputError(f"{path}: trained for {policy.shape}; task '{asked.name}' has {shape}")
-            played = play(policy.net, asked, episodes, seed, config.rules, config.helper_depth)
-            rows.append({"policy": path, "task": asked.name, **played.as_figures()})
+            how = (config.rules, config.helper_depth, acting or config.acting)
+            played = play(policy.net, asked, episodes, seed, *how)
+            rows.append({"policy": path, "task": asked.name, "acting": how[-1], **played.as_figures()})
             low, high = played.interval or (None, None)
             interval = "one start" if low is None else f"{low:.3f}-{high:.3f}"
             solved = f"{played.solved} of {played.starts}"

@@ -90,7 +90,7 @@ def _player(env: ParallelConstruction, policy: str, plan: Path | None) -> MakeAc
     """Return what makes the policy of each episode; raise InputError where there is none, or not for this task."""
     from craftsim.discrete.files.plan import read_plan
     from craftsim.envs.planner import PlannerPolicy, PlanPolicy
-    from craftsim.validation.runs.policies import RANDOM, make_policy
+    from craftsim.validation.runs.policies import make_policy
 
     if plan is not None:
         read = read_plan(plan, env.core.n_cars)
@@ -98,10 +98,8 @@ def _player(env: ParallelConstruction, policy: str, plan: Path | None) -> MakeAc
     if policy == _PLANNER:
         PlannerPolicy(env)  # refuses a task without a goal before anything is written
         return lambda seed: PlannerPolicy(env)
-    if policy == RANDOM:
-        return lambda seed: make_policy(RANDOM, seed)
-    loaded = make_policy(policy, seed=0, task=env.core.task)
-    return lambda seed: loaded
+    make_policy(policy, 0, env.core.task)  # refuses one of another task before anything is written
+    return lambda seed: make_policy(policy, seed, env.core.task)
 
 
 def _word(text: str) -> str:

@@ -38,6 +38,7 @@ from craftsim.storage.limits import (
 from craftsim.training.config import (
     PRESETS,
     WORLDS,
+    Acting,
     AlgoName,
     NetworkName,
     PresetName,
@@ -75,6 +76,7 @@ def train(
     novelty: Annotated[float, BONUS] = 0.0,
     explore: Annotated[int | None, EXPLORED_TICKS] = None,
     imitate: Annotated[int | None, IMITATED_PLANS] = None,
+    acting: Acting = "greedy",
     settings: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     cars: Annotated[int | None, CARS] = None,
     blocks: Annotated[int | None, BLOCKS] = None,
@@ -116,6 +118,7 @@ def train(
             to, the way to the best is imitated, and every second episode of training starts with one of them.
         imitate: how many plans of the planner are imitated before learning; every second episode of training then
             starts with a world of one of them.
+        acting: how the policy acts in evaluations and later: what it rates highest, or drawn by its probabilities.
         settings: YAML file of the algorithm's hyperparameters that are not to be its own, such as learning_rate.
         cars: other than the task's number of cars; those that its start does not list are drawn at random.
         blocks: the same for blocks.
@@ -141,6 +144,7 @@ def train(
         *(task, algo, seed, worlds),
         width=width,
         network=network,
+        acting=acting,
         novelty=novelty,
         n_cars=cars,
         n_blocks=blocks,

@@ -91,7 +91,13 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
             "curve": [asdict(point) for point in trainer.curve],
             "evaluations": {
                 name: evaluate(
-                    trainer.learner.net, as_task(name), run.episodes, 1, config.rules, config.helper_depth
+                    trainer.learner.net,
+                    as_task(name),
+                    run.episodes,
+                    1,
+                    config.rules,
+                    config.helper_depth,
+                    config.acting,
                 ).as_figures()
                 for name in run.tests
             },

@@ -29,7 +29,12 @@ PRESETS: Final[Mapping[PresetName, Mapping[str, Any]]] = {"paper": {"rules": "pu
 """Fields of a configuration that belong together: the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023)."""
 NetworkName = Literal["map", "relative"]
 """A table of what may be in each cell of the map, or of what may be in each direction and distance from a car."""
+Acting = Literal["greedy", "sampled"]
+"""Each car does what the policy rates highest, or what is drawn with the policy's probabilities."""
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
+
+
+_WITH_PROBABILITIES: Final = ("ippo", "mappo", "coma")
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,8 @@ class TrainConfig:
     """Search depth of the action helper, on the grid; None is without it."""
     explore: int = 0
     """Ticks of exploration on the grid before learning; half of the episodes then start with a world it reached."""
+    acting: Acting = "greedy"
+    """How the policy acts in evaluations and once it is trained; while it learns, actions are always drawn."""
     imitate: int = 0
     """Plans of the planner that are imitated before learning; half of the episodes then start with a world of one."""
     hyperparameters: dict[str, float] = field(default_factory=dict)
@@ -90,6 +97,12 @@ class TrainConfig:
             raise InputError(
                 "in physics cars are trained under the physical rule set, without action helper and exploration; leave "
                 "rules, helper_depth and explore out, or train on the grid"
+            )
+        if self.acting not in get_args(Acting):
+            raise InputError(f"acting is {self.acting!r}; allowed: {', '.join(get_args(Acting))}")
+        if self.acting == "sampled" and self.algo not in _WITH_PROBABILITIES:
+            raise InputError(
+                f"{self.algo} rates actions by value, there is nothing to sample; acting must be greedy"
             )
         IMITATED_PLANS.check("imitate", self.imitate)
         if self.imitate and (self.algo not in ("ippo", "mappo") or self.rules != "physical" or self.explore):

@@ -25,7 +25,7 @@ Progress = Callable[[int], AbstractContextManager[Callable[[bool], None]]]
 ATTEMPTS: Final = 1
 """Of the planner at each start."""
 NOT_SHOWN: Final = -1
-"""In place of an action: the plan lets the car wait, which the rules do not offer."""
+"""In place of an action: the plan lets the car wait. A policy that has learnt to wait may do so for ever."""
 
 
 def silent(total: int) -> AbstractContextManager[Callable[[bool], None]]:

@@ -14,6 +14,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.physics_vector import PhysicsVectorEnv
+from craftsim.training.config import Acting
 from craftsim.training.curve import Played
 from craftsim.training.networks import CarNet
 from craftsim.training.repetitions import Repetitions
@@ -26,8 +27,9 @@ def evaluate(
     seed: int,
     rules: RuleSet = "physical",
     helper_depth: int | None = None,
+    acting: Acting = "greedy",
 ) -> Played:
-    """Play so many episodes, all at once, with the best action of each car; ``seed`` draws starts and orders.
+    """Play so many episodes, all at once; ``seed`` draws starts and orders, and actions where they are sampled.
 
     Where a task has a list of starts, episodes take one after the other.
     """
@@ -38,9 +40,11 @@ def evaluate(
     running = np.ones(episodes, np.bool_)
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
     repetitions = Repetitions(worlds.designs)
+    draws = np.random.default_rng([seed, 1])
     while running.any():
-        seen = worlds.vectors()
-        chosen = best_actions(net, seen, worlds.offered())
+        seen, offered = worlds.vectors(), worlds.offered()
+        noise = draws.gumbel(size=offered.shape) if acting == "sampled" else None
+        chosen = choose_actions(net, seen, offered, noise)
         repetitions.add(np.flatnonzero(running), seen[running], chosen[running])
         steps = worlds.step(chosen)
         won[running & steps.success] = 1
@@ -50,8 +54,10 @@ def evaluate(
     return _played(won, total, ticks, repetitions)
 
 
-def evaluate_in_physics(net: CarNet, worlds: PhysicsVectorEnv, episodes: int, seed: int) -> Played:
-    """Play so many episodes, as many at once as there are worlds, with the best action of each car.
+def evaluate_in_physics(
+    net: CarNet, worlds: PhysicsVectorEnv, episodes: int, seed: int, acting: Acting = "greedy"
+) -> Played:
+    """Play so many episodes, as many at once as there are worlds.
 
     Episode i is seeded with ``seed + i``; how many worlds there are decides nothing.
     """
@@ -60,9 +66,13 @@ def evaluate_in_physics(net: CarNet, worlds: PhysicsVectorEnv, episodes: int, se
     for first in range(0, episodes, worlds.num_envs):
         masks = worlds.reset(seed=seed + first)[0]["action_mask"]
         ids = np.arange(min(worlds.num_envs, episodes - first))
+        draws = [np.random.default_rng([seed + first + i, 1]) for i in range(len(ids))]
         while len(ids):
             seen = worlds.car_vectors()[ids]
-            chosen = best_actions(net, seen, masks[ids])
+            noise = None
+            if acting == "sampled":
+                noise = np.stack([draws[i].gumbel(size=masks[i].shape) for i in ids])
+            chosen = choose_actions(net, seen, masks[ids], noise)
             repetitions.add(first + ids, seen, chosen)
             worlds.send(chosen, ids)
             observation, reward, terminated, truncated, infos = worlds.recv(len(ids))
@@ -84,14 +94,20 @@ def _played(
 
 
 @torch.no_grad()
-def best_actions(
-    net: CarNet, observations: NDArray[np.integer], masks: NDArray[np.generic]
+def choose_actions(
+    net: CarNet,
+    observations: NDArray[np.integer],
+    masks: NDArray[np.generic],
+    noise: NDArray[np.float64] | None = None,
 ) -> NDArray[np.int64]:
     """Return (..., n): for every car the offered action that the network rates highest.
 
+    With Gumbel noise (..., n, 15) on top that is one drawn as often as the policy gives it probability.
     ``observations`` are (..., n, vector_length) and ``masks`` (..., n, 15).
     """
     offers = torch.from_numpy(masks.astype(np.bool_))
     values = net(torch.from_numpy(observations.astype(np.int64)), offers)
+    if noise is not None:
+        values = values + torch.from_numpy(noise)
     chosen: NDArray[np.int64] = values.masked_fill(~offers, -torch.inf).argmax(-1).numpy()
     return chosen

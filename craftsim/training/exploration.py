@@ -7,7 +7,7 @@ plan and no other knowledge of the task goes in but its reward's potential.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Final
@@ -68,6 +68,8 @@ def explore(task: Task, rules: RuleSet, ticks: int, rng: np.random.Generator) ->
             offered = episodes.offered() & plays
             steps = episodes.step((rng.random(offered.shape) * offered).argmax(-1))
             played += int(running.sum())
+            # What one car kept another from would not happen again where they act in another order.
+            running &= steps.applied.all(-1)
             at = reached.add(episodes, at, running, steps.success)
             running &= ~steps.success
     way = reached.way_to_best()
@@ -78,11 +80,13 @@ def explore(task: Task, rules: RuleSet, ticks: int, rng: np.random.Generator) ->
 def done_on(way: Sequence[Grid], rules: Rules) -> Ticks:
     """Return what cars did in each tick from one world to the next, in the order in which they acted.
 
-    Raises ValueError where no actions lead from one to the next.
+    All that they did was offered to them when the tick began. Raises ValueError where nothing leads from one to the
+    next.
     """
     done = []
     for before, after in pairwise(way):
-        found = _done_between(before, after, frozenset(range(before.n_cars)), rules)
+        offered = {car: np.flatnonzero(row).tolist() for car, row in enumerate(rules.mask(before))}
+        found = _done_between(before, after, offered, rules)
         if found is None:
             raise ValueError("no actions lead from one world to the next")
         done.append(found)
@@ -90,18 +94,20 @@ def done_on(way: Sequence[Grid], rules: Rules) -> Ticks:
 
 
 def _done_between(
-    before: Grid, after: Grid, left: frozenset[int], rules: Rules
+    before: Grid, after: Grid, offered: Mapping[int, Sequence[int]], rules: Rules
 ) -> tuple[tuple[int, Action], ...] | None:
-    """Return what the cars that are left may have done, each at most one action; None where there is nothing."""
+    """Return what each car may have done of what it was offered, STOP where nothing; None where it cannot have been."""
     if before.same_visible(after) and before.same_marks(after):
-        return ()
-    offered = rules.mask(before)
-    for car in left:
-        for action in np.flatnonzero(offered[car]).tolist():
+        return tuple((car, Action.STOP) for car in offered)
+    for car, actions in offered.items():
+        others = {other: theirs for other, theirs in offered.items() if other != car}
+        for action in actions:
+            if not rules.legal(before, car, action):
+                continue
             then = rules.apply(before, car, action)
             # No car moves another.
             if np.array_equal(then.cars[car], after.cars[car]):
-                rest = _done_between(then, after, left - {car}, rules)
+                rest = _done_between(then, after, others, rules)
                 if rest is not None:
                     return ((car, Action(action)), *rest)
     return None

@@ -28,10 +28,16 @@ Observations = dict[str, dict[str, NDArray[Any]]]
 
 
 class TrainedPolicy:
-    """Chooses for every car the offered action that its network rates highest; nothing is drawn."""
+    """Chooses for every car the offered action that its network rates highest, or draws one by its probabilities.
 
-    def __init__(self, config: TrainConfig, identity: TaskIdentity, shape: Shape, net: CarNet) -> None:
+    Which of both its configuration says.
+    """
+
+    def __init__(
+        self, config: TrainConfig, identity: TaskIdentity, shape: Shape, net: CarNet, seed: int = 0
+    ) -> None:
         self.config = config
+        self._draws = np.random.default_rng(seed) if config.acting == "sampled" else None
         self.identity = identity
         """What it was trained for."""
         self.shape = shape
@@ -68,7 +74,7 @@ class TrainedPolicy:
     def __call__(self, observations: Observations) -> dict[str, int]:
         """Return one action for each agent; raises InputError if the observations are those of another task."""
         from craftsim.discrete.tasks.observation import ROW
-        from craftsim.training.evaluation import best_actions
+        from craftsim.training.evaluation import choose_actions
 
         task = getattr(observations, "task", None)
         if task is not None and task is not self._checked:
@@ -88,14 +94,15 @@ class TrainedPolicy:
                 f"this policy was trained on {self.identity.name}, whose observations have "
                 f"{self.shape.vector_length} numbers, not {seen.shape[-1]}"
             )
-        return dict(zip(names, best_actions(self.net, seen, mask).tolist(), strict=True))
+        noise = None if self._draws is None else self._draws.gumbel(size=mask.shape)
+        return dict(zip(names, choose_actions(self.net, seen, mask, noise).tolist(), strict=True))
 
 
-def load_policy(path: str | Path) -> TrainedPolicy:
+def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
     """Return the policy of a file that ``craftsim train`` wrote: its ``policy.pt``, or the folder that holds it.
 
     It is called with the observations of :func:`craftsim.envs.parallel_env` and returns the actions; it refuses those
-    of another task than the one that it was trained for.
+    of another task than the one that it was trained for. ``seed`` decides what one draws whose actions are sampled.
 
     Raises:
         InputError: the extra ``train`` is not installed, or the file is not a policy.
@@ -111,4 +118,4 @@ def load_policy(path: str | Path) -> TrainedPolicy:
     from craftsim.training.checkpoint import read_policy
 
     path = Path(path)
-    return TrainedPolicy(*read_policy(path / POLICY_FILE if os.path.isdir(path) else path))
+    return TrainedPolicy(*read_policy(path / POLICY_FILE if os.path.isdir(path) else path), seed)

@@ -15,11 +15,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.batches import Starts
-from craftsim.discrete.tasks.measures import target_array
-from craftsim.discrete.tasks.varied import VariedTask
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.interrupts import finishing_first
@@ -28,17 +24,11 @@ from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import RUN_FILE, RunHead, open_run, save_policy, save_run
 from craftsim.training.config import TrainBackend, TrainConfig
 from craftsim.training.curve import Played, Point
-from craftsim.training.demonstrations import (
-    Demonstrations,
-    Progress,
-    planned_demonstrations,
-    replayed,
-    silent,
-)
+from craftsim.training.demonstrations import Progress, silent
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
-from craftsim.training.exploration import STARTS, done_on, explore
 from craftsim.training.extra import PACKAGES
 from craftsim.training.grid_env import GridEnv
+from craftsim.training.guidance import guidance_of
 from craftsim.training.identity import TaskIdentity, starts_digest
 from craftsim.training.imitation import imitate
 from craftsim.training.novelty import Novelty
@@ -47,13 +37,12 @@ from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.policy import POLICY_FILE
 from craftsim.training.restoring import numbers
 from craftsim.training.shape import Shape
-from craftsim.training.starts import half_from, half_shown
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next."""
 EVALUATION_EPISODES: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 64}
 """Episodes of an evaluation while training."""
-_ROLLOUT, _EVALUATION, _FINAL, _EXPLORATION = range(4)
+_ROLLOUT, _EVALUATION, _FINAL, _GUIDANCE = range(4)
 
 
 class Trainer:
@@ -86,52 +75,21 @@ class Trainer:
         self.starts = "" if starts is None else starts_digest(starts)
         """Digest of the other starts; empty without."""
         self.iteration = 0
-        self._shown: Demonstrations | None = None
-        if config.explore:
-            starts = self._explore(starts)
-        if config.imitate:
-            starts = self._plan(starts, progress)
+        rng = np.random.default_rng(self._seed(_GUIDANCE))
+        self.guidance = guidance_of(config, self.task, starts, rng, progress)
         self.shape = Shape.of(self.task, config.width, config.network)
         self.env: GridEnv | PhysicsEnv
+        trained = self.guidance.starts or self.task
         if config.backend == "grid":
-            self.env = GridEnv(starts or self.task, config.worlds, config.rules, config.helper_depth)
+            self.env = GridEnv(trained, config.worlds, config.rules, config.helper_depth)
         else:
-            self.env = PhysicsEnv(starts or self.task, config.worlds, workers, config.drive)
+            self.env = PhysicsEnv(trained, config.worlds, workers, config.drive)
         self.curve: list[Point] = []
         self.wall_s = 0.0
         with torch.random.fork_rng():
             torch.manual_seed(config.seed)
             self.learner = make_learner(config, self.shape, self.task.max_steps + 2)
         self.novelty = Novelty(config.novelty, self.shape)
-
-    def _explore(self, starts: Task | None) -> Task:
-        """Return the task with starts among what exploration reaches; the same whenever the run is resumed."""
-        config, task = self.config, self.task
-        if starts is not None:
-            raise InputError("exploration finds starts of its own: leave explore or starts out")
-        if not task.always_starts_the_same:
-            raise InputError(
-                f"exploration needs a fixed start, which task '{task.name}' has not: leave it out"
-            )
-        rng = np.random.default_rng(self._seed(_EXPLORATION))
-        found = explore(task, config.rules, config.explore, rng)
-        if 1 < len(found.way) <= task.max_steps + 3:
-            start = Starts.of(found.way[:1], target_array(task.design))
-            ticks = done_on(found.way, Rules(config.rules))
-            self._shown = replayed(task, start, [ticks], config.rules)
-        return half_from(task, found.starts)
-
-    def _plan(self, starts: Task | None, progress: Progress) -> Task:
-        """Return the task with starts on the way of plans, which are to be imitated; the same when it is resumed."""
-        if starts is not None:
-            raise InputError("imitation makes plans of its own: leave imitate or starts out")
-        rng = np.random.default_rng(self._seed(_EXPLORATION))
-        self._shown = planned_demonstrations(self.task, self.config.imitate, rng, progress)
-        worlds = self._shown.worlds
-        if isinstance(self.task, VariedTask):
-            return half_shown(self.task, worlds)
-        some = rng.integers(len(worlds.kind), size=STARTS)
-        return half_from(self.task, [worlds.grid(i) for i in some])
 
     @property
     def steps(self) -> int:
@@ -161,14 +119,14 @@ class Trainer:
 
     def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> Played:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
-        net, seed = self.learner.net, self._seed(purpose)
+        net, seed, config = self.learner.net, self._seed(purpose), self.config
         if isinstance(self.env, GridEnv):
-            return evaluate(net, self.task, episodes, seed, self.config.rules, self.config.helper_depth)
-        if not self.starts and record is None:
-            return evaluate_in_physics(net, self.env.worlds, episodes, seed)
-        options: dict[str, Any] = {"workers": self.workers, "drive": self.config.drive, "record": record}
-        with closing(PhysicsVectorEnv(self.task, self.config.worlds, **options)) as worlds:
-            return evaluate_in_physics(net, worlds, episodes, seed)
+            return evaluate(net, self.task, episodes, seed, config.rules, config.helper_depth, config.acting)
+        if self.guidance.starts is None and record is None:
+            return evaluate_in_physics(net, self.env.worlds, episodes, seed, config.acting)
+        options: dict[str, Any] = {"workers": self.workers, "drive": config.drive, "record": record}
+        with closing(PhysicsVectorEnv(self.task, config.worlds, **options)) as worlds:
+            return evaluate_in_physics(net, worlds, episodes, seed, config.acting)
 
     def close(self) -> None:
         """End the processes that hold worlds in physics."""
@@ -184,10 +142,10 @@ class Trainer:
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
         with torch.random.fork_rng():
-            if self.iteration == 0 and self._shown is not None and isinstance(self.learner, PPOLearner):
+            shown = self.guidance.shown
+            if self.iteration == 0 and shown is not None and isinstance(self.learner, PPOLearner):
                 torch.manual_seed(seed)
-                config = self.config
-                imitate(self.learner, self.task, self._shown, config.rules, config.helper_depth)
+                imitate(self.learner, self.task, shown, self.config.rules, self.config.helper_depth)
             rollout = self.play(seed)
             self.novelty.add_to(rollout)
             self.learner.update(rollout)

@@ -1,5 +1,6 @@
 """Imitation of the planner: what is shown, and that a policy then does it."""
 
+from contextlib import closing
 from itertools import pairwise
 
 import numpy as np
@@ -50,13 +51,13 @@ def test_the_same_seed_shows_the_same():
 def test_a_policy_does_what_it_was_shown():
     trainer = Trainer(TrainConfig("random_strip", worlds=4, network="relative", imitate=300))
     before = trainer.evaluate(100).mean_return
-    imitate(trainer.learner, trainer.task, trainer._shown)
+    imitate(trainer.learner, trainer.task, trainer.guidance.shown)
     assert trainer.evaluate(100).mean_return > before + 1
 
 
 def test_half_of_the_episodes_start_on_the_way_of_a_plan():
     trainer = Trainer(TrainConfig("designs", worlds=400, width=4, network="relative", imitate=5))
-    shown = {world.tobytes() for world in trainer._shown.worlds.designs}
+    shown = {world.tobytes() for world in trainer.guidance.shown.worlds.designs}
     there = sum(design.tobytes() in shown for design in trainer.env.episodes.designs)
     assert 140 < there < 260
 
@@ -88,3 +89,11 @@ def test_a_task_that_nothing_can_be_planned_for_is_refused():
     short = type(task)(**task.parts | {"max_steps": 1, "source": task.source})
     with pytest.raises(InputError, match="no plan within 3 ticks for any of 2 starts"):
         planned_demonstrations(short, 2, np.random.default_rng(0))
+
+
+def test_an_evaluation_in_physics_starts_where_the_task_does(monkeypatch):
+    config = TrainConfig("random_strip", worlds=1, width=4, network="relative", backend="physics", imitate=2)
+    monkeypatch.setattr("craftsim.training.trainer.evaluate_in_physics", lambda net, worlds, *_: worlds.task)
+    with closing(Trainer(config, workers=1)) as trainer:
+        assert trainer.env.worlds.task is not trainer.task
+        assert trainer.evaluate(1) is trainer.task

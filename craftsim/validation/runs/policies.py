@@ -106,7 +106,7 @@ def make_policy(name: str, seed: int, task: Task | None = None) -> Policy:
 
     Args:
         name: ``random``; ``module:function``; or what ``craftsim train`` wrote, a file or its folder.
-        seed: of the random policy; the others draw nothing that their observations do not decide.
+        seed: of the random policy, and of a trained one whose actions are sampled; the others draw nothing.
         task: what it is to play; a trained policy refuses another task than its own.
 
     Raises:
@@ -117,7 +117,7 @@ def make_policy(name: str, seed: int, task: Task | None = None) -> Policy:
     if exists(name):
         from craftsim.training.policy import load_policy
 
-        policy = load_policy(name)
+        policy = load_policy(name, seed)
         if task is not None:
             policy.check_task(task)
         return policy

@@ -1,0 +1,62 @@
+"""What a run is given beside its task: other starts to train from, and what it imitates before it learns."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.batches import Starts
+from craftsim.discrete.tasks.measures import target_array
+from craftsim.discrete.tasks.varied import VariedTask
+from craftsim.errors import InputError
+from craftsim.training.config import TrainConfig
+from craftsim.training.demonstrations import (
+    Demonstrations,
+    Progress,
+    planned_demonstrations,
+    replayed,
+)
+from craftsim.training.exploration import STARTS, done_on, explore
+from craftsim.training.starts import half_from, half_shown
+
+
+class Guidance(NamedTuple):
+    """Either may be absent; the same whenever a run is resumed."""
+
+    starts: Task | None = None
+    """The task with other starts."""
+    shown: Demonstrations | None = None
+
+
+def guidance_of(
+    config: TrainConfig, task: Task, starts: Task | None, rng: np.random.Generator, progress: Progress
+) -> Guidance:
+    """Return what a configuration asks for, or the starts that are given. Raises InputError where it asks for both."""
+    if starts is not None and (config.explore or config.imitate):
+        raise InputError("exploration and imitation find starts of their own: leave them or starts out")
+    if config.explore:
+        return _explored(config, task, rng)
+    if config.imitate:
+        return _planned(task, planned_demonstrations(task, config.imitate, rng, progress), rng)
+    return Guidance(starts)
+
+
+def _explored(config: TrainConfig, task: Task, rng: np.random.Generator) -> Guidance:
+    if not task.always_starts_the_same:
+        raise InputError(f"exploration needs a fixed start, which task '{task.name}' has not: leave it out")
+    found = explore(task, config.rules, config.explore, rng)
+    shown = None
+    if 1 < len(found.way) <= task.max_steps + 3:
+        start = Starts.of(found.way[:1], target_array(task.design))
+        shown = replayed(task, start, [done_on(found.way, Rules(config.rules))], config.rules)
+    return Guidance(half_from(task, found.starts), shown)
+
+
+def _planned(task: Task, shown: Demonstrations, rng: np.random.Generator) -> Guidance:
+    if isinstance(task, VariedTask):
+        return Guidance(half_shown(task, shown.worlds), shown)
+    some = rng.integers(len(shown.worlds.kind), size=STARTS)
+    return Guidance(half_from(task, [shown.worlds.grid(i) for i in some]), shown)

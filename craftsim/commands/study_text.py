@@ -19,9 +19,10 @@ def runs_table(study: Study, figures: dict[str, Any]) -> Cells:
         own = row["played"].partition("@")[0] == row["task"]
         task = row["played"] if own else f"{row['played']} by {row['task']}"
         steps = f"{row['median_steps'] / 1000:,.0f} k"
-        success = f"{estimate:.3f}", f"{low:.3f}-{high:.3f}"
+        success = f"{estimate:.3f}", "one run" if study.seeds == 1 else f"{low:.3f}-{high:.3f}"
         rows.append((task, row["algo"], *success, str(row["distinct_starts"]), steps, published))
-    return Cells(f"{study.title}: success over {study.seeds} seeds of training", head, tuple(rows))
+    seeds = f"{study.seeds} seed{'s' if study.seeds > 1 else ''}"
+    return Cells(f"{study.title}: success over {seeds} of training", head, tuple(rows))
 
 
 def conclusions(figures: dict[str, Any]) -> list[str]:
@@ -29,9 +30,9 @@ def conclusions(figures: dict[str, Any]) -> list[str]:
     lines = []
     for algo, found in figures["overall"].items():
         (estimate, low, high), (gap, *_) = found["iqm"], found["optimality_gap"]
-        lines.append(
-            f"{algo}, all tasks: IQM {estimate:.3f} ({low:.3f} to {high:.3f}), optimality gap {gap:.3f}."
-        )
+        several = len({run["seed"] for run in figures["runs"]}) > 1
+        interval = f" ({low:.3f} to {high:.3f})" if several else ""
+        lines.append(f"{algo}, all tasks: IQM {estimate:.3f}{interval}, optimality gap {gap:.3f}.")
     for pair, (likely, low, high) in figures["improvement"].items():
         a, b = pair.split(" over ")
         lines.append(

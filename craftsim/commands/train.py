@@ -170,6 +170,7 @@ def train(
     begun = time.perf_counter()
     with closing(trainer):
         log = _log(folder, trainer) if tensorboard else None
+        _ = trainer.guidance  # shows progress of its own
         try:
             _run(trainer, console, steps, until, folder, log)
         except KeyboardInterrupt:

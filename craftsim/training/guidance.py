@@ -31,12 +31,18 @@ class Guidance(NamedTuple):
     shown: Demonstrations | None = None
 
 
+def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None:
+    """Raise InputError where a configuration asks for what does not go together, or not with a task."""
+    if starts is not None and (config.explore or config.imitate):
+        raise InputError("exploration and imitation find starts of their own: leave them or starts out")
+    if config.explore and not task.always_starts_the_same:
+        raise InputError(f"exploration needs a fixed start, which task '{task.name}' has not: leave it out")
+
+
 def guidance_of(
     config: TrainConfig, task: Task, starts: Task | None, rng: np.random.Generator, progress: Progress
 ) -> Guidance:
-    """Return what a configuration asks for, or the starts that are given. Raises InputError where it asks for both."""
-    if starts is not None and (config.explore or config.imitate):
-        raise InputError("exploration and imitation find starts of their own: leave them or starts out")
+    """Return what a configuration asks for, or the starts that are given."""
     if config.explore:
         return _explored(config, task, rng)
     if config.imitate:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import asdict
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -28,7 +29,7 @@ from craftsim.training.demonstrations import Progress, silent
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.extra import PACKAGES
 from craftsim.training.grid_env import GridEnv
-from craftsim.training.guidance import guidance_of
+from craftsim.training.guidance import Guidance, check_guidance, guidance_of
 from craftsim.training.identity import TaskIdentity, starts_digest
 from craftsim.training.imitation import imitate
 from craftsim.training.novelty import Novelty
@@ -75,21 +76,31 @@ class Trainer:
         self.starts = "" if starts is None else starts_digest(starts)
         """Digest of the other starts; empty without."""
         self.iteration = 0
-        rng = np.random.default_rng(self._seed(_GUIDANCE))
-        self.guidance = guidance_of(config, self.task, starts, rng, progress)
+        check_guidance(config, self.task, starts)
+        self._given, self._progress = starts, progress
+        self._own_starts = starts is None and not config.explore and not config.imitate
         self.shape = Shape.of(self.task, config.width, config.network)
-        self.env: GridEnv | PhysicsEnv
-        trained = self.guidance.starts or self.task
-        if config.backend == "grid":
-            self.env = GridEnv(trained, config.worlds, config.rules, config.helper_depth)
-        else:
-            self.env = PhysicsEnv(trained, config.worlds, workers, config.drive)
         self.curve: list[Point] = []
         self.wall_s = 0.0
         with torch.random.fork_rng():
             torch.manual_seed(config.seed)
             self.learner = make_learner(config, self.shape, self.task.max_steps + 2)
         self.novelty = Novelty(config.novelty, self.shape)
+
+    @cached_property
+    def guidance(self) -> Guidance:
+        """What it has beside its task, found when it is first needed."""
+        words = np.random.SeedSequence([self.config.seed, _GUIDANCE, 0])
+        rng = np.random.default_rng(int(words.generate_state(1)[0]))
+        return guidance_of(self.config, self.task, self._given, rng, self._progress)
+
+    @cached_property
+    def env(self) -> GridEnv | PhysicsEnv:
+        """The worlds of rollouts, made when they are first needed."""
+        config, task = self.config, self.guidance.starts or self.task
+        if config.backend == "grid":
+            return GridEnv(task, config.worlds, config.rules, config.helper_depth)
+        return PhysicsEnv(task, config.worlds, self.workers, config.drive)
 
     @property
     def steps(self) -> int:
@@ -120,9 +131,9 @@ class Trainer:
     def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> Played:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
         net, seed, config = self.learner.net, self._seed(purpose), self.config
-        if isinstance(self.env, GridEnv):
+        if config.backend == "grid":
             return evaluate(net, self.task, episodes, seed, config.rules, config.helper_depth, config.acting)
-        if self.guidance.starts is None and record is None:
+        if self._own_starts and record is None and isinstance(self.env, PhysicsEnv):
             return evaluate_in_physics(net, self.env.worlds, episodes, seed, config.acting)
         options: dict[str, Any] = {"workers": self.workers, "drive": config.drive, "record": record}
         with closing(PhysicsVectorEnv(self.task, config.worlds, **options)) as worlds:
@@ -130,7 +141,8 @@ class Trainer:
 
     def close(self) -> None:
         """End the processes that hold worlds in physics."""
-        self.env.close(raise_if_closed=False)
+        if "env" in vars(self):
+            self.env.close(raise_if_closed=False)
 
     def play(self, seed: int) -> TensorDictBase:
         """Return a rollout, batch size (B, ticks), after seeding worlds and torch's default generator."""

@@ -227,3 +227,13 @@ def test_an_area_is_that_of_tasks_that_vary():
         as_task("strip", area=(6, 6))
     with pytest.raises(InputError, match="length and width, perhaps height"):
         as_task("designs", area=(6,))
+
+
+def test_the_task_of_one_episode_goes_on_to_show_its_design():
+    task = as_task("designs@test")
+    one = task.for_episode(np.random.default_rng(3))
+    assert one.layout == task.layout
+    episodes = Episodes(one, np.random.default_rng(0), 2)
+    assert episodes.designs.shape == (2, task.n_targets, 5)
+    shown = {tuple(row[1:4]) for row in episodes.designs[0].tolist() if row[0]}
+    assert shown == {target.cell for target in one.design.targets}

@@ -87,7 +87,7 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
     assert trainer.identity.rules == "published"
     assert trainer.env.episodes.worlds.depth == 20
     monkeypatch.setattr("craftsim.training.trainer.evaluate", lambda *given: given)
-    assert trainer.evaluate(3)[-2:] == ("published", 20)
+    assert trainer.evaluate(3)[-3:] == ("published", 20, "greedy")
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,8 @@ def test_a_run_plays_with_the_drive_of_its_configuration(monkeypatch):
 
     monkeypatch.setattr("craftsim.training.physics_env.PhysicsVectorEnv", note)
     for drive in ("reduced", "rollers"):
-        Trainer(TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive), task=SHORT)
+        config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive)
+        assert Trainer(config, task=SHORT).env is not None
     assert asked == ["reduced", "rollers"]
 
 

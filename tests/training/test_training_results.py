@@ -10,6 +10,7 @@ from craftsim.studies.study import read_study
 
 DOCS = Path(__file__).parents[2] / "docs"
 STUDIES = ("paper_ippo", "random", "designs")
+EVALUATIONS = ("designs_greedy", "designs_cars3", "designs_cars4", "designs_zero")
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -29,3 +30,14 @@ def test_the_stored_report_is_of_the_shipped_study(name):
     study, asked = read_study(name), report["config"]["study"]
     assert (asked["tasks"], asked["seeds"], asked["steps"]) == ([*study.tasks], study.seeds, study.steps)
     assert [run["key"] for run in report["figures"]["runs"]] == [run.key for run in study.runs]
+
+
+@pytest.mark.parametrize("name", EVALUATIONS)
+def test_the_page_has_what_each_stored_evaluation_holds(name):
+    report = json.loads((DOCS / f"training/{name}.json").read_text(encoding="utf-8"))
+    page = (DOCS / "training.md").read_text(encoding="utf-8")
+    for row in report["figures"]["evaluations"]:
+        found, starts = row["success"], row["starts"]["distinct"]
+        interval = f"{found['wilson_low']:.3f}-{found['wilson_high']:.3f}"
+        line = f"| {row['acting']} | {found['rate']:.3f} | {interval} | {starts} | {row['mean_ticks']:.1f} |"
+        assert any(row["task"] in text and line in text for text in page.splitlines())

@@ -10,10 +10,10 @@ import numpy as np
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.batches import Starts, StartSource
-from craftsim.discrete.tasks.measures import Finished
+from craftsim.discrete.tasks.measures import Finished, target_array
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.splits import Split, Stored
-from craftsim.discrete.tasks.starts import starting_from
+from craftsim.discrete.tasks.starts import StoredStarts
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 
@@ -27,6 +27,31 @@ def whole_size(area: tuple[int, ...] | None, usual: Cell) -> Cell:
     if len(given) not in (0, 2, 3):
         raise InputError(f"the area is {given}; allowed: length and width, perhaps height, in cells")
     return cast(Cell, (*given, *usual[len(given) :]))
+
+
+@dataclass(frozen=True)
+class DrawnEpisode(StoredStarts):
+    """The task of one episode of a varied task: its start and its design, which observations go on to show."""
+
+    shown: int = 0
+    """How many rows say what is to be built, of which the design may need fewer."""
+
+    @property
+    def n_targets(self) -> int:
+        """How many rows say what is to be built."""
+        return self.shown
+
+    @property
+    def layout(self) -> Layout:
+        """Layout of the task's observations, which show what is to be built."""
+        return Layout.of(self.starts[0], self.shows_flag, self.shown)
+
+    def draw_starts(self, rng: np.random.Generator, n: int) -> Starts:
+        """Return n times the start, and what is to be built."""
+        rows = target_array(self.design)
+        return Starts.of(
+            [self.draw(rng) for _ in range(n)], np.pad(rows, ((0, self.shown - len(rows)), (0, 0)))
+        )
 
 
 @dataclass(frozen=True)
@@ -96,4 +121,5 @@ class VariedTask(Task):
                 f"{design.path}: {len(design.targets)} cells; allowed in task '{self.name}': at most {self.n_targets}"
             )
         reward, success = self.reward.for_design(design), Finished(design)
-        return starting_from(replace(self, design=design, reward=reward, success=success), [start])
+        known = replace(self, design=design, reward=reward, success=success).parts
+        return DrawnEpisode(**known, grids=(start,), shown=self.n_targets)

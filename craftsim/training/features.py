@@ -132,7 +132,8 @@ class RelativeEncoder(nn.Module):
         found[..., 0] = (ahead[..., 0] + 4 * rows[..., 0, IS_LOADED]) * (length * width * height) + cell[
             ..., 0
         ]
-        return torch.where(kinds.any(-1) & inside, found, self.absent)
+        # A cell that the flag is to reach is none of a car's to be built, whose place it has.
+        return torch.where((kinds.any(-1) | is_goal) & inside, found, self.absent)
 
     def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
         """Return one vector a car."""

@@ -74,5 +74,5 @@ def test_what_is_wrong_in_a_file_is_named(old, new, said, tiny):
 
 
 def test_a_study_that_is_not_there_is_named_with_those_that_are():
-    with pytest.raises(InputError, match="there are designs, paper, paper_ippo, quick, random"):
+    with pytest.raises(InputError, match="there are designs, paper, paper_ippo, quick, random, random_more"):
         read_study("papers")

@@ -9,7 +9,7 @@ from craftsim.commands.study_text import conclusions, runs_table
 from craftsim.studies.study import read_study
 
 DOCS = Path(__file__).parents[2] / "docs"
-STUDIES = ("paper_ippo", "random", "designs")
+STUDIES = ("paper_ippo", "random", "random_more", "designs")
 EVALUATIONS = ("designs_greedy", "designs_cars3", "designs_cars4", "designs_zero")
 
 

@@ -121,7 +121,9 @@ class Trainer:
             begun = time.perf_counter()
             with finishing_first():
                 self._iterate()
-                evaluates = self.iteration % EVALUATION_INTERVAL == 0
+                # What was imitated may be all that there is to learn.
+                imitated = self.iteration == 1 and self.guidance.shown is not None
+                evaluates = imitated or self.iteration % EVALUATION_INTERVAL == 0
                 if evaluates:
                     played = self.evaluate(EVALUATION_EPISODES[self.config.backend], _EVALUATION)
                     self.curve.append(Point(**asdict(played), steps=self.steps))

@@ -97,3 +97,8 @@ def test_an_evaluation_in_physics_starts_where_the_task_does(monkeypatch):
     with closing(Trainer(config, workers=1)) as trainer:
         assert trainer.env.worlds.task is not trainer.task
         assert trainer.evaluate(1) is trainer.task
+
+
+def test_what_was_imitated_is_evaluated_at_once():
+    trainer = Trainer(TrainConfig("random_strip", worlds=4, width=8, network="relative", imitate=2))
+    assert list(trainer.run(2 * trainer.steps_an_iteration, until=2.0)) == [True, False]

@@ -68,6 +68,9 @@ def train(
     worlds: Annotated[int | None, BATCH] = None,
     workers: Annotated[int | None, WORKERS] = None,
     drive: Drive | None = None,
+    randomize: Annotated[
+        str | None, tyro.conf.arg(metavar="{none,mild,strong,lab_floor,workshop_floor}")
+    ] = None,
     preset: PresetName | None = None,
     rules: RuleSet | None = None,
     helper_depth: Annotated[int | None, HELPER_DEPTH] = None,
@@ -76,6 +79,8 @@ def train(
     novelty: Annotated[float, BONUS] = 0.0,
     explore: Annotated[int | None, EXPLORED_TICKS] = None,
     imitate: Annotated[int | None, IMITATED_PLANS] = None,
+    stages: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK [TASK ...]", help_behavior_hint="")] = (),
+    stage_steps: Annotated[int | None, TRAIN_STEPS] = None,
     acting: Acting = "greedy",
     settings: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     cars: Annotated[int | None, CARS] = None,
@@ -87,7 +92,7 @@ def train(
     resume: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Train a policy on the grid, or in nominal physics, and report its success rate there on fresh episodes.
+    """Train a policy on the grid, or in physics, and report its success rate there on fresh episodes.
 
     On the grid it runs on one core, and gains and machine parameters mean nothing, so there is no --gains or
     --parameters here. Ctrl-C ends it after the current iteration with everything saved;
@@ -106,6 +111,7 @@ def train(
             on it.
         drive: how cars touch the ground in physics: by forty free rollers, or reduced to one body, which is several
             times as fast; reduced unless given.
+        randomize: what is drawn of physics, floor, machines, motors and sensors in each episode; nothing unless given.
         preset: paper is the protocol of CraftEnv's paper: published rules, action helper of depth 20, the task's own
             starts and nothing shown.
         rules: what is legal on the grid: what physics supports, or what CraftEnv's code allows; physical unless given.
@@ -118,6 +124,9 @@ def train(
             to, the way to the best is imitated, and every second episode of training starts with one of them.
         imitate: how many plans of the planner are imitated before learning; every second episode of training then
             starts with a world of one of them.
+        stages: tasks to learn on before, one after the other: a curriculum of easier ones, of the same size and with as
+            many things.
+        stage_steps: ticks on each of them, all worlds together.
         acting: how the policy acts in evaluations and later: what it rates highest, or drawn by its probabilities.
         settings: YAML file of the algorithm's hyperparameters that are not to be its own, such as learning_rate.
         cars: other than the task's number of cars; those that its start does not list are drawn at random.
@@ -137,6 +146,8 @@ def train(
         raise InputError("--workers is for physics; on the grid one process steps all worlds: leave it out")
     if backend == "grid" and drive is not None:
         raise InputError("--drive is for physics; on the grid nothing rolls: leave it out")
+    if backend == "grid" and randomize is not None:
+        raise InputError("--randomize is for physics; on the grid nothing is drawn of it: leave it out")
     if backend == "grid" and record:
         raise InputError("--record is for physics; on the grid nothing moves: leave it out")
     worlds = WORLDS[backend] if worlds is None else worlds
@@ -144,12 +155,15 @@ def train(
         *(task, algo, seed, worlds),
         width=width,
         network=network,
+        stages=stages,
+        stage_steps=stage_steps or 0,
         acting=acting,
         novelty=novelty,
         n_cars=cars,
         n_blocks=blocks,
         backend=backend,
         drive=drive or "reduced",
+        randomize=randomize or "none",
         hyperparameters=read_settings(settings, algo) if settings else {},
         **_protocol(preset, starts, rules=rules, helper_depth=helper_depth, explore=explore, imitate=imitate),
     )

@@ -27,6 +27,7 @@ def plan_building(
     rounds: int = DEFAULT_ROUNDS,
     time_s: float = DEFAULT_TIME_S,
     seed: int = 0,
+    exact: bool = True,
     report: Callable[[int, Planned | None], None] | None = None,
 ) -> Planned:
     """Return a plan that builds a design from a start, the best of many attempts.
@@ -39,6 +40,8 @@ def plan_building(
         rounds: attempts; with the same seed and rounds the plan is the same unless time runs out.
         time_s: no attempt begins after so many seconds, once there is a plan.
         seed: of all that is decided by chance.
+        exact: search a small world for a plan of least work, too, which takes longer than a few attempts; a goal
+            without a building is always searched for so.
         report: called after each attempt with its number and the best plan so far; if it raises KeyboardInterrupt
             that plan is returned.
 
@@ -59,7 +62,7 @@ def plan_building(
         raise NoPlanError("no plan: there are no cars")
     if objective not in ("makespan", "work"):
         raise InputError(f"unknown objective '{objective}'; there are makespan and work")
-    search = PlanSearch(start, wanted, rules, objective, np.random.default_rng(seed))
+    search = PlanSearch(start, wanted, rules, objective, np.random.default_rng(seed), exact)
     return search.run(rounds, time_s, report or (lambda number, best: None))
 
 

@@ -81,7 +81,13 @@ class PlanSearch:
     """The attempts at one plan."""
 
     def __init__(
-        self, start: Grid, goal: BuildingGoal, rules: Rules, objective: Objective, rng: np.random.Generator
+        self,
+        start: Grid,
+        goal: BuildingGoal,
+        rules: Rules,
+        objective: Objective,
+        rng: np.random.Generator,
+        exact: bool = True,
     ) -> None:
         self.start, self.goal, self.rules, self.objective, self.rng = start, goal, rules, objective, rng
         self.assembly = Assembly(without_things(start), rules)
@@ -95,7 +101,7 @@ class PlanSearch:
         self._orders: list[tuple[Order, State]] = []
         self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
         self._exact = rules.flags.derived_marks and (
-            is_small(start, rules) if goal.building else not goal.platform
+            exact and is_small(start, rules) if goal.building else not goal.platform
         )
         self.best: Planned | None = None
         self._best: Made | None = None

@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     from craftsim.training.networks import CarNet
 
 RUN_FILE: Final = "run.pt"
-FORMAT: Final = 4
+FORMAT: Final = 5
 """Raised whenever older files cannot be read any more."""
+_TABLE: Final = "encoder.table.weight"
 
 T = TypeVar("T")
 
@@ -81,29 +82,39 @@ def save_policy(
     net: CarNet,
     versions: dict[str, str],
 ) -> None:
-    """Write a policy, and what it was trained for and with."""
+    """Write a policy, and what it was trained for and with.
+
+    Most of its table is of what never occurred in training and is as the run's seed made it: that is left out.
+    """
+    from craftsim.training.networks import first_net
+
     head = PolicyHead(config, identity, shape, versions)
-    _save(path, {"kind": "policy", **dataclasses.asdict(head), "net": net.state_dict()})
+    state = net.state_dict()
+    table, first = state.pop(_TABLE), first_net(shape, config.seed).state_dict()[_TABLE]
+    rows = (table != first).any(-1).nonzero()[:, 0]
+    learnt = {"places": len(table), "rows": rows, "values": table[rows]}
+    _save(path, {"kind": "policy", **dataclasses.asdict(head), "net": state, "table": learnt})
 
 
 def read_policy(path: Path) -> tuple[TrainConfig, TaskIdentity, Shape, CarNet]:
     """Return what :func:`save_policy` wrote; raises InputError for any other file."""
     with _opened(path, "policy", POLICY) as content:
         # Only after the file is known to be one of ours: torch takes a second and 200 MB.
-        saved = content.pop("net", None)
+        saved = {key: content.pop(key, None) for key in ("net", "table")}
         head = _head(PolicyHead, content)
-        if not isinstance(saved, dict):
-            raise InputError("it has no part 'net'")
         import torch
 
-        from craftsim.training.networks import CarNet
-        from craftsim.training.restoring import weights
+        from craftsim.training.networks import CarNet, first_net
+        from craftsim.training.restoring import part, table_rows, weights
 
         with torch.device("meta"):
             like = CarNet(head.shape).state_dict()
-        state = weights(saved, like)
-        net = CarNet(head.shape)
-        net.load_state_dict(state)
+        rows, values = table_rows(part(saved, "table"), like.pop(_TABLE))
+        state = weights(part(saved, "net"), like)
+        net = first_net(head.shape, head.config.seed)
+        net.load_state_dict(state, strict=False)
+        with torch.no_grad():
+            net.encoder.table.weight[rows] = values
         return head.config, head.task, head.shape, net.eval()
 
 

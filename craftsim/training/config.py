@@ -17,6 +17,7 @@ from craftsim.storage.limits import (
     IMITATED_PLANS,
     NETWORK_WIDTH,
     SEED,
+    TRAIN_STEPS,
 )
 from craftsim.training.settings import settings_of
 
@@ -61,6 +62,8 @@ class TrainConfig:
     """Where it is trained and evaluated: on the grid, or in nominal contact physics."""
     drive: Drive = "reduced"
     """How cars touch the ground in physics; the grid knows no drives."""
+    randomize: str = "none"
+    """What is drawn of physics, floor, machines and sensors in each episode: a preset's name."""
     rules: RuleSet = "physical"
     """What is legal on the grid: what physics supports, or what CraftEnv's code allows."""
     helper_depth: int | None = None
@@ -71,6 +74,10 @@ class TrainConfig:
     """How the policy acts in evaluations and once it is trained; while it learns, actions are always drawn."""
     imitate: int = 0
     """Plans of the planner that are imitated before learning; half of the episodes then start with a world of one."""
+    stages: tuple[str, ...] = ()
+    """Tasks to learn on before, one after the other: easier ones, of the same size and with as many things."""
+    stage_steps: int = 0
+    """Ticks on each of them, all worlds together."""
     hyperparameters: dict[str, float] = field(default_factory=dict)
     """Of the algorithm, by name, where they are not its own; see :mod:`craftsim.training.settings`."""
 
@@ -82,6 +89,7 @@ class TrainConfig:
             raise InputError(f"backend is {self.backend!r}; allowed: {', '.join(get_args(TrainBackend))}")
         if self.drive not in DRIVES:
             raise InputError(f"drive is {self.drive!r}; allowed: {', '.join(DRIVES)}")
+        _check_drawn(self.randomize, self.backend)
         if self.network not in get_args(NetworkName):
             raise InputError(f"network is {self.network!r}; allowed: {', '.join(get_args(NetworkName))}")
         if self.rules not in RULE_FLAGS:
@@ -110,6 +118,14 @@ class TrainConfig:
                 "plans are imitated by ippo and mappo, under the physical rule set, without exploration; leave imitate "
                 "out, or change algo, rules or explore"
             )
+        object.__setattr__(self, "stages", tuple(self.stages))
+        if bool(self.stages) != bool(self.stage_steps) or (self.stages and (self.explore or self.imitate)):
+            raise InputError(
+                f"stages {', '.join(self.stages) or 'none'} of {self.stage_steps} steps: name tasks and give each at "
+                "least one step, without exploration and imitation, or leave both out"
+            )
+        if self.stages:
+            TRAIN_STEPS.check("stage_steps", self.stage_steps)
         SEED.check("seed", self.seed)
         BATCH.check("worlds", self.worlds)
         NETWORK_WIDTH.check("width", self.width)
@@ -118,3 +134,17 @@ class TrainConfig:
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name."""
         return asdict(self)
+
+
+def _check_drawn(randomize: str, backend: TrainBackend) -> None:
+    if randomize == "none":
+        return
+    # MuJoCo comes with it, which the grid has no use for.
+    from craftsim.checking.settings import RANDOMIZE
+
+    if randomize not in RANDOMIZE:
+        raise InputError(f"randomize is {randomize!r}; allowed: {', '.join(RANDOMIZE)}")
+    if backend == "grid":
+        raise InputError(
+            f"randomize is {randomize!r}, but on the grid nothing is drawn of physics: leave it out"
+        )

@@ -84,7 +84,7 @@ def _plan(task: Task, starts: Starts, i: int, seed: int) -> Ticks:
     grid = starts.grid(i)
     one = task.starting_at(grid, starts.design(i, task.name)) if task.draws_designs else task
     try:
-        return plan_building(grid, one, rounds=ATTEMPTS, time_s=math.inf, seed=seed).ticks
+        return plan_building(grid, one, rounds=ATTEMPTS, time_s=math.inf, seed=seed, exact=False).ticks
     except NoPlanError:
         return ()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from typing import Final
 
@@ -18,3 +19,5 @@ def need_torch() -> None:
             f"training needs {', '.join(missing)}, not installed here; in a checkout of craftsim try: "
             "pip install '.[train]' (a CPU build of torch is enough: pip install torch --index-url https://download.pytorch.org/whl/cpu)"
         )
+    # TorchRL says on standard output what it allocates, unless it is asked not to before it is imported.
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")

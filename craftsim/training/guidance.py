@@ -33,8 +33,10 @@ class Guidance(NamedTuple):
 
 def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None:
     """Raise InputError where a configuration asks for what does not go together, or not with a task."""
-    if starts is not None and (config.explore or config.imitate):
-        raise InputError("exploration and imitation find starts of their own: leave them or starts out")
+    if starts is not None and (config.explore or config.imitate or config.stages):
+        raise InputError(
+            "exploration, imitation and stages have starts of their own: leave them or starts out"
+        )
     if config.explore and not task.always_starts_the_same:
         raise InputError(f"exploration needs a fixed start, which task '{task.name}' has not: leave it out")
 
@@ -51,8 +53,6 @@ def guidance_of(
 
 
 def _explored(config: TrainConfig, task: Task, rng: np.random.Generator) -> Guidance:
-    if not task.always_starts_the_same:
-        raise InputError(f"exploration needs a fixed start, which task '{task.name}' has not: leave it out")
     found = explore(task, config.rules, config.explore, rng)
     shown = None
     if 1 < len(found.way) <= task.max_steps + 3:

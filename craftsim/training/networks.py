@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+import torch
 from torch import Tensor, nn
 
 from craftsim.discrete.rules.legality import N_ACTIONS
@@ -32,6 +33,13 @@ class CarNet(nn.Module):
     def on_places(self, encoded: Tensor, places: Tensor) -> Tensor:
         """Return the same from the encoder's vectors and the places in its table that they were made of."""
         return self.encoder.on_map(self.head(encoded), places)
+
+
+def first_net(shape: Shape, seed: int) -> CarNet:
+    """Return the policy that a run of a seed begins with."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        return CarNet(shape)
 
 
 class Critic(nn.Module):

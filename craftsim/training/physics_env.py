@@ -11,19 +11,16 @@ from tensordict import TensorDict, TensorDictBase
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import ROW, car_vectors
 from craftsim.envs.physics_vector import PhysicsVectorEnv
-from craftsim.models.parameters import Drive
 from craftsim.training.grid_env import TeamEnv
 
 
 class PhysicsEnv(TeamEnv):
     """Worlds in physics, spread over worker processes; none of their numbers depends on how many there are."""
 
-    def __init__(
-        self, task: Task, n_worlds: int, workers: int | None = None, drive: Drive = "reduced"
-    ) -> None:
-        """Prepare; ``workers`` and ``drive`` are as in :class:`craftsim.envs.physics_vector.PhysicsVectorEnv`."""
+    def __init__(self, task: Task, n_worlds: int, **options: Any) -> None:
+        """Prepare; options are those of :class:`craftsim.envs.physics_vector.PhysicsVectorEnv`."""
         super().__init__(task, n_worlds)
-        self.worlds = PhysicsVectorEnv(task, n_worlds, workers=workers, drive=drive)
+        self.worlds = PhysicsVectorEnv(task, n_worlds, **options)
         self._next_seed: int | None = None
         self._masks: NDArray[np.bool_]
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 POLICY_FILE: Final = "policy.pt"
 """In the folder of a training run."""
+SHIPPED: Final = Path(__file__).parents[1] / "data" / "policies"
+"""One for each task that has one, by the task's name."""
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` (vector_length,) and ``action_mask`` (15,)."""
@@ -98,11 +100,24 @@ class TrainedPolicy:
         return dict(zip(names, choose_actions(self.net, seen, mask, noise).tolist(), strict=True))
 
 
+def shipped_policies() -> list[str]:
+    """Return the names of the policies that come with craftsim."""
+    return sorted(path.stem for path in SHIPPED.glob("*.pt"))
+
+
+def policy_file(path: str | Path) -> Path:
+    """Return the file of a policy: a file, the one in a folder, or that of a shipped policy."""
+    if not os.path.lexists(path) and str(path) in shipped_policies():
+        return SHIPPED / f"{path}.pt"
+    return Path(path) / POLICY_FILE if os.path.isdir(path) else Path(path)
+
+
 def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
     """Return the policy of a file that ``craftsim train`` wrote: its ``policy.pt``, or the folder that holds it.
 
-    It is called with the observations of :func:`craftsim.envs.parallel_env` and returns the actions; it refuses those
-    of another task than the one that it was trained for. ``seed`` decides what one draws whose actions are sampled.
+    Where there is no such file, the name of a shipped policy such as ``random_strip`` is one, too. It is called with
+    the observations of :func:`craftsim.envs.parallel_env` and returns the actions; it refuses those of another task
+    than the one that it was trained for. ``seed`` decides what one draws whose actions are sampled.
 
     Raises:
         InputError: the extra ``train`` is not installed, or the file is not a policy.
@@ -117,5 +132,4 @@ def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
     need_torch()
     from craftsim.training.checkpoint import read_policy
 
-    path = Path(path)
-    return TrainedPolicy(*read_policy(path / POLICY_FILE if os.path.isdir(path) else path), seed)
+    return TrainedPolicy(*read_policy(policy_file(path)), seed)

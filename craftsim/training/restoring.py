@@ -68,6 +68,21 @@ def weights(saved: Mapping[str, Any], like: Mapping[str, Tensor]) -> OrderedDict
     return state
 
 
+def table_rows(saved: Mapping[str, Any], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Return which rows of a table, as large as ``like``, are replaced, in order, and by what. Raises InputError."""
+    places, width = like.shape
+    rows = saved.get("rows")
+    n = rows.shape[0] if isinstance(rows, Saved) and len(rows.shape) == 1 else places
+    if saved.get("places") != places or n > places:
+        raise InputError(f"its table has {str(saved.get('places'))[:40]} places; allowed: {places}")
+    check_like(rows, "rows", (n,), torch.int64)
+    values = numbers(saved.get("values"), "values", torch.empty((n, width), device="meta"))
+    found = numbers(rows, "rows", torch.empty(n, dtype=torch.int64, device="meta"), 0, places - 1)
+    if (found.diff() <= 0).any():
+        raise InputError("'rows' of its table are not in order")
+    return found, values
+
+
 def module_state(saved: Any, key: str, module: nn.Module) -> OrderedDict[str, Tensor]:
     """Return the state of a module under a key; raises as :func:`weights`."""
     return weights(part(saved, key), module.state_dict())

@@ -13,8 +13,10 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.batches import Starts, StartSource
-from craftsim.discrete.tasks.starts import load_starts, starting_from
+from craftsim.discrete.tasks.measures import target_array
+from craftsim.discrete.tasks.starts import check_start, load_starts, starting_from
 from craftsim.discrete.tasks.varied import VariedTask
+from craftsim.errors import InputError
 
 
 def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
@@ -29,6 +31,11 @@ def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
     Raises:
         InputError: the file cannot be read, or does not fit the task.
     """
+    if isinstance(task, VariedTask) and (task.draws_designs or path.suffix == ".plan"):
+        raise InputError(
+            f"{path}: task '{task.name}' starts otherwise in every episode, so that no plan fits it, nor worlds "
+            "without a design where each has its own; leave starts out"
+        )
     own = task.draw(np.random.default_rng(0))
     grids = along_plan(own, path, rules) if path.suffix == ".plan" else load_starts(path)
     return half_from(task, grids)
@@ -36,6 +43,10 @@ def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
 
 def half_from(task: Task, grids: Sequence[Grid]) -> Task:
     """Return a task of whose episodes half start as ever and half with one of these worlds."""
+    if isinstance(task, VariedTask):
+        for grid in grids:
+            check_start(task, grid)
+        return half_shown(task, Starts.of(grids, target_array(task.design)))
     own = task.draw(np.random.default_rng(0))
     return starting_from(task, [*grids, *[own] * len(grids)])
 

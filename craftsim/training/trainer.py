@@ -9,7 +9,7 @@ from dataclasses import asdict
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import torch
@@ -38,6 +38,9 @@ from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.policy import POLICY_FILE
 from craftsim.training.restoring import numbers
 from craftsim.training.shape import Shape
+
+if TYPE_CHECKING:
+    from craftsim.checking.settings import Randomize
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next."""
@@ -80,12 +83,20 @@ class Trainer:
         self._given, self._progress = starts, progress
         self._own_starts = starts is None and not config.explore and not config.imitate
         self.shape = Shape.of(self.task, config.width, config.network)
+        self._stages = [self._of_stage(name) for name in config.stages]
+        self._made: tuple[int, GridEnv | PhysicsEnv] | None = None
         self.curve: list[Point] = []
         self.wall_s = 0.0
         with torch.random.fork_rng():
             torch.manual_seed(config.seed)
             self.learner = make_learner(config, self.shape, self.task.max_steps + 2)
         self.novelty = Novelty(config.novelty, self.shape)
+
+    def _of_stage(self, name: str) -> Task:
+        task = as_task(name, self.config.n_cars, self.config.n_blocks)
+        if (shape := Shape.of(task, self.config.width, self.config.network)) != self.shape:
+            raise InputError(f"stage '{task.name}' has {shape}; allowed is what the task has: {self.shape}")
+        return task
 
     @cached_property
     def guidance(self) -> Guidance:
@@ -94,13 +105,33 @@ class Trainer:
         rng = np.random.default_rng(int(words.generate_state(1)[0]))
         return guidance_of(self.config, self.task, self._given, rng, self._progress)
 
-    @cached_property
+    @property
+    def stage(self) -> int:
+        """Which of the tasks it learns on, the stages of its configuration first."""
+        stages, steps = self.config.stages, self.config.stage_steps
+        return min(self.steps // steps, len(stages)) if stages else 0
+
+    @property
     def env(self) -> GridEnv | PhysicsEnv:
-        """The worlds of rollouts, made when they are first needed."""
-        config, task = self.config, self.guidance.starts or self.task
+        """The worlds of rollouts, made when they are first needed, and anew for each stage."""
+        if self._made is None or self._made[0] != self.stage:
+            self.close()
+            self._made = self.stage, self._env([*self._stages, self.guidance.starts or self.task][self.stage])
+        return self._made[1]
+
+    def _env(self, task: Task) -> GridEnv | PhysicsEnv:
+        config = self.config
         if config.backend == "grid":
             return GridEnv(task, config.worlds, config.rules, config.helper_depth)
-        return PhysicsEnv(task, config.worlds, self.workers, config.drive)
+        return PhysicsEnv(task, config.worlds, **self._physics)
+
+    @property
+    def _physics(self) -> dict[str, Any]:
+        """Options of worlds in physics."""
+        from craftsim.checking.settings import RANDOMIZE
+
+        drawn = RANDOMIZE[cast("Randomize", self.config.randomize)][1]
+        return {"workers": self.workers, "drive": self.config.drive, "randomization": drawn}
 
     @property
     def steps(self) -> int:
@@ -135,16 +166,16 @@ class Trainer:
         net, seed, config = self.learner.net, self._seed(purpose), self.config
         if config.backend == "grid":
             return evaluate(net, self.task, episodes, seed, config.rules, config.helper_depth, config.acting)
-        if self._own_starts and record is None and isinstance(self.env, PhysicsEnv):
+        last = self.stage == len(self._stages)
+        if self._own_starts and last and record is None and isinstance(self.env, PhysicsEnv):
             return evaluate_in_physics(net, self.env.worlds, episodes, seed, config.acting)
-        options: dict[str, Any] = {"workers": self.workers, "drive": config.drive, "record": record}
-        with closing(PhysicsVectorEnv(self.task, config.worlds, **options)) as worlds:
+        with closing(PhysicsVectorEnv(self.task, config.worlds, record=record, **self._physics)) as worlds:
             return evaluate_in_physics(net, worlds, episodes, seed, config.acting)
 
     def close(self) -> None:
         """End the processes that hold worlds in physics."""
-        if "env" in vars(self):
-            self.env.close(raise_if_closed=False)
+        if self._made is not None:
+            self._made[1].close(raise_if_closed=False)
 
     def play(self, seed: int) -> TensorDictBase:
         """Return a rollout, batch size (B, ticks), after seeding worlds and torch's default generator."""

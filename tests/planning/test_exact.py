@@ -8,6 +8,7 @@ from craftsim.designs.tiny import tiny_world
 from craftsim.discrete.files.design import design_in
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.tasks import make_task
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.exact import is_small, least_work
 from craftsim.planning.goals import make_goal
@@ -104,3 +105,13 @@ def test_the_plan_of_least_work_is_one_to_begin_with_where_the_makespan_counts()
     quick = plan_building(world.grid, world.design, PHYSICAL, rounds=1)
     assert quick.makespan_s <= least.makespan_s
     assert not quick.schedule.forbidden
+
+
+def test_the_search_for_least_work_can_be_left_out(monkeypatch):
+    task = make_task("simple_two_story")
+    start = task.draw(np.random.default_rng(0))
+    assert is_small(start, PHYSICAL)
+    monkeypatch.setattr("craftsim.planning.search.least_work", None)
+    assert task.succeeded(plan_building(start, task, rounds=1, exact=False).schedule.final)
+    with pytest.raises(TypeError, match="not callable"):
+        plan_building(start, task, rounds=1)

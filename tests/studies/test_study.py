@@ -1,10 +1,12 @@
 """Studies: what is read, what is refused, and that an interrupted one goes on."""
 
 import json
+from pathlib import Path
 
 import pytest
 
 from craftsim.cli import main
+from craftsim.commands.study_text import conclusions, runs_table
 from craftsim.errors import InputError
 from craftsim.studies.study import SHIPPED, read_study
 
@@ -49,6 +51,13 @@ def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
     assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 2
 
 
+def test_one_seed_has_no_interval():
+    stored = Path(__file__).parents[2] / "docs/training/designs.json"
+    figures = json.loads(stored.read_text(encoding="utf-8"))["figures"]
+    assert "| one run |" in runs_table(read_study("designs"), figures).as_markdown()
+    assert conclusions(figures)[0].startswith("ippo, all tasks: IQM 0.910, optimality gap")
+
+
 @pytest.mark.parametrize("name", sorted(path.stem for path in SHIPPED.glob("*.yaml")))
 def test_shipped_studies_are_sound(name):
     assert read_study(name).runs
@@ -74,5 +83,5 @@ def test_what_is_wrong_in_a_file_is_named(old, new, said, tiny):
 
 
 def test_a_study_that_is_not_there_is_named_with_those_that_are():
-    with pytest.raises(InputError, match="there are designs, paper, paper_ippo, quick, random, random_more"):
+    with pytest.raises(InputError, match="there are designs, paper, paper_ippo, paper_seven, quick, random"):
         read_study("papers")

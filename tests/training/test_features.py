@@ -121,6 +121,18 @@ def test_a_design_that_is_built_looks_otherwise_than_one_that_is_not():
     assert torch.equal(kinds, 1 + torch.from_numpy(built.any(-1)).long())
 
 
+def test_networks_that_look_from_a_car_see_where_the_flag_is_to_go():
+    task = as_task("random_breaking_barrier")
+    seen = torch.from_numpy(Episodes(task, np.random.default_rng(0), 30).vectors())
+    rows = seen.unflatten(-1, (-1, ROW)).clone()
+    goal = (rows[..., IS_GOAL] != 0) & ~rows[..., IS_CAR:IS_GOAL].any(-1)
+    assert (goal.sum(-1) == 1).all()
+    rows[..., 0] = torch.where(goal, (rows[..., 0] + 1) % task.starts[0].size[0], rows[..., 0])
+    encoder = make_encoder(Shape.of(task, 4, "relative"))
+    places, elsewhere = encoder.places(seen), encoder.places(rows.flatten(-2))
+    assert torch.equal(places != elsewhere, goal)
+
+
 def test_networks_that_look_from_a_car_serve_more_cars():
     two, three = (random_task("strip", n_cars=n) for n in (2, 3))
     net = CarNet(Shape.of(two, 8, "relative"))

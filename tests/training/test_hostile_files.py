@@ -45,8 +45,15 @@ def _nan(tensor):
 POLICIES = {
     "nothing else": (lambda path: {"craftsim": FORMAT, "kind": "policy"}, "config: Field required|key 'config'"),
     "only a kind": (lambda path: {"kind": "policy"}, "written in format None"),
-    "a huge map": (lambda path: _change(path, "shape", "size", (128, 128, 8)), r"'encoder.table.weight' is float32"),
-    "a large map": (lambda path: _change(path, "shape", "size", (20, 20, 3)), r"'encoder.table.weight' is float32"),
+    "a huge map": (lambda path: _change(path, "shape", "size", (128, 128, 8)), r"its table has \d+ places; allowed"),
+    "a large map": (lambda path: _change(path, "shape", "size", (20, 20, 3)), r"its table has \d+ places; allowed"),
+    "no table": (lambda path: _change(path, "table", {}), "its table has None places"),
+    "no rows": (lambda path: _change(path, "table", "rows", None), "'rows' is NoneType"),
+    "too many rows": (lambda path: _change(path, "table", "rows", torch.arange(10**6)), "its table has"),
+    "rows elsewhere": (lambda path: _change(path, "table", "rows", lambda rows: rows + 10**6), "'rows' has numbers"),
+    "rows twice": (lambda path: _change(path, "table", "rows", torch.zeros_like), "not in order"),
+    "other values": (lambda path: _change(path, "table", "values", lambda values: values[1:]), "'values' is"),
+    "values that are none": (lambda path: _change(path, "table", "values", _nan), "'values' has numbers"),
     "too large a map": (lambda path: _change(path, "shape", "size", (128, 128, 20)), "the size is"),
     "a tensor as value": (lambda path: _change(path, "config", "seed", torch.zeros(3)), "key 'config.seed'"),
     "another shape": (lambda path: _change(path, "net", "encoder.car", torch.zeros(9, 4)), "'encoder.car' is"),
@@ -179,7 +186,7 @@ def test_a_full_disk_is_one_message_and_leaves_what_was_there(saved, tmp_path):
     for name, data in before.items():
         (tmp_path / name).write_bytes(data)
     trainer, limit = Trainer.resume(tmp_path, config=CONFIG), resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limit[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limit[1]))
     try:
         with pytest.raises(InputError, match=r"policy\.pt: cannot be written: File too large; make room"):
             trainer.save(tmp_path)
@@ -194,4 +201,8 @@ def test_what_torch_wrote_earlier_is_read(saved, tmp_path):
     torch.save(content, file)
     (tmp_path / POLICY_FILE).write_bytes(file.getvalue())
     net = read_policy(tmp_path / POLICY_FILE)[3]
-    assert all(torch.equal(tensor, content["net"][key]) for key, tensor in net.state_dict().items())
+    state = net.state_dict()
+    assert torch.equal(
+        state.pop("encoder.table.weight")[content["table"]["rows"]], content["table"]["values"]
+    )
+    assert all(torch.equal(tensor, content["net"][key]) for key, tensor in state.items())

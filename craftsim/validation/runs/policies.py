@@ -26,6 +26,7 @@ from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
 from craftsim.storage.limits import POLICY
 from craftsim.storage.reading import read_bytes
+from craftsim.training.policy import load_policy, policy_file, shipped_policies
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` and ``action_mask`` (docs/envs.md)."""
@@ -105,7 +106,7 @@ def make_policy(name: str, seed: int, task: Task | None = None) -> Policy:
     """Return a policy.
 
     Args:
-        name: ``random``; ``module:function``; or what ``craftsim train`` wrote, a file or its folder.
+        name: ``random``; ``module:function``; what ``craftsim train`` wrote, a file or its folder; or a shipped one's.
         seed: of the random policy, and of a trained one whose actions are sampled; the others draw nothing.
         task: what it is to play; a trained policy refuses another task than its own.
 
@@ -114,9 +115,7 @@ def make_policy(name: str, seed: int, task: Task | None = None) -> Policy:
     """
     if name == RANDOM:
         return RandomPolicy(seed)
-    if exists(name):
-        from craftsim.training.policy import load_policy
-
+    if _is_trained(name):
         policy = load_policy(name, seed)
         if task is not None:
             policy.check_task(task)
@@ -129,22 +128,22 @@ def policy_digest(name: str) -> str:
     policy = make_policy(name, 0)
     if isinstance(policy, RandomPolicy):
         return RANDOM
-    path = Path(name)
-    if path.is_dir():
-        from craftsim.training.policy import POLICY_FILE
-
-        files = [path / POLICY_FILE]
-    elif path.is_file():
-        files = [path]
+    if _is_trained(name):
+        files = [policy_file(name)]
     else:
         source = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
         files = [] if source is None else [Path(source)]
     return hashlib.sha256(b"".join(read_bytes(file, POLICY) for file in files)).hexdigest()
 
 
+def _is_trained(name: str) -> bool:
+    return exists(name) or name in shipped_policies()
+
+
 def _function(name: str) -> Policy:
     module, colon, function = name.partition(":")
-    known = f"'{RANDOM}', '{PLANNER}', 'module:function', or the path of a trained policy"
+    shipped = ", ".join(shipped_policies())
+    known = f"'{RANDOM}', '{PLANNER}', 'module:function', the path of a trained policy, or a shipped one: {shipped}"
     if not colon:
         raise InputError(f"no policy '{name}': there is no such file; allowed: {known}")
     if not all(part.isidentifier() for part in (*module.split("."), function)):

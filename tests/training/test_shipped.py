@@ -1,0 +1,36 @@
+"""The policies that come with craftsim are small, play what they say, and are found by name."""
+
+import pytest
+
+from craftsim.discrete.tasks import as_task
+from craftsim.errors import InputError
+from craftsim.training.evaluation import evaluate
+from craftsim.training.policy import SHIPPED, load_policy, policy_file, shipped_policies
+from craftsim.validation.runs.policies import make_policy, policy_digest
+
+
+@pytest.mark.parametrize("name", shipped_policies())
+def test_a_shipped_policy_builds_what_it_never_started_from(name):
+    policy = load_policy(name)
+    policy.check_task(f"{name}@test")
+    net, config = policy.net, policy.config
+    played = evaluate(net, as_task(f"{name}@test"), 200, 0, config.rules, config.helper_depth, config.acting)
+    assert played.starts == 200
+    assert played.success > 0.8
+    assert (SHIPPED / f"{name}.pt").stat().st_size < 8e6
+
+
+def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    task = as_task("random_strip@test")
+    assert make_policy("random_strip", 0, task).identity.name == "random_strip"
+    assert policy_digest("random_strip") != policy_digest("random_simple_two_story")
+    assert policy_file("random_strip") == SHIPPED / "random_strip.pt"
+    (tmp_path / "random_strip").write_text("no policy")
+    with pytest.raises(InputError, match="not a file that"):
+        make_policy("random_strip", 0, task)
+
+
+def test_a_policy_that_is_none_is_named_with_those_that_are_shipped():
+    with pytest.raises(InputError, match=r"or a shipped one: .*random_strip"):
+        make_policy("random_stripe", 0)

@@ -1,0 +1,71 @@
+"""A curriculum: a run learns on easier tasks before its own."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import craftsim
+from craftsim.errors import InputError
+from craftsim.training.config import TrainConfig
+from craftsim.training.trainer import Trainer
+
+SMALL = {"worlds": 2, "width": 8, "network": "relative"}
+OPTIONS = {**SMALL, "stages": ("training_stages:easy",), "stage_steps": 300}
+
+
+def easy():
+    return craftsim.designs_task(difficulty=(0.0, 0.0))
+
+
+def _config(**options):
+    return TrainConfig("designs", **OPTIONS | options)
+
+
+@pytest.fixture(autouse=True)
+def _importable(monkeypatch):
+    """Make this file a module that a run finds by name."""
+    monkeypatch.setitem(sys.modules, "training_stages", sys.modules[__name__])
+
+
+def _blocks(trainer):
+    """Return how many blocks the designs of its worlds have on average."""
+    return np.count_nonzero(trainer.env.episodes.designs[..., 0], axis=-1).mean()
+
+
+def test_each_stage_has_its_steps_and_the_task_comes_last():
+    trainer = Trainer(_config(worlds=40, width=4))
+    seen = [(trainer.stage, _blocks(trainer))]
+    for _ in trainer.run(2 * trainer.steps_an_iteration, until=2.0):
+        seen.append((trainer.stage, _blocks(trainer)))
+    assert [stage for stage, _ in seen] == [0, 1, 1]
+    assert seen[0][1] < seen[1][1]
+
+
+def test_what_is_evaluated_is_the_task_itself(monkeypatch):
+    trainer = Trainer(_config())
+    monkeypatch.setattr("craftsim.training.trainer.evaluate", lambda net, task, *given: task)
+    assert trainer.stage == 0
+    assert trainer.evaluate(3) is trainer.task
+
+
+def test_a_run_with_stages_goes_on_as_if_it_had_never_stopped(goes_on):
+    goes_on(_config())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"stage_steps": 0}, "give each at least one step"),
+        ({"stages": ()}, "leave both out"),
+        ({"imitate": 3}, "without exploration and imitation"),
+    ],
+)
+def test_stages_that_make_no_sense_are_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        _config(**options)
+
+
+def test_a_stage_of_another_size_is_refused():
+    with pytest.raises(InputError, match="stage 'random_strip' has Shape"):
+        Trainer(TrainConfig("designs", stages=("random_strip",), stage_steps=5, **SMALL))

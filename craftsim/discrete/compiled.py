@@ -3,7 +3,8 @@
 Numba stamps a cached function with the time of the one file that defines it, so a function that calls into
 another of our files would go on using a stale copy after that file changes. The cache of all
 our compiled functions therefore has a version that holds a digest of every source file of their room and of the rooms
-below it; where numba does not let us, nothing is cached.
+below it; where numba does not let us, nothing is cached. One process at a time compiles a function: numba's own cache
+is not made for two that write to it, and would let each of the workers of a campaign compile everything.
 
 Compiled functions may not make arrays; they work on those they are given. So numba needs no reference counting in
 them, which would otherwise take ten times as long as the rules themselves (``_nrt``), and all of them can be inlined.
@@ -11,8 +12,12 @@ them, which would otherwise take ten times as long as the rules themselves (``_n
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
-from collections.abc import Callable
+import os
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
@@ -55,9 +60,44 @@ def compiled(function: F) -> F:
         # Read before anything else of a cache file: what an older craftsim left there may not even unpickle.
         room = function.__module__.partition(".")[2].partition(".")[0]
         cache_file._version = f"{cache_file._version} {_source_digest(room)}"
+        _one_process_at_a_time(dispatcher, Path(cache_file._index_path))
     except (AttributeError, RuntimeError):
         dispatcher = numba.njit(function, **_OPTIONS)
     return cast(F, dispatcher)
+
+
+def _one_process_at_a_time(dispatcher: Any, index: Path) -> None:
+    """Let the processes that need a function wait for the one that compiles it, and read what it leaves."""
+    compile_or_read = dispatcher.compile
+
+    def compile_alone(signature: Any) -> Any:
+        with _locked(index):
+            return compile_or_read(signature)
+
+    dispatcher.compile = compile_alone
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Keep other processes out of the block for the same path; where there are no locks, none are kept out."""
+    place = zlib.crc32(path.name.encode())
+    number = None
+    # The system refuses a lock that two processes would wait for each other with.
+    with suppress(OSError):
+        number = _lock_file(path.parent)
+        fcntl.lockf(number, fcntl.LOCK_EX, 1, place)
+    try:
+        yield
+    finally:
+        if number is not None:
+            fcntl.lockf(number, fcntl.LOCK_UN, 1, place)
+
+
+@cache
+def _lock_file(folder: Path) -> int:
+    """Return the number of an open file with a byte for each function; it stays open as long as the process lives."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return os.open(folder / "compiling.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
 
 
 def records(count: int, dtype: np.dtype[np.void]) -> NDArray[np.void]:

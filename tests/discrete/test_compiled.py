@@ -1,5 +1,6 @@
 """Compiled functions are cached by all sources together, and do not hold on to the arrays they are given."""
 
+import subprocess
 import sys
 import weakref
 
@@ -48,6 +49,24 @@ def test_a_function_that_cannot_be_cached_safely_is_compiled_without(monkeypatch
     monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.__init__", lambda self, *args, **kwargs: None)
     function = compiled.compiled(lambda number: number + 1)
     assert function(1) == 2
+
+
+@needs_compiler
+def test_of_many_processes_one_compiles_and_the_others_read_what_it_left(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "from craftsim.discrete.compiled import compiled\n"
+        "@compiled\n"
+        "def inner(number): return number + 1\n"
+        "@compiled\n"
+        "def outer(number): return inner(number) + 1\n"
+    )
+    asks = "import own; print(own.outer(1), len(own.outer.stats.cache_misses), len(own.inner.stats.cache_misses))"
+    processes = [
+        subprocess.Popen([sys.executable, "-c", asks], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    told = sorted(process.communicate(timeout=60)[0].split() for process in processes)
+    assert told == [["3", "0", "0"], ["3", "0", "0"], ["3", "1", "1"]]
 
 
 @pytest.mark.parametrize("rule_set", ["published", "physical"])

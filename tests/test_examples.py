@@ -19,6 +19,7 @@ SAYS = {
     "my_gains": r"shipped gains: a move takes .*agrees: True\nmy gains: a move takes .*agrees: True",
     "own_action": r"now: \[.*'MOVE_RIGHT'.*(?s:.)*then: \[.*'LIFT'",
     "speak_a_plan": r"car_0: lift; car_1: lift\n(?s:.)*built: True",
+    "starts_from_physics": r"\d+ worlds in out/reached\.npz",
     "train_my_task": r"\n2 \[",
     "two_machines": r"car 0 with 2\.5 Nm a wheel: .*\n.*car 1 with 1\.2 Nm a wheel: ",
     "validate_my_plan": r"MOVE_RIGHT",
@@ -32,7 +33,7 @@ def test_every_example_is_tested():
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
 def test_an_example_runs_and_says_what_it_promises(path, tmp_path, request):
-    if path.stem.startswith("train") and not (find_spec("torch") and find_spec("torchrl")):
+    if path.stem.startswith(("starts", "train")) and not (find_spec("torch") and find_spec("torchrl")):
         pytest.skip("needs the extra 'train'")
     if path.stem.startswith("film"):
         request.getfixturevalue("rendering")

@@ -4,9 +4,11 @@ import pytest
 
 from craftsim.discrete.tasks import as_task
 from craftsim.errors import InputError
+from craftsim.training.config import TrainConfig
 from craftsim.training.evaluation import evaluate
 from craftsim.training.policy import SHIPPED, load_policy, policy_file, shipped_policies
-from craftsim.validation.runs.policies import make_policy, policy_digest
+from craftsim.training.trainer import Trainer
+from craftsim.validation.runs.policies import check_policy, make_policy, policy_digest
 
 
 @pytest.mark.parametrize("name", shipped_policies())
@@ -34,3 +36,14 @@ def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkey
 def test_a_policy_that_is_none_is_named_with_those_that_are_shipped():
     with pytest.raises(InputError, match=r"or a shipped one: .*random_strip"):
         make_policy("random_stripe", 0)
+
+
+def test_a_policy_is_not_validated_under_what_it_was_not_trained_for(tmp_path):
+    task = as_task("strip")
+    Trainer(TrainConfig("strip", worlds=1, width=4, rules="published", helper_depth=3)).save(tmp_path)
+    with pytest.raises(InputError, match="rule set is physical, not published"):
+        check_policy(str(tmp_path), task, "physical", 60.0)
+    with pytest.raises(InputError, match=r"an action helper of depth 3.*'craftsim evaluate' plays it"):
+        check_policy(str(tmp_path), task, "published", 60.0)
+    Trainer(TrainConfig("strip", worlds=1, width=4, rules="published")).save(tmp_path)
+    check_policy(str(tmp_path), task, "published", 60.0)

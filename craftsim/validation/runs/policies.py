@@ -81,7 +81,7 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
     """
     try:
         with _time_limit(timeout_s):
-            policy = make_policy(name, 0, task)
+            policy = make_policy(name, 0, task, rules)
         env = ParallelConstruction(task, Options("grid", rule_set=rules))
         observations, _ = env.reset(seed=0)
         with _time_limit(timeout_s):
@@ -102,23 +102,29 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
         ) from error
 
 
-def make_policy(name: str, seed: int, task: Task | None = None) -> Policy:
+def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet | None = None) -> Policy:
     """Return a policy.
 
     Args:
         name: ``random``; ``module:function``; what ``craftsim train`` wrote, a file or its folder; or a shipped one's.
         seed: of the random policy, and of a trained one whose actions are sampled; the others draw nothing.
         task: what it is to play; a trained policy refuses another task than its own.
+        rules: what it is to play under, without an action helper; a trained policy refuses what it was not trained for.
 
     Raises:
-        InputError: there is no such policy, or it is one for another task.
+        InputError: there is no such policy, or it is one for another task, other rules, or an action helper.
     """
     if name == RANDOM:
         return RandomPolicy(seed)
     if _is_trained(name):
         policy = load_policy(name, seed)
         if task is not None:
-            policy.check_task(task)
+            policy.check_task(task, rules)
+        if rules is not None and policy.config.helper_depth is not None:
+            raise InputError(
+                f"policy '{name}' was trained with an action helper of depth {policy.config.helper_depth}, which cars "
+                "do without here; 'craftsim evaluate' plays it with one, on the grid"
+            )
         return policy
     return _function(name)
 

@@ -1,0 +1,50 @@
+"""Play a policy in randomized physics, and keep the worlds that it reached: half of the episodes then start with one.
+
+A few episodes show how; docs/training.md has what came of a hundred. Training from them, in a shell:
+
+  craftsim train --task random_strip --network relative --imitate 2000 --starts out/reached.npz --out out/strip
+"""
+
+import argparse
+from pathlib import Path
+
+import craftsim
+from craftsim.checking.settings import RANDOMIZE
+from craftsim.discrete.tasks.starts import save_starts
+from craftsim.envs.parallel import ParallelConstruction
+from craftsim.training.policy import TrainedPolicy
+
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("--policy", default="random_strip", help="a trained one, or the name of a shipped one")
+parser.add_argument("--task", default="random_strip", help="a task with random starts")
+parser.add_argument(
+    "--randomize", default="strong", choices=RANDOMIZE, help="what is drawn of physics in each episode"
+)
+parser.add_argument("--episodes", type=int, default=2)
+parser.add_argument("--seed", type=int, default=0)
+parser.add_argument("--out", type=Path, default=Path("out/reached.npz"))
+
+
+def worlds_reached(env: ParallelConstruction, policy: TrainedPolicy, seed: int) -> list[craftsim.Grid]:
+    """Return the worlds of an episode before its last tick, as they were read from physics."""
+    observations, _ = env.reset(seed=seed)
+    worlds = []
+    while env.agents:
+        worlds.append(env.grid)
+        observations, *_ = env.step(policy(observations))
+    return worlds[1:]
+
+
+if __name__ == "__main__":
+    asked = parser.parse_args()
+    policy = craftsim.load_policy(asked.policy)
+    drawn = RANDOMIZE[asked.randomize][1]
+    env = craftsim.parallel_env(asked.task, "physics", randomization=drawn, drive="reduced")
+    reached = []
+    for episode in range(asked.episodes):
+        reached += worlds_reached(env, policy, asked.seed + episode)
+        print(f"episode {episode}: {len(reached)} worlds so far")
+    env.close()
+    asked.out.parent.mkdir(parents=True, exist_ok=True)
+    save_starts(asked.out, reached)
+    print(f"{len(reached)} worlds in {asked.out}")

@@ -123,7 +123,7 @@ def train(
         explore: ticks of exploration at random on the grid before learning: worlds once reached are returned
             to, the way to the best is imitated, and every second episode of training starts with one of them.
         imitate: how many plans of the planner are imitated before learning; every second episode of training then
-            starts with a world of one of them.
+            starts with a world of one of them, or of starts.
         stages: tasks to learn on before, one after the other: a curriculum of easier ones, of the same size and with as
             many things.
         stage_steps: ticks on each of them, all worlds together.

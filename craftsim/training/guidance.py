@@ -33,10 +33,8 @@ class Guidance(NamedTuple):
 
 def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None:
     """Raise InputError where a configuration asks for what does not go together, or not with a task."""
-    if starts is not None and (config.explore or config.imitate or config.stages):
-        raise InputError(
-            "exploration, imitation and stages have starts of their own: leave them or starts out"
-        )
+    if starts is not None and (config.explore or config.stages):
+        raise InputError("exploration and stages have starts of their own: leave them or starts out")
     if config.explore and not task.always_starts_the_same:
         raise InputError(f"exploration needs a fixed start, which task '{task.name}' has not: leave it out")
 
@@ -44,11 +42,12 @@ def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None
 def guidance_of(
     config: TrainConfig, task: Task, starts: Task | None, rng: np.random.Generator, progress: Progress
 ) -> Guidance:
-    """Return what a configuration asks for, or the starts that are given."""
+    """Return what a configuration asks for; starts that are given stand in for those on the way of plans."""
     if config.explore:
         return _explored(config, task, rng)
     if config.imitate:
-        return _planned(task, planned_demonstrations(task, config.imitate, rng, progress), rng)
+        shown = planned_demonstrations(task, config.imitate, rng, progress)
+        return _planned(task, shown, rng) if starts is None else Guidance(starts, shown)
     return Guidance(starts)
 
 

@@ -8,9 +8,13 @@ from dataclasses import asdict, dataclass, fields, is_dataclass
 from enum import Enum
 from typing import Any, Final
 
+from numpy.typing import NDArray
+
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.starts import StoredStarts
+from craftsim.discrete.tasks.varied import VariedTask
+from craftsim.training.starts import HalfShown
 
 _NO_PART: Final = {"path", "line", "notes"}
 """Where something was read from changes nothing in the world."""
@@ -62,15 +66,16 @@ class TaskIdentity:
 
 def starts_digest(task: Task) -> str:
     """Return a digest of the stored worlds that a task's episodes start with; empty where it has none."""
-    if not isinstance(task, StoredStarts):
-        return ""
+    arrays: list[tuple[str, NDArray[Any]]] = []
+    if isinstance(task, StoredStarts):
+        arrays = [(field.name, getattr(grid, field.name)) for grid in task.grids for field in fields(grid)]
+    elif isinstance(task, VariedTask) and isinstance(task.source, HalfShown):
+        arrays = list(task.source.others._asdict().items())
     digest = hashlib.sha256()
-    for grid in task.grids:
-        for field in fields(grid):
-            array = getattr(grid, field.name)
-            digest.update(f"{field.name} {array.dtype} {array.shape}".encode())
-            digest.update(array.tobytes())
-    return digest.hexdigest()
+    for name, array in arrays:
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest() if arrays else ""
 
 
 def _digest(value: Any) -> str:

@@ -211,3 +211,20 @@ def test_a_task_that_varies_starts_half_of_its_episodes_with_worlds_of_a_file(tm
     save_starts(path, [Grid.empty((3, 3, 1), n_cars=2)])
     with pytest.raises(InputError, match="the start has size"):
         with_starts(task, path)
+
+
+def test_starts_of_a_file_stand_in_for_those_on_the_way_of_imitated_plans_and_are_known_again(tmp_path):
+    task = as_task("random_strip")
+    files = [tmp_path / f"{seed}.npz" for seed in range(2)]
+    for seed, file in enumerate(files):
+        save_starts(file, [task.draw(np.random.default_rng(seed))])
+    one, other = (with_starts(task, file) for file in files)
+    config = TrainConfig("random_strip", worlds=1, width=4, network="relative", imitate=2)
+    trainer = Trainer(config, one)
+    assert trainer.guidance.starts is one
+    assert trainer.guidance.shown is not None
+    trainer.save(tmp_path)
+    assert Trainer.resume(tmp_path, one).starts == trainer.starts
+    for starts in (other, None):
+        with pytest.raises(InputError, match="begun with other starts"):
+            Trainer.resume(tmp_path, starts)

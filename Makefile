@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs hooks importtime mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest recipes packages libraries clean
+.PHONY: help demo test lint compiled format docs hooks importtime mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest recipes packages libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -21,13 +21,18 @@ help:  ## Explain the targets
 demo: $(VENV)/installed libraries  ## Build the simple two-story building in physics: report and film in out/demo (ARGS are passed on)
 	$(BIN)/craftsim demo --out out/demo $(ARGS)
 
-test: lint libraries  ## Lint, type-check and run all tests, from a fresh checkout (ARGS are passed to pytest)
+test: libraries  ## Lint, type-check and run all tests, from a fresh checkout (ARGS are passed to pytest)
+	@$(MAKE) --no-print-directory -j2 lint compiled
 	$(BIN)/pytest -n 4 --dist worksteal $(ARGS)
 
 lint: $(VENV)/installed-dev  ## Check style, formatting and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# Beside installing and linting; what it leaves out, tests compile. A package that is just being installed stops it.
+compiled: $(VENV)/installed
+	-@PYTHONPATH=. $(BIN)/python scripts/precompile.py
 
 format: $(VENV)/installed-dev  ## Format the code and apply safe lint fixes
 	$(BIN)/ruff check --fix .

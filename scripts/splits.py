@@ -11,7 +11,9 @@ import argparse
 import math
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -20,12 +22,12 @@ import numpy as np
 from craftsim.designs.tasks import DrawnDesigns, shape_digest
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.batches import Starts
-from craftsim.discrete.tasks.random_tasks import LISTED, RANDOM
+from craftsim.discrete.tasks.random_tasks import RANDOM_NAMES
 from craftsim.discrete.tasks.splits import Split, write_split
 from craftsim.discrete.tasks.varied import DESIGNS
 from craftsim.planning import NoPlanError, plan_building
 
-HELD_OUT = {f"{RANDOM}{name}": 1000 for name in LISTED} | {DESIGNS: 800}
+HELD_OUT = dict.fromkeys(RANDOM_NAMES, 1000) | {DESIGNS: 800}
 TRAINED = 6000
 """Designs to train from."""
 SAME = 25
@@ -33,6 +35,8 @@ SAME = 25
 ROUNDS = 8
 """Attempts of the planner at each start."""
 BATCH = 50
+AT_ONCE = 200
+"""Starts that are planned between two looks at how many there are."""
 
 
 def batches(name: str, split: Split) -> Iterator[Starts]:
@@ -82,14 +86,18 @@ def write_held_out(name: str, n: int) -> None:
     kept: list[Starts] = []
     ticks: list[int] = []
     lengths: list[int] = []
-    for start in distinct(name, "test"):
-        lengths.append(planned_ticks(task, start))
-        # An episode has two ticks more than its step limit.
-        if 0 < lengths[-1] <= task.max_steps + 2:
-            kept.append(start)
-            ticks.append(lengths[-1])
-        if len(kept) == n:
-            break
+    drawn = distinct(name, "test")
+    with ProcessPoolExecutor() as pool:
+        while len(kept) < n:
+            some = list(islice(drawn, AT_ONCE))
+            for start, length in zip(some, pool.map(partial(planned_ticks, task), some), strict=True):
+                lengths.append(length)
+                # An episode has two ticks more than its step limit.
+                if 0 < length <= task.max_steps + 2:
+                    kept.append(start)
+                    ticks.append(length)
+                if len(kept) == n:
+                    break
     path = write(name, "test", kept, ticks)
     found = [length for length in lengths if length]
     print(

@@ -36,6 +36,7 @@ from craftsim.storage.limits import (
     WORKERS,
 )
 from craftsim.training.config import (
+    HALF,
     PRESETS,
     WORLDS,
     Acting,
@@ -79,6 +80,8 @@ def train(
     novelty: Annotated[float, BONUS] = 0.0,
     explore: Annotated[int | None, EXPLORED_TICKS] = None,
     imitate: Annotated[int | None, IMITATED_PLANS] = None,
+    shown_share: Annotated[float, SHARE] = HALF,
+    pretrained: Annotated[str, tyro.conf.arg(metavar="POLICY")] = "",
     stages: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK [TASK ...]", help_behavior_hint="")] = (),
     stage_steps: Annotated[int | None, TRAIN_STEPS] = None,
     acting: Acting = "greedy",
@@ -124,6 +127,9 @@ def train(
             to, the way to the best is imitated, and every second episode of training starts with one of them.
         imitate: how many plans of the planner are imitated before learning; every second episode of training then
             starts with a world of one of them, or of starts.
+        shown_share: with --imitate in a task that varies, how many of the episodes start with a world of a plan, where
+            not every second one.
+        pretrained: policy to begin with, a name, file or folder; one that looks from a car may be of another area.
         stages: tasks to learn on before, one after the other: a curriculum of easier ones, of the same size and with as
             many things.
         stage_steps: ticks on each of them, all worlds together.
@@ -155,6 +161,8 @@ def train(
         *(task, algo, seed, worlds),
         width=width,
         network=network,
+        shown_share=shown_share,
+        pretrained=pretrained,
         stages=stages,
         stage_steps=stage_steps or 0,
         acting=acting,
@@ -165,7 +173,14 @@ def train(
         drive=drive or "reduced",
         randomize=randomize or "none",
         hyperparameters=read_settings(settings, algo) if settings else {},
-        **_protocol(preset, starts, rules=rules, helper_depth=helper_depth, explore=explore, imitate=imitate),
+        **_protocol(
+            preset,
+            starts or pretrained,
+            rules=rules,
+            helper_depth=helper_depth,
+            explore=explore,
+            imitate=imitate,
+        ),
     )
     learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:
@@ -194,15 +209,18 @@ def train(
         trainer.save(folder)
         asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
         asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
+        asked["pretrained_digest"] = trainer.pretrained
         place = folder / TRAJECTORIES if record else None
         _report(trainer, folder, asked, time.perf_counter() - begun, place)
     return 0
 
 
-def _protocol(preset: PresetName | None, starts: Path | None, **given: Any) -> dict[str, Any]:
+def _protocol(preset: PresetName | None, shown: Path | str | None, **given: Any) -> dict[str, Any]:
     """Return what is given; a preset settles the rest."""
-    if preset is not None and (starts is not None or given["imitate"]):
-        raise InputError(f"--preset {preset} learns from nothing; leave --starts and --imitate out")
+    if preset is not None and (shown or given["imitate"]):
+        raise InputError(
+            f"--preset {preset} learns from nothing; leave --starts, --imitate and --pretrained out"
+        )
     return {**(PRESETS[preset] if preset else {}), **{k: v for k, v in given.items() if v is not None}}
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 RUN_FILE: Final = "run.pt"
 FORMAT: Final = 5
 """Raised whenever older files cannot be read any more."""
-_TABLE: Final = "encoder.table.weight"
+TABLE: Final = "encoder.table.weight"
 
 T = TypeVar("T")
 
@@ -90,7 +90,7 @@ def save_policy(
 
     head = PolicyHead(config, identity, shape, versions)
     state = net.state_dict()
-    table, first = state.pop(_TABLE), first_net(shape, config.seed).state_dict()[_TABLE]
+    table, first = state.pop(TABLE), first_net(shape, config.seed).state_dict()[TABLE]
     rows = (table != first).any(-1).nonzero()[:, 0]
     learnt = {"places": len(table), "rows": rows, "values": table[rows]}
     _save(path, {"kind": "policy", **dataclasses.asdict(head), "net": state, "table": learnt})
@@ -109,7 +109,7 @@ def read_policy(path: Path) -> tuple[TrainConfig, TaskIdentity, Shape, CarNet]:
 
         with torch.device("meta"):
             like = CarNet(head.shape).state_dict()
-        rows, values = table_rows(part(saved, "table"), like.pop(_TABLE))
+        rows, values = table_rows(part(saved, "table"), like.pop(TABLE))
         state = weights(part(saved, "net"), like)
         net = first_net(head.shape, head.config.seed)
         net.load_state_dict(state, strict=False)

@@ -17,6 +17,7 @@ from craftsim.storage.limits import (
     IMITATED_PLANS,
     NETWORK_WIDTH,
     SEED,
+    SHARE,
     TRAIN_STEPS,
 )
 from craftsim.training.settings import settings_of
@@ -32,10 +33,13 @@ NetworkName = Literal["map", "relative"]
 """A table of what may be in each cell of the map, or of what may be in each direction and distance from a car."""
 Acting = Literal["greedy", "sampled"]
 """Each car does what the policy rates highest, or what is drawn with the policy's probabilities."""
+HALF: Final = 0.5
+"""Of the episodes of training start with worlds that are given, unless said otherwise."""
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
 
 
-_WITH_PROBABILITIES: Final = ("ippo", "mappo", "coma")
+WITH_PROBABILITIES: Final[tuple[AlgoName, ...]] = ("ippo", "mappo", "coma")
+"""What these learn are probabilities of actions, and values with the others."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,10 @@ class TrainConfig:
     """How the policy acts in evaluations and once it is trained; while it learns, actions are always drawn."""
     imitate: int = 0
     """Plans of the planner that are imitated before learning; half of the episodes then start with a world of one."""
+    shown_share: float = HALF
+    """In a task that varies, the share of episodes that start with a world on the way of an imitated plan."""
+    pretrained: str = ""
+    """A policy to begin with, by name, file or folder; its network has the same width and form, its area may differ."""
     stages: tuple[str, ...] = ()
     """Tasks to learn on before, one after the other: easier ones, of the same size and with as many things."""
     stage_steps: int = 0
@@ -108,15 +116,25 @@ class TrainConfig:
             )
         if self.acting not in get_args(Acting):
             raise InputError(f"acting is {self.acting!r}; allowed: {', '.join(get_args(Acting))}")
-        if self.acting == "sampled" and self.algo not in _WITH_PROBABILITIES:
+        if self.acting == "sampled" and self.algo not in WITH_PROBABILITIES:
             raise InputError(
                 f"{self.algo} rates actions by value, there is nothing to sample; acting must be greedy"
+            )
+        if self.pretrained and self.algo not in WITH_PROBABILITIES:
+            raise InputError(
+                f"{self.algo} learns values, and cannot begin with a policy; leave pretrained out, or take one of "
+                f"{', '.join(WITH_PROBABILITIES)}"
             )
         IMITATED_PLANS.check("imitate", self.imitate)
         if self.imitate and (self.algo not in ("ippo", "mappo") or self.rules != "physical" or self.explore):
             raise InputError(
                 "plans are imitated by ippo and mappo, under the physical rule set, without exploration; leave imitate "
                 "out, or change algo, rules or explore"
+            )
+        SHARE.check("shown_share", self.shown_share)
+        if self.shown_share != HALF and not self.imitate:
+            raise InputError(
+                f"shown_share is {self.shown_share}, but nothing is imitated; leave it out, or imitate plans"
             )
         object.__setattr__(self, "stages", tuple(self.stages))
         if bool(self.stages) != bool(self.stage_steps) or (self.stages and (self.explore or self.imitate)):

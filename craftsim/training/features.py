@@ -152,6 +152,46 @@ class RelativeEncoder(nn.Module):
         """Return values of actions (..., n, 15) that a car sees as its own, in the order of the map's."""
         return values.gather(-1, self.to_map[self._heading(places)])
 
+    @torch.no_grad()
+    def take_over(self, other: RelativeEncoder, learnt: Tensor) -> None:
+        """Take over what another encoder of the same width has learnt, whatever its area.
+
+        Things that lie alike from a car are looked up alike. The own cell is the one as far from the nearer borders.
+
+        Args:
+            other: the other encoder.
+            learnt: (places,), which rows of its table it has learnt.
+        """
+        for name in ("mask", "inner"):
+            getattr(self, name).load_state_dict(getattr(other, name).state_dict())
+        reach, height = min(self.reach, other.reach), min(self.map[2], other.map[2]) - 1
+        mine, theirs, known = (
+            encoder._by_offset(rows)[
+                :,
+                encoder.reach - reach : encoder.reach + reach + 1,
+                encoder.reach - reach : encoder.reach + reach + 1,
+                encoder.map[2] - 1 - height : encoder.map[2] + height,
+            ]
+            for encoder, rows in (
+                (self, self.table.weight),
+                (other, other.table.weight),
+                (other, learnt[:, None]),
+            )
+        )
+        mine.copy_(torch.where(known, theirs, mine))
+        x, y = (_as_far(*lengths) for lengths in zip(self.map[:2], other.map[:2], strict=True))
+        z = torch.arange(self.map[2]).clamp(max=other.map[2] - 1)
+        cells = torch.arange(other.own).view(FORMS[IS_CAR], *other.map)[:, x][:, :, y][:, :, :, z]
+        own = other.turned[cells.flatten()]
+        self.table.weight[: self.own] = torch.where(
+            learnt[own, None], other.table.weight[own], self.table.weight[: self.own]
+        )
+
+    def _by_offset(self, rows: Tensor) -> Tensor:
+        """Return rows of the table without own cells, by form, cells ahead, to the left and above: a view."""
+        side = 2 * self.reach + 1
+        return rows[self.own : -1].unflatten(0, (-1, side, side, 2 * self.map[2] - 1))
+
     def _heading(self, places: Tensor) -> Tensor:
         """Return (..., n): the yaw of each car, from its own place in the table."""
         length, width, height = self.map
@@ -180,6 +220,12 @@ def _as_seen_from(size: tuple[int, int, int]) -> Tensor:
     for yaw in range(1, 4):
         by_form[:, yaw] = by_form[:, 0].rot90(yaw, (1, 2))
     return by_form.flatten()
+
+
+def _as_far(length: int, other: int) -> Tensor:
+    """Return (length,): for each cell of a row the one of another row that is as far from the border nearer to it."""
+    cells = torch.arange(length)
+    return torch.where(2 * cells < length, cells, other - length + cells).clamp(0, other - 1)
 
 
 def make_encoder(shape: Shape) -> Encoder | RelativeEncoder:

@@ -12,7 +12,7 @@ from craftsim.discrete.tasks.batches import Starts
 from craftsim.discrete.tasks.measures import target_array
 from craftsim.discrete.tasks.varied import VariedTask
 from craftsim.errors import InputError
-from craftsim.training.config import TrainConfig
+from craftsim.training.config import HALF, TrainConfig
 from craftsim.training.demonstrations import (
     Demonstrations,
     Progress,
@@ -35,6 +35,11 @@ def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None
     """Raise InputError where a configuration asks for what does not go together, or not with a task."""
     if starts is not None and (config.explore or config.stages):
         raise InputError("exploration and stages have starts of their own: leave them or starts out")
+    if config.shown_share != HALF and (starts is not None or not isinstance(task, VariedTask)):
+        raise InputError(
+            f"shown_share is {config.shown_share} with {'other starts' if starts else task.name}; it is of the plans "
+            "that are imitated in a task that varies: leave it out"
+        )
     if config.explore and not task.always_starts_the_same:
         raise InputError(f"exploration needs a fixed start, which task '{task.name}' has not: leave it out")
 
@@ -47,7 +52,7 @@ def guidance_of(
         return _explored(config, task, rng)
     if config.imitate:
         shown = planned_demonstrations(task, config.imitate, rng, progress)
-        return _planned(task, shown, rng) if starts is None else Guidance(starts, shown)
+        return _planned(config, task, shown, rng) if starts is None else Guidance(starts, shown)
     return Guidance(starts)
 
 
@@ -60,8 +65,8 @@ def _explored(config: TrainConfig, task: Task, rng: np.random.Generator) -> Guid
     return Guidance(half_from(task, found.starts), shown)
 
 
-def _planned(task: Task, shown: Demonstrations, rng: np.random.Generator) -> Guidance:
+def _planned(config: TrainConfig, task: Task, shown: Demonstrations, rng: np.random.Generator) -> Guidance:
     if isinstance(task, VariedTask):
-        return Guidance(half_shown(task, shown.worlds), shown)
+        return Guidance(half_shown(task, shown.worlds, config.shown_share), shown)
     some = rng.integers(len(shown.worlds.kind), size=STARTS)
     return Guidance(half_from(task, [shown.worlds.grid(i) for i in some]), shown)

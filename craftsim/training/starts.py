@@ -57,18 +57,20 @@ class HalfShown:
 
     own: StartSource
     others: Starts
+    share: float = 0.5
+    """Of the others, where it is not half."""
 
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n starts."""
         starts = self.own.draw(rng, n)
-        rows = np.flatnonzero(rng.random(n) < 0.5)
+        rows = np.flatnonzero(rng.random(n) < self.share)
         starts.put(rows, self.others.take(rng.integers(len(self.others.kind), size=len(rows))))
         return starts
 
 
-def half_shown(task: VariedTask, worlds: Starts) -> VariedTask:
-    """Return a varied task of whose episodes half start as ever and half with one of these worlds."""
-    return replace(task, source=HalfShown(task.source, worlds))
+def half_shown(task: VariedTask, worlds: Starts, share: float = 0.5) -> VariedTask:
+    """Return a varied task of whose episodes half, or another share, start with one of these worlds."""
+    return replace(task, source=HalfShown(task.source, worlds, share))
 
 
 def along_plan(start: Grid, path: Path, rule_set: RuleSet) -> list[Grid]:

@@ -36,6 +36,7 @@ from craftsim.training.novelty import Novelty
 from craftsim.training.on_policy import PPOLearner
 from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.policy import POLICY_FILE
+from craftsim.training.pretraining import begin_as_pretrained
 from craftsim.training.restoring import numbers
 from craftsim.training.shape import Shape
 
@@ -90,6 +91,10 @@ class Trainer:
         with torch.random.fork_rng():
             torch.manual_seed(config.seed)
             self.learner = make_learner(config, self.shape, self.task.max_steps + 2)
+            self.pretrained = (
+                begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
+            )
+            """Digest of the policy that it began with; empty without."""
         self.novelty = Novelty(config.novelty, self.shape)
 
     def _of_stage(self, name: str) -> Task:

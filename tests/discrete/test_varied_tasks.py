@@ -22,7 +22,7 @@ from craftsim.discrete.tasks.splits import belongs, read_split
 from craftsim.errors import InputError
 from craftsim.planning import plan_building
 
-LISTED = {f"random_{name}": 1000 for name in random_tasks.LISTED} | {"designs": 800}
+LISTED = dict.fromkeys(random_tasks.RANDOM_NAMES, 1000) | {"designs": 800}
 """How many held-out starts each task is shipped with."""
 ALL = pytest.mark.parametrize("name", VARIED_NAMES)
 

@@ -35,6 +35,18 @@ def test_what_is_shown_leads_from_world_to_world_by_the_rules(name):
         assert np.array_equal(shown.worlds.designs[i - 1], shown.worlds.designs[i])
 
 
+def test_episodes_may_all_start_with_what_was_shown():
+    trainer = Trainer(TrainConfig("random_strip", worlds=50, imitate=3, shown_share=1.0))
+    assert trainer.guidance.shown is not None
+    assert trainer.guidance.starts is not None
+    drawn = trainer.guidance.starts.draw_starts(np.random.default_rng(0), 50)
+    assert set(drawn.digests()) <= set(trainer.guidance.shown.worlds.digests())
+    with pytest.raises(InputError, match="nothing is imitated"):
+        TrainConfig("random_strip", shown_share=1.0)
+    with pytest.raises(InputError, match="it is of the plans"):
+        Trainer(TrainConfig("strip", imitate=3, shown_share=1.0))
+
+
 def test_returns_add_up_to_the_end_of_each_plan():
     shown = planned_demonstrations(as_task("random_strip"), 4, np.random.default_rng(0))
     returns = shown.returns(0.5)

@@ -52,7 +52,7 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
         (["--starts", "no_such.plan"], "no_such.plan"),
         (
             ["--starts", "some.plan", "--preset", "paper"],
-            "learns from nothing; leave --starts and --imitate out",
+            "learns from nothing; leave --starts, --imitate and --pretrained out",
         ),
         (["--explore", "-1"], "--explore is -1"),
         (["--helper-depth", "5", "--backend", "physics"], "or train on the grid"),

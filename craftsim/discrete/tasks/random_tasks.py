@@ -32,8 +32,6 @@ MAX_STEPS: Final = {
     "breaking_barrier": 36,
 }
 """Step limits: about 1.5 times what 95 % of the planner's plans for random starts take (docs/tasks.md)."""
-LISTED: Final = ("strip", "block", "simple_two_story", "free_building", "breaking_barrier")
-"""Those with which a list of held-out starts is shipped, each with a known plan."""
 _TRIES: Final = 1000
 
 
@@ -106,9 +104,8 @@ def random_task(
     Args:
         name: of the paper's task.
         split: ``train``, drawn as needed, or ``test``: the 1,000 held-out starts that are shipped, for each of which
-            the planner has found a plan; in ``complex_two_story``, and with other numbers or another area, held-out
-            ones are drawn as needed, too, and some may have no solution, as some of ``train`` have none. No start is
-            in both.
+            the planner has found a plan; with other numbers or another area held-out ones are drawn as needed, too, and
+            some may have no solution, as some of ``train`` have none. No start is in both.
         reward: see :func:`make_task`.
         n_cars: other than the paper's number of cars.
         n_blocks: the same for blocks, not fewer than the design takes.
@@ -133,7 +130,7 @@ def random_task(
     if own.design is None and own.goal_cell is None:
         known["success"] = OnePlatform(blueprint.n_blocks)
     source: StartSource = RandomPlacement(blueprint, Task(**known), split, flag_x)
-    if split == "test" and name in LISTED and (n_cars, n_blocks, area) == (None, None, None):
+    if split == "test" and (n_cars, n_blocks, area) == (None, None, None):
         source = Stored(RANDOM + name, "test")
     return VariedTask(**known, source=source, split=split)
 

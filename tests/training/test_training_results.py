@@ -9,7 +9,7 @@ from craftsim.commands.study_text import conclusions, runs_table
 from craftsim.studies.study import read_study
 
 DOCS = Path(__file__).parents[2] / "docs"
-STUDIES = ("paper_ippo", "paper", "random", "designs")
+STUDIES = ("paper_ippo", "paper", "random", "random_complex", "designs")
 PHYSICS = sorted(path.stem for path in (DOCS / "training").glob("physics_*.json"))
 EVALUATIONS = ("designs_greedy", "designs_cars3", "designs_cars4", "designs_zero")
 

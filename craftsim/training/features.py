@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from craftsim.discrete.actions import MOVE_DIRECTION
 from craftsim.discrete.rules.legality import N_ACTIONS
@@ -162,35 +163,22 @@ class RelativeEncoder(nn.Module):
             other: the other encoder.
             learnt: (places,), which rows of its table it has learnt.
         """
-        for name in ("mask", "inner"):
-            getattr(self, name).load_state_dict(getattr(other, name).state_dict())
-        reach, height = min(self.reach, other.reach), min(self.map[2], other.map[2]) - 1
-        mine, theirs, known = (
-            encoder._by_offset(rows)[
-                :,
-                encoder.reach - reach : encoder.reach + reach + 1,
-                encoder.reach - reach : encoder.reach + reach + 1,
-                encoder.map[2] - 1 - height : encoder.map[2] + height,
-            ]
-            for encoder, rows in (
-                (self, self.table.weight),
-                (other, other.table.weight),
-                (other, learnt[:, None]),
-            )
-        )
-        mine.copy_(torch.where(known, theirs, mine))
+        self.mask.load_state_dict(other.mask.state_dict())
+        self.inner.load_state_dict(other.inner.state_dict())
+        rows = self._rows_in(other)
+        known = learnt[rows] & (rows != other.absent)
+        self.table.weight[known] = other.table.weight[rows[known]]
+
+    def _rows_in(self, other: RelativeEncoder) -> Tensor:
+        """Return (places,): the row of another encoder's table that each row is like, or its row for nothing."""
         x, y = (_as_far(*lengths) for lengths in zip(self.map[:2], other.map[:2], strict=True))
         z = torch.arange(self.map[2]).clamp(max=other.map[2] - 1)
-        cells = torch.arange(other.own).view(FORMS[IS_CAR], *other.map)[:, x][:, :, y][:, :, :, z]
-        own = other.turned[cells.flatten()]
-        self.table.weight[: self.own] = torch.where(
-            learnt[own, None], other.table.weight[own], self.table.weight[: self.own]
-        )
-
-    def _by_offset(self, rows: Tensor) -> Tensor:
-        """Return rows of the table without own cells, by form, cells ahead, to the left and above: a view."""
-        side = 2 * self.reach + 1
-        return rows[self.own : -1].unflatten(0, (-1, side, side, 2 * self.map[2] - 1))
+        cells = torch.arange(other.own).view(-1, *other.map)[:, x][:, :, y][..., z]
+        wider, higher = self.reach - other.reach, self.map[2] - other.map[2]
+        side = 2 * other.reach + 1
+        offsets = torch.arange(other.own, other.absent).view(-1, side, side, 2 * other.map[2] - 1)
+        offsets = functional.pad(offsets, (higher, higher, *4 * (wider,)), value=other.absent)
+        return torch.cat([other.turned[cells.flatten()], offsets.flatten(), torch.tensor([other.absent])])
 
     def _heading(self, places: Tensor) -> Tensor:
         """Return (..., n): the yaw of each car, from its own place in the table."""

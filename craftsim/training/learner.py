@@ -23,6 +23,8 @@ class Learner(ABC):
     """All that has weights."""
     ticks: int
     """Length of a rollout: ticks of each world between two updates."""
+    learnt: int = 0
+    """Ticks learnt from so far, all worlds together, which its trainer counts."""
 
     @abstractmethod
     def update(self, rollout: TensorDictBase) -> None:

@@ -87,7 +87,13 @@ class PPOLearner(Learner):
                 self.optimizer.zero_grad()
                 (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
                 nn.utils.clip_grad_norm_(self.modules.parameters(), settings.max_gradient)
-                self.optimizer.step()
+                self._step()
+
+    def _step(self) -> None:
+        (group,) = self.optimizer.param_groups
+        group["lr"] = self.settings.rate(self.learnt)
+        self.optimizer.step()
+        group["lr"] = self.settings.learning_rate
 
     def state(self) -> dict[str, Any]:
         """Return weights and the optimiser's averages."""

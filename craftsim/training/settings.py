@@ -53,6 +53,13 @@ class PPOSettings(Settings):
     """How often each tick is learnt from."""
     minibatches: int = _within(4, 1, 1024)
     """Parts of a rollout, each with a step of the optimiser."""
+    decay_ticks: int = _within(0, 0, 1_000_000_000)
+    """Ticks in which the learning rate falls evenly to nothing; 0 for a rate that stays."""
+
+    def rate(self, learnt: int) -> float:
+        """Return the learning rate after so many ticks."""
+        left = max(0.0, 1 - learnt / self.decay_ticks) if self.decay_ticks else 1.0
+        return self.learning_rate * left
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Hyperparameters from a file: what is given counts, what is wrong is one message, and a run goes on with them."""
 
 from dataclasses import fields
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,22 @@ def test_a_file_says_what_differs(tmp_path):
     assert given == {"learning_rate": 3e-4, "epochs": 2}
     settings = settings_of("ippo", given)
     assert (settings.learning_rate, settings.epochs, settings.gamma) == (3e-4, 2, 0.99)
+
+
+def test_a_learning_rate_falls_to_nothing_and_then_nothing_is_learnt(tmp_path):
+    settings = settings_of("ippo", {"learning_rate": 0.01, "decay_ticks": 400})
+    assert [settings.rate(ticks) for ticks in (0, 100, 400, 500)] == pytest.approx([0.01, 0.0075, 0, 0])
+    assert settings_of("ippo", {}).rate(10**9) == settings_of("ippo", {}).learning_rate
+    config = TrainConfig("strip", worlds=2, width=4, hyperparameters={"decay_ticks": 80})
+    trainer, weights = Trainer(config), []
+    assert trainer.steps_an_iteration == 40
+    for steps in (80, 160):
+        for _ in trainer.run(steps, 2.0):
+            weights.append(trainer.learner.modules.state_dict()["net.head.1.2.bias"].clone())
+        trainer.save(tmp_path)
+        trainer = Trainer.resume(tmp_path, config=config)
+    changed = [not torch.equal(one, other) for one, other in pairwise(weights)]
+    assert changed == [True, False, False]
 
 
 WRONG = {

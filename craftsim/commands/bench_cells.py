@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
+
+_FIGURE: Final = 14
+"""Characters of a cell that stays in one line."""
+_TEXT: Final = 9
+"""Characters of a longer one in a line, at least."""
 
 
 @dataclass(frozen=True)
@@ -23,13 +28,14 @@ class Cells:
     rows: tuple[tuple[str, ...], ...]
 
     def for_terminal(self) -> Table:
-        """Return it as the terminal shows it."""
+        """Return it as the terminal shows it; where that is narrow, long texts go over several lines."""
         from rich.box import SIMPLE
         from rich.table import Table
 
         table = Table(title=self.title, box=SIMPLE)
-        for name in self.head:
-            table.add_column(name, no_wrap=True)
+        widths = [max(map(len, column)) for column in zip(self.head, *self.rows, strict=True)]
+        for name, width in zip(self.head, widths, strict=True):
+            table.add_column(name, no_wrap=width <= _FIGURE, overflow="fold", min_width=min(width, _TEXT))
         for row in self.rows:
             table.add_row(*row)
         return table
@@ -40,7 +46,7 @@ class Cells:
         return "\n".join([f"{self.title}:", "", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
-def show(tables: Sequence[Cells], lines: Sequence[str], console: Console, page: Path | None) -> None:
+def show(tables: Sequence[Cells], lines: Sequence[str], console: Console, page: Path | None = None) -> None:
     """Print tables and then lines, and write them as Markdown if there is to be a page.
 
     Raises InputError where the disk does not take it.

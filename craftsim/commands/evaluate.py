@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import tyro
-from rich.table import Table
 
+from craftsim.commands.bench_cells import Cells, show
 from craftsim.commands.options import Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
@@ -43,7 +43,7 @@ def evaluate(
     'craftsim validate --policy' plays it in physics. Exit status 0, or 2 for wrong input.
 
     Args:
-        policies: what 'craftsim train' wrote, files or folders.
+        policies: what 'craftsim train' wrote, files or folders, or shipped ones such as random_strip.
         task: tasks to play, such as random_strip@test; that which a policy was trained on unless given.
         episodes: how many of each; of a list of held-out starts one after the other.
         cars: other than the task's number of cars, for networks that look from a car.
@@ -63,8 +63,7 @@ def evaluate(
 
     folder = output_directory(out)
     columns = ("policy", "task", "success", "starts solved", "at 95 %", "ways", "ticks")
-    table = Table(*columns, title=f"{episodes} episodes each; ways are different trajectories")
-    rows: list[dict[str, Any]] = []
+    games = []
     for path in policies:
         policy = load_policy(path)
         config = policy.config
@@ -73,16 +72,24 @@ def evaluate(
             asked = as_task(name, *given, area or None)
             shape = Shape.of(asked, policy.shape.width, policy.shape.network)
             if not policy.shape.fits(shape):
-                raise InputError(f"{path}: trained for {policy.shape}; task '{asked.name}' has {shape}")
-            how = (config.rules, config.helper_depth, acting or config.acting)
-            played = play(policy.net, asked, episodes, seed, *how)
-            rows.append({"policy": path, "task": asked.name, "acting": how[-1], **played.as_figures()})
-            low, high = played.interval or (None, None)
-            interval = "one start" if low is None else f"{low:.3f}-{high:.3f}"
-            solved = f"{played.solved} of {played.starts}"
-            figures = (solved, interval, str(played.trajectories), f"{played.mean_ticks:.1f}")
-            table.add_row(Path(path).name, asked.name, f"{played.success:.3f}", *figures)
-    Terminal().print(table)
+                raise InputError(
+                    f"{path}: its network is for {policy.shape}, task '{asked.name}' is of {shape}; a network serves "
+                    "areas of one size, and unless it is relative, one number of cars and things"
+                )
+            games.append((path, policy, asked))
+    rows: list[dict[str, Any]] = []
+    lines: list[tuple[str, ...]] = []
+    for path, policy, asked in games:
+        how = (policy.config.rules, policy.config.helper_depth, acting or policy.config.acting)
+        played = play(policy.net, asked, episodes, seed, *how)
+        rows.append({"policy": path, "task": asked.name, "acting": how[-1], **played.as_figures()})
+        low, high = played.interval or (None, None)
+        interval = "one start" if low is None else f"{low:.3f}-{high:.3f}"
+        solved = f"{played.solved} of {played.starts}"
+        figures = (solved, interval, str(played.trajectories), f"{played.mean_ticks:.1f}")
+        lines.append((Path(path).name, asked.name, f"{played.success:.3f}", *figures))
+    title = f"{episodes} episodes each; ways are different trajectories"
+    show([Cells(title, columns, tuple(lines))], (), Terminal())
     asked_of = {"policies": list(policies), "task": list(task), "episodes": episodes}
     asked_of |= {"cars": cars, "blocks": blocks, "area": list(area)}
     say(

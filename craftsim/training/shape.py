@@ -43,6 +43,11 @@ class Shape:
                 f"most {size_text(POLICY.content_bytes)}; take a smaller map"
             )
 
+    def __str__(self) -> str:
+        cells = " x ".join(map(str, self.size))
+        seen = f" with {self.n_cars} cars that observe {self.vector_length} numbers"
+        return f"{cells} cells{seen if self.network == 'map' else ''} (network {self.network}, width {self.width})"
+
     @property
     def cells(self) -> int:
         """Cells in which something may be; a car may stand above the highest one."""

@@ -96,4 +96,4 @@ def test_a_policy_is_evaluated_with_more_cars_in_another_task_of_its_area(traine
 
 def test_another_area_is_refused(trained, tmp_path, capsys):
     assert _evaluated(tmp_path, trained, "--area", 5, 5, 3)[0] == 2
-    assert "trained for" in capsys.readouterr().err
+    assert "network is for" in capsys.readouterr().err

@@ -67,5 +67,5 @@ def test_stages_that_make_no_sense_are_refused(options, said):
 
 
 def test_a_stage_of_another_size_is_refused():
-    with pytest.raises(InputError, match="stage 'random_strip' has Shape"):
+    with pytest.raises(InputError, match="stage 'random_strip' has 4 x 4 x 3 cells"):
         Trainer(TrainConfig("designs", stages=("random_strip",), stage_steps=5, **SMALL))

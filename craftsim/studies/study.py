@@ -110,8 +110,8 @@ class Study:
 
 def read_study(text: str) -> Study:
     """Return the study of a file, or a shipped one by name; raises InputError with file and key."""
-    if not exists(text):
-        names = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+    names = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+    if not exists(text) or (text in names and Path(text).is_dir()):
         if text not in names:
             raise InputError(
                 f"no study '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, and files"

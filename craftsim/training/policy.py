@@ -107,8 +107,15 @@ def shipped_policies() -> list[str]:
 
 def policy_file(path: str | Path) -> Path:
     """Return the file of a policy: a file, the one in a folder, or that of a shipped policy."""
-    if not os.path.lexists(path) and str(path) in shipped_policies():
-        return SHIPPED / f"{path}.pt"
+    return SHIPPED / f"{path}.pt" if is_shipped_policy(path) else _own_file(path)
+
+
+def is_shipped_policy(path: str | Path) -> bool:
+    """Return whether this is the name of a shipped policy, and neither a file nor a folder that holds a policy."""
+    return str(path) in shipped_policies() and not os.path.lexists(_own_file(path))
+
+
+def _own_file(path: str | Path) -> Path:
     return Path(path) / POLICY_FILE if os.path.isdir(path) else Path(path)
 
 

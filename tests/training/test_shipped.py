@@ -8,6 +8,7 @@ from craftsim.training.config import TrainConfig
 from craftsim.training.evaluation import evaluate
 from craftsim.training.policy import SHIPPED, load_policy, policy_file, shipped_policies
 from craftsim.training.trainer import Trainer
+from craftsim.validation.runs.choice import policy_pilot, subjects_of
 from craftsim.validation.runs.policies import check_policy, make_policy, policy_digest
 
 
@@ -29,6 +30,13 @@ def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkey
     assert make_policy("random_strip", 0, task).identity.name == "random_strip"
     assert policy_digest("random_strip") != policy_digest("random_simple_two_story")
     assert policy_file("random_strip") == SHIPPED / "random_strip.pt"
+    (tmp_path / "random_block").mkdir()
+    assert policy_file("random_block") == SHIPPED / "random_block.pt"
+    pilot = policy_pilot("random_block", subjects_of(["random_block@test"]), "sequential")
+    assert pilot.policy == "random_block"
+    (tmp_path / "random_block" / "policy.pt").write_text("no policy")
+    with pytest.raises(InputError, match="not a file that"):
+        make_policy("random_block", 0, task)
     (tmp_path / "random_strip").write_text("no policy")
     with pytest.raises(InputError, match="not a file that"):
         make_policy("random_strip", 0, task)

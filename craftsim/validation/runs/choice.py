@@ -23,6 +23,7 @@ from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
 from craftsim.models.site import Site
 from craftsim.storage.writing import writable
+from craftsim.training.policy import is_shipped_policy
 from craftsim.validation.campaign import Item
 from craftsim.validation.play.worlds import MAX_CARS, RandomWorlds
 from craftsim.validation.runs.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
@@ -148,7 +149,8 @@ def policy_pilot(
     if policy == PLAY:
         return Pilot(PLAY, SHIPPED, play=order)
     if policy != PLANNER:
-        place = str(Path(policy).resolve()) if exists(policy) else policy
+        own = exists(policy) and not is_shipped_policy(policy)
+        place = str(Path(policy).resolve()) if own else policy
         for subject in subjects:
             world = subject.world
             task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)

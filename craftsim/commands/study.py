@@ -44,7 +44,7 @@ def study(
     """
     need_torch()
     from craftsim.commands.bench_cells import show
-    from craftsim.commands.progress import counting
+    from craftsim.commands.study_progress import watching
     from craftsim.commands.study_text import conclusions, runs_table
     from craftsim.studies.results import figures_of, plot_results
     from craftsim.studies.runs import run_study
@@ -54,7 +54,7 @@ def study(
     sys.path.insert(0, os.getcwd())
     asked = read_study(what)
     folder, console, begun = output_directory(out), Terminal(), time.perf_counter()
-    with counting(console, "runs", len(asked.runs)) as on_record:
+    with watching(console, asked, folder) as on_record:
         records = run_study(
             asked,
             folder,

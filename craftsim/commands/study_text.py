@@ -9,18 +9,22 @@ from craftsim.studies.study import Study
 
 
 def runs_table(study: Study, figures: dict[str, Any]) -> Cells:
-    """Return the table by task, what was played and algorithm; starts are the different ones of an evaluation."""
-    head = ("task", "algo", "IQM", "95 %", "starts", "steps", "published")
+    """Return the table by task, what was played and algorithm; starts are the different ones of an evaluation.
+
+    Its last column, what others have published, is there if the study knows of any.
+    """
+    head = ("task", "algo", "IQM", "95 %", "starts", "steps", *(("published",) if study.reference else ()))
     rows = []
     for row in figures["rows"]:
         estimate, low, high = row["success"]["iqm"]
         published = "" if row["published"] is None else f"{row['published']:.2f}"
+        last = (published,) if study.reference else ()
         # A split of the task that it was trained on says so by its name.
         own = row["played"].partition("@")[0] == row["task"]
         task = row["played"] if own else f"{row['played']} by {row['task']}"
         steps = f"{row['median_steps'] / 1000:,.0f} k"
         success = f"{estimate:.3f}", "one run" if study.seeds == 1 else f"{low:.3f}-{high:.3f}"
-        rows.append((task, row["algo"], *success, str(row["distinct_starts"]), steps, published))
+        rows.append((task, row["algo"], *success, str(row["distinct_starts"]), steps, *last))
     seeds = f"{study.seeds} seed{'s' if study.seeds > 1 else ''}"
     return Cells(f"{study.title}: success over {seeds} of training", head, tuple(rows))
 

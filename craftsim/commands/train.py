@@ -288,12 +288,11 @@ def _run(
 def _report(
     trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float, record: Path | None
 ) -> None:
-    from craftsim.training.curve import plot_curve, write_curve
+    from craftsim.training.curve import plot_curve
     from craftsim.training.trainer import training_versions
 
     config, curve = trainer.config, trainer.curve
     played = trainer.evaluate(asked["episodes"], record=record)
-    write_curve(folder / "curve.csv", curve)
     plot_curve(folder / "curve.png", f"{trainer.task.name}, {config.algo}, seed {config.seed}", curve)
     figures: dict[str, Any] = {
         "steps": trainer.steps,

@@ -103,6 +103,7 @@ def plot_results(folder: Path, study: Study, figures: dict[str, Any]) -> list[Pa
 
 def _plot_curves(path: Path, study: Study, figures: dict[str, Any]) -> Path:
     from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
 
     columns = min(3, len(study.tasks))
     rows = -(-len(study.tasks) // columns)
@@ -113,11 +114,12 @@ def _plot_curves(path: Path, study: Study, figures: dict[str, Any]) -> Path:
         at = np.linspace(0, max(last, 1), _POINTS).astype(np.int64)
         for algo in study.algos:
             curves = [run["curve"] for run in figures["runs"] if (run["task"], run["algo"]) == (task, algo)]
-            _band(axes, at, iqm_curve(curves, at), algo)
+            _band(axes, at, iqm_curve(curves, at), study, algo)
         if task in study.reference:
             axes.axhline(study.reference[task], color="gray", linestyle=":", label="published")
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.set(title=task, ylim=(-0.03, 1.03), xlabel="steps", ylabel="success, IQM over seeds")
-        axes.legend(loc="best", fontsize="small")
+    _name_lines(figure)
     with whole(path) as partial:
         figure.savefig(partial, dpi=110)
     return path
@@ -129,14 +131,23 @@ def _plot_profiles(path: Path, study: Study, figures: dict[str, Any]) -> Path:
     figure = Figure(figsize=(5.5, 3.8), layout="constrained")
     axes = figure.add_subplot()
     for algo in study.algos:
-        _band(axes, TAUS, profile(_scores(study, figures["runs"], algo)), algo)
+        _band(axes, TAUS, profile(_scores(study, figures["runs"], algo)), study, algo)
     axes.set(xlabel="success rate", ylabel="share of runs above it", ylim=(-0.03, 1.03), title=study.title)
-    axes.legend(loc="best", fontsize="small")
+    _name_lines(figure)
     with whole(path) as partial:
         figure.savefig(partial, dpi=110)
     return path
 
 
-def _band(axes: Any, x: NDArray[Any], band: NDArray[np.float64], label: str) -> None:
-    (line,) = axes.plot(x, band[0], label=label)
-    axes.fill_between(x, band[1], band[2], color=line.get_color(), alpha=0.2)
+def _band(axes: Any, x: NDArray[Any], band: NDArray[np.float64], study: Study, algo: str) -> None:
+    # Each line is thinner than those before it, and every second has gaps: of several that lie on each other all show.
+    number = study.algos.index(algo)
+    width, style = 1.5 + 0.5 * (len(study.algos) - 1 - number), "--" if number % 2 else "-"
+    (line,) = axes.plot(x, band[0], style, label=algo, linewidth=width)
+    axes.fill_between(x, band[1], band[2], color=line.get_color(), alpha=0.15, linewidth=0)
+
+
+def _name_lines(figure: Any) -> None:
+    """Add one legend beside all axes."""
+    named = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
+    figure.legend(named.values(), named.keys(), loc="outside right upper", fontsize="small")

@@ -7,10 +7,12 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from craftsim.errors import InputError
 from craftsim.storage.writing import whole, write_whole
+
+CURVE_FILE: Final = "curve.csv"
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,16 @@ def write_curve(path: Path, curve: Sequence[Point]) -> Path:
     writer.writerow(names)
     writer.writerows([getattr(point, name) for name in names] for point in curve)
     return write_whole(path, text.getvalue())
+
+
+def read_last(path: Path) -> tuple[int, float] | None:
+    """Return steps and success of the last point of a curve's file; None where there is no such file yet."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            *_, last = csv.DictReader(file)
+    except (OSError, ValueError):
+        return None
+    return int(last["steps"]), int(last["successes"]) / int(last["episodes"])
 
 
 def plot_curve(path: Path, title: str, curve: Sequence[Point]) -> Path:

@@ -24,7 +24,7 @@ from craftsim.report import versions
 from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import RUN_FILE, RunHead, open_run, save_policy, save_run
 from craftsim.training.config import TrainBackend, TrainConfig
-from craftsim.training.curve import Played, Point
+from craftsim.training.curve import CURVE_FILE, Played, Point, write_curve
 from craftsim.training.demonstrations import Progress, silent
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.extra import PACKAGES
@@ -198,6 +198,7 @@ class Trainer:
                 imitate(self.learner, self.task, shown, self.config.rules, self.config.helper_depth)
             rollout = self.play(seed)
             self.novelty.add_to(rollout)
+            self.learner.learnt = self.steps
             self.learner.update(rollout)
         if not all(weight.isfinite().all() for weight in self.learner.net.parameters()):
             raise InputError(
@@ -211,9 +212,10 @@ class Trainer:
         return int(words[0])
 
     def save(self, folder: Path) -> None:
-        """Write the policy and all that is needed to go on."""
+        """Write the policy, the learning curve, and all that is needed to go on."""
         net, made_with = self.learner.net, training_versions()
         save_policy(folder / POLICY_FILE, self.config, self.identity, self.shape, net, made_with)
+        write_curve(folder / CURVE_FILE, self.curve)
         head = RunHead(
             self.config, self.identity, self.starts, made_with, self.iteration, self.wall_s, self.curve
         )

@@ -1,15 +1,21 @@
 """Studies: what is read, what is refused, and that an interrupted one goes on."""
 
+import io
 import json
 import re
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from craftsim.cli import main
+from craftsim.commands import study_progress
 from craftsim.commands.study_text import conclusions, runs_table
+from craftsim.commands.terminal import Terminal
 from craftsim.errors import InputError
 from craftsim.studies.study import SHIPPED, read_study
+from craftsim.training.curve import CURVE_FILE, Point, write_curve
 
 TEXT = """
 title: Tiny
@@ -52,10 +58,34 @@ def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
     assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 2
 
 
+def test_progress_says_how_far_each_run_is(tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr(study_progress, "EVERY_S", 0.01)
+    said = io.StringIO()
+    console, study = Terminal(file=said, width=200), read_study(str(tiny))
+    first, second = study.runs
+    with study_progress.watching(console, study, tmp_path) as on_record:
+        (tmp_path / "runs" / first.key).mkdir(parents=True)
+        _wait_for("0 of 2 runs done, 0 reached 0.99; strip/ippo/0: no evaluation yet", said)
+        write_curve(tmp_path / "runs" / first.key / CURVE_FILE, [Point(20, 5, 0.0, 1.0, 1, 0, 1, steps=1200)])
+        _wait_for("strip/ippo/0: 1,200 of at most 400 steps, success 0.25", said)
+        on_record({"key": first.key, "agrees": True})
+        (tmp_path / "runs" / second.key).mkdir(parents=True)
+        _wait_for("1 of 2 runs done, 1 reached 0.99; strip/ippo/1: no evaluation yet", said)
+    lines = said.getvalue().splitlines()
+    assert len(lines) == len(set(lines))
+
+
+def _wait_for(text, said):
+    while text not in said.getvalue():
+        time.sleep(0.01)
+
+
 def test_one_seed_has_no_interval():
     stored = Path(__file__).parents[2] / "docs/training/designs.json"
     figures = json.loads(stored.read_text(encoding="utf-8"))["figures"]
-    assert "| one run |" in runs_table(read_study("designs"), figures).as_markdown()
+    figures["runs"] = figures["runs"][:1]
+    one = replace(read_study("designs"), seeds=1)
+    assert "| one run |" in runs_table(one, figures).as_markdown()
     assert re.match(r"ippo, all tasks: IQM 0\.\d+, optimality gap", conclusions(figures)[0])
 
 
@@ -81,6 +111,14 @@ def test_what_is_wrong_in_a_file_is_named(old, new, said, tiny):
     with pytest.raises(InputError, match=said) as error:
         read_study(str(tiny))
     assert str(tiny) in str(error.value)
+
+
+def test_a_folder_for_its_results_does_not_hide_a_shipped_study(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "quick").mkdir()
+    assert read_study("quick").runs
+    with pytest.raises(InputError, match="not a regular file"):
+        read_study(str(tmp_path))
 
 
 def test_a_study_that_is_not_there_is_named_with_those_that_are():

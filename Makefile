@@ -21,9 +21,12 @@ help:  ## Explain the targets
 demo: $(VENV)/installed libraries  ## Build the simple two-story building in physics: report and film in out/demo (ARGS are passed on)
 	$(BIN)/craftsim demo --out out/demo $(ARGS)
 
+# Tests run beside one another, and not beside threads of their own; what one process has compiled, all read.
+test newest: export OMP_NUM_THREADS := 1
+test newest: export PYTHONDONTWRITEBYTECODE :=
 test: libraries  ## Lint, type-check and run all tests, from a fresh checkout (ARGS are passed to pytest)
 	@$(MAKE) --no-print-directory -j2 lint compiled
-	$(BIN)/pytest -n 4 --dist worksteal $(ARGS)
+	$(BIN)/pytest -n 3 --dist worksteal $(ARGS)
 
 lint: $(VENV)/installed-dev  ## Check style, formatting and types
 	$(BIN)/ruff check .

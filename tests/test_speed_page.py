@@ -60,3 +60,10 @@ def test_the_table_of_films_is_that_of_its_report():
         assert all(f"| {ratio:.2f} |" in row for ratio in ratios)
     for drive, share in wall["recording"].items():
         assert f"adds {100 * share:.1f} % to a run with {drive}" in table
+
+
+def test_the_table_of_learning_is_that_of_its_report():
+    table = (SPEED / "train/train.md").read_text(encoding="utf-8")
+    kinds = ("grid", "rollout", "learning", "all")
+    for task, rates in _wall("train").items():
+        assert f"| {task} | {' | '.join(f'{rates[kind]:,.0f}' for kind in kinds)} |" in table

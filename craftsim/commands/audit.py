@@ -17,6 +17,8 @@ from craftsim.storage.limits import RUNS
 from craftsim.validation.contexts.context import Verb
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from craftsim.validation.audit.rows import Row
 
 OPTIONS: Final = CampaignOptions(rules="published", trials=20)
@@ -103,7 +105,7 @@ def audit(
     return conclude(result)
 
 
-def _chosen(plan: list[Row], contexts: str, only: str) -> list[Row]:
+def _chosen(plan: Sequence[Row], contexts: str, only: str) -> list[Row]:
     """Return the rows that are asked for, by patterns of their names."""
     wanted = [
         row

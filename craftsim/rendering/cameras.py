@@ -11,7 +11,6 @@ from typing import Final
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
@@ -210,6 +209,8 @@ def _least_hidden(
 
 def _smooth(samples: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
     """Return samples (n, ...) without what is faster than a Gaussian of ``sigma`` samples, and without delay."""
+    from scipy.ndimage import gaussian_filter1d  # a quarter of a second that only films take
+
     smooth: NDArray[np.float64] = gaussian_filter1d(samples, sigma, axis=0, mode="nearest")
     return smooth
 

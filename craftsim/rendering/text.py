@@ -6,7 +6,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
-import matplotlib
 from PIL import ImageDraw, ImageFont
 
 Colour = tuple[int, int, int]
@@ -17,6 +16,8 @@ Font = ImageFont.FreeTypeFont
 @lru_cache(maxsize=32)
 def font(size: int, weight: Weight = "regular") -> Font:
     """Return DejaVu Sans, which comes with Matplotlib, ``size`` pixels high."""
+    import matplotlib  # here, since most of what imports this module draws no text
+
     name = "DejaVuSans-Bold.ttf" if weight == "bold" else "DejaVuSans.ttf"
     return ImageFont.truetype(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
 

@@ -52,4 +52,4 @@ def test_a_policy_is_evaluated_on_other_starts_than_its_own(tmp_path, capsys):
     assert main([*words, "--task", "random_strip@test", "random_strip"]) == 0
     assert "of 50" in capsys.readouterr().out
     assert main([*words, "--task", "random_simple_two_story"]) == 2
-    assert "trained for" in capsys.readouterr().err
+    assert "network is for" in capsys.readouterr().err

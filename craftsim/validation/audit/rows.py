@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -48,7 +49,8 @@ class Row:
         return min((mm for mm in near if mm is not None), default=None)
 
 
-def audit_plan(rule_set: RuleSet, verbs: tuple[str, ...] = ()) -> list[Row]:
+@cache
+def audit_plan(rule_set: RuleSet, verbs: tuple[str, ...] = ()) -> tuple[Row, ...]:
     """Return the rows of these verbs, or all: what a rule set allows, what it forbids, the scenes, and the
     neighbourhoods, by name."""
     found = survey(rule_set, verbs)
@@ -70,7 +72,7 @@ def audit_plan(rule_set: RuleSet, verbs: tuple[str, ...] = ()) -> list[Row]:
         reason = "" if legal else near.why_nothing()
         name = f"{near.id.split('/', 1)[0]}/nothing intended: {reason}" if reason else near.row(legal)
         members.setdefault((name, legal, reason), []).append(near)
-    return [Row(name, legal, tuple(of), reason) for (name, legal, reason), of in sorted(members.items())]
+    return tuple(Row(name, legal, tuple(of), reason) for (name, legal, reason), of in sorted(members.items()))
 
 
 def why_nothing(context: Context, rule_set: RuleSet) -> str:

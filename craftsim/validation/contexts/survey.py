@@ -1,12 +1,11 @@
 """Every situation in which an action is legal: the contexts, found by walking the product of what can differ.
 
 Nothing is listed by hand. Each combination is drawn as a small world (:mod:`craftsim.validation.contexts.worlds`); what
-cannot be drawn cannot exist, and what a rule set forbids there is kept apart. Both come with a reason.
+cannot be drawn cannot exist, and what a rule set forbids there is kept apart.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -31,20 +30,11 @@ LEVELS: Final = (1, 2, 3)
 
 @dataclass(frozen=True)
 class Survey:
-    """All combinations: those that are contexts, and how many are none for which reason."""
+    """What a world can show."""
 
     contexts: tuple[Context, ...]
     illegal: tuple[Context, ...]
-    """Those that a world can show, and in which the rules forbid the action; all with room."""
-    impossible: tuple[tuple[str, int], ...]
-    """Reason and count of combinations that no world can show, commonest first."""
-    forbidden: tuple[tuple[str, int], ...]
-    """Reason and count of combinations that the rules forbid, commonest first."""
-
-    @property
-    def n_combinations(self) -> int:
-        """How many combinations were tried."""
-        return len(self.contexts) + sum(n for _, n in (*self.impossible, *self.forbidden))
+    """Those in which the rules forbid the action; all with room."""
 
 
 def _things(kinds: tuple[Kind, ...], below: bool = False) -> list[Thing]:
@@ -79,21 +69,18 @@ def survey(rule_set: RuleSet = "physical", verbs: tuple[str, ...] = ()) -> Surve
     rules = Rules(rule_set)
     found: list[Context] = []
     illegal: list[Context] = []
-    impossible: Counter[str] = Counter()
     for verb in (verb for verb in Verb if not verbs or verb in verbs):
         inner = _inner(verb)
         for ground, own, load in product(Ground, _OWN, _LOADS):
             try:
                 check_car(ground, own, load)
-            except ImpossibleError as reason:
-                impossible[str(reason)] += len(inner)
+            except ImpossibleError:
                 continue
             for direction, thing, level, over, beyond in inner:
                 context = Context(verb, direction, level, ground, own, load, thing, over, beyond)
                 try:
                     drawing = draw(context)
-                except ImpossibleError as reason:
-                    impossible[str(reason)] += 1
+                except ImpossibleError:
                     continue
                 if not _legal(rules, context, drawing):
                     illegal.append(context)
@@ -102,13 +89,7 @@ def survey(rule_set: RuleSet = "physical", verbs: tuple[str, ...] = ()) -> Surve
                 tight = replace(context, tight=True)
                 if _tighten(rules, tight, drawing):
                     found.append(tight)
-                else:
-                    impossible["no neighbour cell can be filled"] += 1
-    every = frozenset(found)
-    forbidden = Counter(_why_forbidden(context, every) for context in illegal)
-    return Survey(
-        tuple(found), tuple(illegal), tuple(impossible.most_common()), tuple(forbidden.most_common())
-    )
+    return Survey(tuple(found), tuple(illegal))
 
 
 def _legal(rules: Rules, context: Context, drawing: Drawing) -> bool:
@@ -127,29 +108,6 @@ def _tighten(rules: Rules, context: Context, drawing: Drawing) -> list[Cell]:
         else:
             drawing.cells = before
     return filled
-
-
-def _why_forbidden(context: Context, found: frozenset[Context]) -> str:
-    """Say which single property would have to be another one for the action to be legal."""
-    if context.ground.half and context.direction != FORWARD:
-        return f"{context.verb.value}: on a slope only a move forward is legal"
-    culprits = [name for name, others in _variations(context).items() if any(c in found for c in others)]
-    if not culprits:
-        return f"{context.verb.value}: forbidden for more than one reason"
-    return f"{context.verb.value}: forbidden with this {' or '.join(culprits)}"
-
-
-def _variations(context: Context) -> dict[str, list[Context]]:
-    """Return the contexts that differ in one property, by its name."""
-    varied = {
-        "own": [replace(context, own=own) for own in _OWN],
-        "load": [replace(context, load=load) for load in _LOADS],
-        "over": [replace(context, over=over) for over in _OVER],
-    }
-    if context.direction is not None:
-        varied["next"] = [replace(context, next=thing) for thing in _NEXT]
-        varied["direction"] = [replace(context, direction=direction) for direction in range(4)]
-    return varied
 
 
 def make_world(

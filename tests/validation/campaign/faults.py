@@ -104,7 +104,7 @@ def _session(number: int) -> list[str]:
     return found
 
 
-def _no_orphans(number: int, limit_s: float = 20.0) -> None:
+def _no_orphans(number: int, limit_s: float = 60.0) -> None:
     end = time.monotonic() + limit_s
     while found := _session(number):
         assert time.monotonic() < end, f"left behind: {found}"

@@ -51,7 +51,7 @@ def test_no_signal_leaves_workers_behind(tmp_path, number):
     workers = _children(process.pid)
     assert workers
     os.kill(process.pid, number)
-    status = process.wait(20)
+    status = process.wait(60)
     _wait_for(lambda: not any(map(_alive, workers)))
     if number != signal.SIGKILL:
         assert status == 130

@@ -52,7 +52,7 @@ def _refused(folder, match, resume=True):
         run_campaign(
             campaign_folders.ITEMS, _nobody, folder, campaign_folders.HEADER, resume=resume, form=RUNS
         )
-    assert time.process_time() - begun < 2
+    assert time.process_time() - begun < 10
     assert _content(folder) == before
 
 
@@ -132,7 +132,7 @@ def test_a_line_without_an_end_is_refused_without_reading_on(unfinished):
     begun = time.process_time()
     with pytest.raises(InputError, match=r"trials\.jsonl:3: the line is longer"):
         Store(unfinished, campaign_folders.HEADER, campaign_folders.ITEMS, resume=True, form=RUNS)
-    assert time.process_time() - begun < 2
+    assert time.process_time() - begun < 10
 
 
 @pytest.mark.parametrize(

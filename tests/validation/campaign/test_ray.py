@@ -73,7 +73,7 @@ def test_an_address_where_nobody_listens_is_refused_within_seconds(
     monkeypatch.setenv("RAY_ADDRESS", form.format(nobodys_port))
     begun = time.perf_counter()
     assert main(["validate", "strip", "--engine", "ray", "--video", "none", "--out", str(tmp_path)]) == 2
-    assert time.perf_counter() - begun < 10
+    assert time.perf_counter() - begun < 60  # without a look at the port, Ray tries for minutes
     assert f"no Ray cluster answers at {form.format(nobodys_port)}" in capsys.readouterr().err
 
 
@@ -87,7 +87,7 @@ def test_a_cluster_of_this_machine_that_is_gone_is_refused_within_seconds(
     begun = time.perf_counter()
     with pytest.raises(InputError, match=f"no Ray cluster answers at .*:{nobodys_port}"):
         run_campaign(cheap_work.items(1), cheap_work.work, tmp_path / "out", HEADER, engine="ray")
-    assert time.perf_counter() - begun < 10
+    assert time.perf_counter() - begun < 60
 
 
 def test_an_address_that_never_answers_is_given_up(tmp_path, monkeypatch):

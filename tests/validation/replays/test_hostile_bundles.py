@@ -92,7 +92,7 @@ def test_a_hostile_value_is_one_message_before_any_work(name, folder, capsys):
     assert cli.main(words) == 2
     said = capsys.readouterr().err
     assert cli.main([*words, "--shrink"]) == 2
-    assert time.process_time() - begun < 2
+    assert time.process_time() - begun < 10
     assert TEXT in said
     assert message in said
 
@@ -118,7 +118,7 @@ def test_a_hostile_text_is_one_message(text, message, folder):
     begun = time.process_time()
     with pytest.raises(InputError, match=TEXT) as caught:
         read_bundle(folder)
-    assert time.process_time() - begun < 2
+    assert time.process_time() - begun < 10
     assert message in str(caught.value) or "Field required" in str(caught.value)
     assert len(str(caught.value)) < 1000
 
@@ -177,7 +177,7 @@ def test_a_replay_ends_soon_after_the_bundle_says_it_does(folder):
     begun = time.process_time()
     with pytest.raises(InputError, match=r"bundle\.json: the recipe.* has not come to its end after"):
         replay(read_bundle(folder))
-    assert time.process_time() - begun < 2
+    assert time.process_time() - begun < 10
 
 
 def test_times_that_are_not_those_of_the_replay_differ(folder):

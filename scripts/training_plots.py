@@ -13,6 +13,7 @@ SHOWN: Final = {
     "paper": ("curves.png", "profiles.png"),
     "random": ("curves.png",),
     "random_complex": ("curves.png",),
+    "designs": ("curves.png",),
 }
 FOLDER: Final = Path(__file__).parents[1] / "docs/training"
 

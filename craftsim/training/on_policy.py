@@ -93,7 +93,7 @@ class PPOLearner(Learner):
         (group,) = self.optimizer.param_groups
         group["lr"] = self.settings.rate(self.learnt)
         self.optimizer.step()
-        group["lr"] = self.settings.learning_rate
+        group["lr"] = self.settings.learning_rate  # what a checkpoint is checked against
 
     def state(self) -> dict[str, Any]:
         """Return weights and the optimiser's averages."""

@@ -1,5 +1,6 @@
 """What the benches of rules, environments and workers print is what they write, and Ray is measured where it is."""
 
+import multiprocessing
 import os
 from dataclasses import astuple
 
@@ -40,7 +41,7 @@ def test_the_tables_of_the_environments_are_printed_and_written(tmp_path):
     assert ratio in text
 
 
-def test_joint_steps_and_trials_are_handed_to_another_process_and_ray_may_be_missing(monkeypatch):
+def test_joint_steps_and_trials_are_timed_where_they_are_and_ray_may_be_missing(monkeypatch):
     for name, few in (("_TURNS", 1), ("_CALLS", 20), ("_FEW", 5), ("_MANY", 45)):
         monkeypatch.setattr(bench_handing, name, few)
     monkeypatch.setattr(bench_handing, "find_spec", lambda name: None)
@@ -48,6 +49,25 @@ def test_joint_steps_and_trials_are_handed_to_another_process_and_ray_may_be_mis
     assert list(found) == ["local"]
     # Differences of times, whose sign a machine with other work can turn where so little is timed.
     assert np.isfinite(astuple(found["local"])).all()
+
+
+def test_handing_over_costs_what_a_step_takes_longer_in_another_process_and_what_each_further_trial_takes(
+    monkeypatch,
+):
+    timed = []
+
+    def time_of(step):
+        step()
+        timed.append(step.__name__)
+        assert len(multiprocessing.active_children()) == 1
+        return {"step_there": (3.0, 7.0), "step_here": (1.0, 2.0)}[step.__name__]
+
+    monkeypatch.setattr(bench_handing, "_time", time_of)
+    monkeypatch.setattr(bench_handing, "_TURNS", 2)
+    monkeypatch.setattr(bench_handing, "of_nothing", lambda n, engine, cpu_s: 4.0 + 0.5 * n)
+    monkeypatch.setattr(bench_handing, "find_spec", lambda name: None)
+    assert hand_over(TASK) == {"local": HandingOver(2.0, 5.0, 0.5e6)}
+    assert timed == ["step_there", "step_here"] * 2
 
 
 def test_ray_is_measured_on_a_cluster_of_this_machine_alone_that_is_ended(alone, monkeypatch):

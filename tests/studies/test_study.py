@@ -76,7 +76,9 @@ def test_progress_says_how_far_each_run_is(tiny, tmp_path, monkeypatch):
 
 
 def _wait_for(text, said):
+    end = time.monotonic() + 60
     while text not in said.getvalue():
+        assert time.monotonic() < end, said.getvalue()
         time.sleep(0.01)
 
 

@@ -15,6 +15,7 @@ from craftsim.models.sensing import read_poses
 from craftsim.models.site import Site
 from craftsim.validation.contexts.context import DIRECTION_NAMES, Ground, Thing, Verb
 from craftsim.validation.contexts.survey import make_world, survey
+from craftsim.validation.contexts.worlds import ImpossibleError, check_car
 
 RULES = Rules("physical")
 SURVEY = survey()
@@ -29,6 +30,11 @@ def test_what_the_rules_forbid_is_kept_apart():
     assert not set(CONTEXTS) & set(SURVEY.illegal)
     on_slopes = {(context.verb, context.ground.half > 0) for context in SURVEY.illegal}
     assert (Verb("LIFT"), True) in on_slopes
+
+
+def test_what_no_world_can_show_is_refused_with_its_reason():
+    with pytest.raises(ImpossibleError, match="a load and what the car stands under would share a cell"):
+        check_car(next(ground for ground in Ground if not ground.half), Thing(Kind.BLOCK, 0), Kind.FLAG)
 
 
 def test_the_number_of_contexts_is_known():

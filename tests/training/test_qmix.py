@@ -1,0 +1,112 @@
+"""QMIX learns: its mixer begins at a scale at which it hears what the cars' values say."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torchrl.modules.models.multiagent import QMixer
+
+from craftsim.discrete.tasks import as_task
+from craftsim.training.config import TrainConfig
+from craftsim.training.networks import MASK, OBSERVATION, StateQMixer
+from craftsim.training.team_networks import JointNet, OthersNet
+from craftsim.training.trainer import Trainer
+
+START = """
+area_length: 3
+area_width: 2
+area_height: 2
+block_num: 2
+slope_num: 0
+smartcar_num: 2
+block: [{id: 0, x: 0, y: 0, z: 1}, {id: 1, x: 0, y: 1, z: 1}]
+smartcar: [{id: 0, x: 1, y: 0, z: 1, yaw: 0}, {id: 1, x: 1, y: 1, z: 1, yaw: 0}]
+"""
+GOAL = """
+block: [{id: 0, x: 2, y: 0, z: 1}, {id: 1, x: 2, y: 1, z: 1}]
+"""
+CASES = (("strip", "map"), ("complex_two_story", "map"), ("designs", "relative"))
+
+
+def _seen(task, network):
+    """Return the shape of a task's networks, and observations and masks of its first episodes, played at random."""
+    trainer = Trainer(TrainConfig(task, "qmix", worlds=10, network=network))
+    played = trainer.play(0)
+    return trainer.shape, *(played[key].flatten(0, 1) for key in (OBSERVATION, MASK))
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return {case: _seen(*case) for case in CASES}
+
+
+def _states(mixer, observation, mask):
+    with torch.no_grad():
+        return mixer.encoder(observation, mask).mean(-2).relu()
+
+
+def _share(mix, n_cars, *state):
+    """Return by how much the team's value changes with a car's, on average."""
+    chosen = torch.zeros(len(state[0]), n_cars, 1, requires_grad=True)
+    (slope,) = torch.autograd.grad(mix(chosen, *state).sum(), chosen)
+    return float(slope.mean())
+
+
+def test_it_learns_a_small_task(tmp_path):
+    """Two cars carry a block each to the other side of an area of 3 x 2 cells."""
+    (tmp_path / "two.yaml").write_text(START)
+    (tmp_path / "two_goal.yaml").write_text(GOAL)
+    task = replace(as_task(str(tmp_path / "two.yaml")), max_steps=12)
+    settings = {"epsilon_start": 0.7, "epsilon_end": 0.7, "learns_every": 64, "batch": 256}
+    trainer = Trainer(TrainConfig("two", "qmix", worlds=10, width=64, hyperparameters=settings), task=task)
+    list(trainer.run(16_000, until=1.0))
+    assert trainer.curve[-1].success == 1.0
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_table_of_the_state_begins_as_a_linear_layer_does(case, seen):
+    shape = seen[case][0]
+    torch.manual_seed(0)
+    table, layer = (
+        layer.weight.detach()
+        for layer in (StateQMixer(shape).encoder.table, torch.nn.Linear(shape.places, 2))
+    )
+    assert table.abs().max() <= shape.places**-0.5
+    assert float(table.std()) == pytest.approx(float(layer.std()), rel=0.02)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_team_s_value_rises_at_first_with_a_car_s_as_in_the_published_mixer(case, seen):
+    """There one or two linear layers make the weights, of a state whose numbers were divided by their largest."""
+    shape, observation, mask = seen[case]
+    n = shape.n_cars
+    torch.manual_seed(0)
+    ours = _share(StateQMixer(shape), n, observation, mask)
+    state, published = 0.3 * torch.randn(2000, 50), QMixer((50,), 32, n, "cpu")
+    single = _share(published, n, state)
+    for name, n_out in {"hyper_w_1": 32 * n, "hyper_w_final": 32}.items():
+        layers = torch.nn.Linear(50, 64), torch.nn.ReLU(), torch.nn.Linear(64, n_out)
+        setattr(published, name, torch.nn.Sequential(*layers))
+    double = _share(published, n, state)
+    assert double / 2 < ours < single
+
+
+def test_the_size_of_the_state_hardly_depends_on_how_many_things_there_are(seen):
+    torch.manual_seed(0)
+    sizes = []
+    for case in CASES[:2]:
+        shape, observation, mask = seen[case]
+        sizes.append(float(_states(StateQMixer(shape), observation, mask).square().mean().sqrt()))
+    few, many = sizes
+    assert many == pytest.approx(few, rel=0.1)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("kind", [JointNet, OthersNet])
+def test_other_networks_of_the_team_begin_with_values_close_to_zero(kind, case, seen):
+    shape, observation, mask = seen[case]
+    torch.manual_seed(0)
+    with torch.no_grad():
+        values = kind(shape)(observation, mask, mask.long().argmax(-1))
+    for of in values if isinstance(values, tuple) else [values]:
+        assert of.abs().max() < 0.1

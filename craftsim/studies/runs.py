@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict
@@ -27,9 +26,9 @@ def run_study(
 ) -> list[TrialRecord]:
     """Do all runs of a study and return a record of each, in the order of its runs.
 
-    A record's ``extra`` holds steps, CPU seconds, the learning curve and, by task, what evaluations
-    came to. A run that fails is a record with an error. Of a cut-off study what is finished is kept, and a run that was
-    under way goes on from its last evaluation.
+    A record's ``extra`` holds steps, CPU seconds of training in all calls that it took, the learning curve and, by
+    task, what evaluations came to. A run that fails is a record with an error. Of a cut-off study what is finished is
+    kept, and a run that was under way goes on from its last evaluation.
 
     Args:
         study: what to do.
@@ -76,7 +75,6 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
     config, place = run.config, folder / run.key
     place.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
-    begun = time.process_time()
     resumed = (place / RUN_FILE).exists()
     trainer = Trainer.resume(place, config=config) if resumed else Trainer(config)
     with closing(trainer):
@@ -86,7 +84,7 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
         trainer.save(place)
         extra: dict[str, Any] = {
             "steps": trainer.steps,
-            "cpu_s": round(time.process_time() - begun, 1),
+            "cpu_s": round(trainer.cpu_s, 1),
             "resumed": resumed,
             "curve": [asdict(point) for point in trainer.curve],
             "evaluations": {

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
 RUN_FILE: Final = "run.pt"
 FORMAT: Final = 5
-"""Raised whenever older files cannot be read any more."""
+RUN_FORMAT: Final = 6
+"""Of policies and of runs; raised whenever older files cannot be read any more."""
 TABLE: Final = "encoder.table.weight"
 
 T = TypeVar("T")
@@ -58,11 +59,15 @@ class RunHead:
     versions: dict[str, str]
     iteration: int
     wall_s: float
+    cpu_s: float
+    """Of training, in all calls that the run took; processes that hold worlds in physics aside."""
     curve: list[Point]
 
     def __post_init__(self) -> None:
-        if not 0 <= self.iteration < 2**60 or self.wall_s < 0:
-            raise InputError(f"iteration is {self.iteration} after {self.wall_s} s; allowed: 0 or more")
+        if not 0 <= self.iteration < 2**60 or self.wall_s < 0 or self.cpu_s < 0:
+            raise InputError(
+                f"iteration is {self.iteration} after {self.wall_s} s, {self.cpu_s} s of CPU; allowed: 0 or more"
+            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,7 +144,7 @@ def _save(path: Path, content: dict[str, Any]) -> None:
 
     with whole(path) as partial, partial.open("wb") as file:
         try:
-            torch.save({"craftsim": FORMAT, **content}, file)
+            torch.save({"craftsim": _FORMATS[content["kind"]], **content}, file)
         except RuntimeError as error:
             # Torch notices only that less was written than it wanted.
             if isinstance(error.__context__, OSError):
@@ -152,8 +157,8 @@ def _opened(path: Path, kind: str, limits: Limits) -> Iterator[dict[str, Any]]:
     with reading_archive(path, limits) as content:
         if not isinstance(content, dict) or content.pop("kind", None) != kind:
             raise InputError(f"{path}: not a {kind} file of 'craftsim train'; {_HINTS[kind]}")
-        if (found := content.pop("craftsim", None)) != FORMAT:
-            raise InputError(f"{path}: written in format {str(found)[:40]}, this version reads {FORMAT}")
+        if (found := content.pop("craftsim", None)) != (reads := _FORMATS[kind]):
+            raise InputError(f"{path}: written in format {str(found)[:40]}, this version reads {reads}")
         try:
             yield content
         except InputError as error:
@@ -183,6 +188,7 @@ def _head(kind: type[T], content: dict[str, Any]) -> T:
     return head
 
 
+_FORMATS: Final = {"policy": FORMAT, "run": RUN_FORMAT}
 _HINTS: Final = {
     "policy": f"a policy is in the run's folder, in {POLICY_FILE}",
     "run": f"a run goes on from its folder, which holds a {RUN_FILE}",

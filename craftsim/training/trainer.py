@@ -87,7 +87,7 @@ class Trainer:
         self._stages = [self._of_stage(name) for name in config.stages]
         self._made: tuple[int, GridEnv | PhysicsEnv] | None = None
         self.curve: list[Point] = []
-        self.wall_s = 0.0
+        self.wall_s = self.cpu_s = 0.0
         with torch.random.fork_rng():
             torch.manual_seed(config.seed)
             self.learner = make_learner(config, self.shape, self.task.max_steps + 2)
@@ -154,7 +154,7 @@ class Trainer:
         Yields after each iteration whether the curve has a new point. Ctrl-C takes effect between two iterations.
         """
         while self.steps < steps and not (self.curve and self.curve[-1].success >= until):
-            begun = time.perf_counter()
+            begun, cpu_begun = time.perf_counter(), time.process_time()
             with finishing_first():
                 self._iterate()
                 # What was imitated may be all that there is to learn.
@@ -164,6 +164,7 @@ class Trainer:
                     played = self.evaluate(EVALUATION_EPISODES[self.config.backend], _EVALUATION)
                     self.curve.append(Point(**asdict(played), steps=self.steps))
                 self.wall_s += time.perf_counter() - begun
+                self.cpu_s += time.process_time() - cpu_begun
             yield evaluates
 
     def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> Played:
@@ -217,7 +218,14 @@ class Trainer:
         save_policy(folder / POLICY_FILE, self.config, self.identity, self.shape, net, made_with)
         write_curve(folder / CURVE_FILE, self.curve)
         head = RunHead(
-            self.config, self.identity, self.starts, made_with, self.iteration, self.wall_s, self.curve
+            self.config,
+            self.identity,
+            self.starts,
+            made_with,
+            self.iteration,
+            self.wall_s,
+            self.cpu_s,
+            self.curve,
         )
         save_run(folder / RUN_FILE, head, self.learner.state(), self.novelty.counts)
 
@@ -257,7 +265,8 @@ class Trainer:
             counts = numbers(run.novelty, "novelty", trainer.novelty.counts, 0, 2**30)
             trainer.learner.restore(run.learner)
             trainer.novelty.counts = counts
-            trainer.iteration, trainer.wall_s = run.head.iteration, run.head.wall_s
+            trainer.iteration = run.head.iteration
+            trainer.wall_s, trainer.cpu_s = run.head.wall_s, run.head.cpu_s
             trainer.curve = run.head.curve
         return trainer
 

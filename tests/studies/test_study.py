@@ -48,12 +48,16 @@ def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
     ]
     assert {run["steps"] for run in whole["figures"]["runs"]} == {400}
     assert "IQM" in capsys.readouterr().out
-    first, _ = (out / "trials.jsonl").read_text().splitlines(keepends=True)
+    first, second = (out / "trials.jsonl").read_text().splitlines(keepends=True)
     (out / "trials.jsonl").write_text(first)
     assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 1
     again = json.loads((out / "report.json").read_text())
     assert again["figures"] == whole["figures"]
-    assert json.loads((out / "trials.jsonl").read_text().splitlines()[1])["extra"]["resumed"]
+    last = json.loads((out / "trials.jsonl").read_text().splitlines()[1])["extra"]
+    assert last["resumed"]
+    # Nothing was left to train: the time is that of the call that did.
+    assert last["cpu_s"] == json.loads(second)["extra"]["cpu_s"] > 0
+    assert again["wall"]["cpu_s"] == whole["wall"]["cpu_s"]
     tiny.write_text(TEXT.replace("seeds: 2", "seeds: 3"))
     assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 2
 

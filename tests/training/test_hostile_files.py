@@ -99,6 +99,8 @@ RUNS = {
     ),
     "a long curve": (("curve", [0] * 30_000), "30000 points"),
     "a count": (("iteration", "seven"), "key 'iteration'"),
+    "a time": (("cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
+    "an older file": (("craftsim", 5), "written in format 5, this version reads 6"),
     "a configuration": (("config", "width", 10**9), "width is 1000000000; allowed: 1 to 4096"),
     "novelty": (("novelty", torch.zeros(5)), "'novelty' is float32"),
 }  # fmt: skip

@@ -33,6 +33,39 @@ def test_the_stored_report_is_of_the_shipped_study(name):
     assert [run["key"] for run in report["figures"]["runs"]] == [run.key for run in study.runs]
 
 
+def _cpu_s(name):
+    report = json.loads((DOCS / f"training/{name}.json").read_text(encoding="utf-8"))
+    steps = {run["key"]: run["steps"] for run in report["figures"]["runs"]}
+    return {key: (steps[key], found) for key, found in report["wall"]["cpu_s"].items() if found is not None}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_no_time_is_that_of_a_call_that_had_nothing_left_to_train(name):
+    """The fastest runs learn 8,000 steps a second."""
+    for key, (steps, cpu_s) in _cpu_s(name).items():
+        assert cpu_s > steps / 20_000, key
+
+
+@pytest.mark.parametrize(
+    ("name", "task", "says", "unit_s"),
+    [
+        ("paper_ippo", "", "A run takes {} to {} s of CPU time", 1),
+        ("paper_ippo", "complex_two_story", "and {} to {} s on complex two-story", 1),
+        ("random", "", "A run takes {} to {} minutes of CPU time", 60),
+        ("random_complex", "", "One takes {} to {} minutes of CPU time, planning included", 60),
+        ("designs", "", "One takes {} to {} minutes of CPU time:", 60),
+    ],
+)
+def test_the_page_has_the_times_of_the_stored_report(name, task, says, unit_s):
+    page = (DOCS / "training.md").read_text(encoding="utf-8")
+    times = [
+        cpu_s
+        for key, (_, cpu_s) in _cpu_s(name).items()
+        if key.startswith(task) and (task or not key.startswith("complex_two_story"))
+    ]
+    assert says.format(round(min(times) / unit_s), round(max(times) / unit_s)) in page
+
+
 @pytest.mark.parametrize("name", EVALUATIONS)
 def test_the_page_has_what_each_stored_evaluation_holds(name):
     report = json.loads((DOCS / f"training/{name}.json").read_text(encoding="utf-8"))

@@ -66,6 +66,21 @@ def test_the_page_has_the_times_of_the_stored_report(name, task, says, unit_s):
     assert says.format(round(min(times) / unit_s), round(max(times) / unit_s)) in page
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_page_has_what_the_mixer_as_it_is_now_came_to(seed):
+    report = json.loads((DOCS / f"training/qmix_strip_{seed}.json").read_text(encoding="utf-8"))
+    config, found = report["config"], report["figures"]
+    assert (config["algo"], config["task"], config["seed"], config["steps"]) == (
+        "qmix",
+        "strip",
+        seed,
+        500_000,
+    )
+    assert (config["explore"], config["rules"], config["helper_depth"]) == (1_000_000, "published", 20)
+    line = f"| {seed} | {found['success']['rate']:.3f} | {found['steps'] // 1000} k |"
+    assert line in (DOCS / "training.md").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("name", EVALUATIONS)
 def test_the_page_has_what_each_stored_evaluation_holds(name):
     report = json.loads((DOCS / f"training/{name}.json").read_text(encoding="utf-8"))

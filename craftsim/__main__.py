@@ -2,6 +2,11 @@
 
 import sys
 
+from craftsim.modules import leave_out_working_folder
+
+if __name__ == "__main__":
+    leave_out_working_folder()
+
 from craftsim.cli import main
 
 if __name__ == "__main__":

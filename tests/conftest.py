@@ -1,10 +1,16 @@
-"""Find out once whether anything renders here, which tests of physics do not need; a Ray cluster."""
+"""Find out once whether anything renders here, which tests of physics do not need; processes; a Ray cluster."""
 
 import fcntl
+import signal
+import subprocess
 
 import pytest
 
 from craftsim.rendering.backend import RenderingUnavailable, choose_backend
+
+# What a shell runs in the background ignores Ctrl-C, and so does all that it starts; tests send it to what they start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 try:
     choose_backend()
@@ -18,6 +24,22 @@ def rendering() -> None:
     """Skip the test where nothing renders."""
     if _WHY_NOT:
         pytest.skip(_WHY_NOT)
+
+
+@pytest.fixture
+def start():
+    """Start processes as subprocess.Popen does; none is left, however the test ends."""
+    started = []
+
+    def popen(words, **options):
+        started.append(subprocess.Popen(words, **options))
+        return started[-1]
+
+    yield popen
+    for process in started:
+        process.kill()
+        with process:
+            pass
 
 
 @pytest.fixture

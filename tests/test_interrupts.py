@@ -1,18 +1,22 @@
-"""Ctrl-C is heard by the process that was started by hand, and by it alone."""
+"""Ctrl-C is heard by the process that a person started, and by it alone; not at all where it is ignored."""
 
 import os
 import signal
+import subprocess
+import sys
 import time
-from multiprocessing import get_context
+from pathlib import Path
 
-from craftsim.interrupts import kept_from_children
+import pytest
+
+from craftsim.interrupts import finishing_first
+from craftsim.processes import spawn_context
 from craftsim.rendering.processes import Shielded
 
 
 def test_a_process_that_still_imports_hears_of_no_interrupt():
-    process = get_context("spawn").Process(target=time.sleep, args=(0.0,))
-    with kept_from_children():
-        process.start()
+    process = spawn_context().Process(target=time.sleep, args=(0.0,))
+    process.start()
     os.kill(process.pid, signal.SIGINT)
     process.join()
     assert process.exitcode == 0
@@ -20,11 +24,61 @@ def test_a_process_that_still_imports_hears_of_no_interrupt():
 
 def test_whoever_starts_it_hears_as_before():
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    with kept_from_children():
-        assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    process = spawn_context().Process(target=int)
+    process.start()
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+    process.join()
 
 
 def test_processes_of_a_film_hear_of_no_interrupt():
-    with Shielded(1, get_context("spawn")) as processes:
+    with Shielded(1, spawn_context()) as processes:
         processes.submit(signal.raise_signal, signal.SIGINT).result()
+
+
+def test_where_an_interrupt_is_ignored_work_goes_on():
+    usual = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with finishing_first():
+            signal.raise_signal(signal.SIGINT)
+            assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, usual)
+
+
+def test_what_is_under_way_ends_before_an_interrupt_is_heard():
+    done = []
+
+    def interrupted():
+        with finishing_first():
+            signal.raise_signal(signal.SIGINT)
+            done.append(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert done
+
+
+def test_tests_in_the_background_of_a_shell_start_processes_that_hear_interrupts(tmp_path):
+    """A shell lets its background jobs, and so ``make test &``, ignore Ctrl-C; what they start would, too."""
+    test = tmp_path / "test_started.py"
+    asks = "import signal; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
+    test.write_text(
+        "import subprocess, sys\n"
+        "def test_it():\n"
+        f"    assert subprocess.check_output([sys.executable, '-c', {asks!r}]) == b'True\\n'\n"
+    )
+    conftest = Path(__file__).with_name("conftest.py")
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull]
+    shell = f"trap '' INT; exec {' '.join(words)} --confcutdir={conftest.parent} {test}"
+    done = subprocess.run(
+        ["sh", "-c", shell.replace(str(test), f"-p conftest {test}")],
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(conftest.parent), os.environ.get("PYTHONPATH", "")]),
+        },
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -12,6 +12,8 @@ PACKAGE = Path(craftsim.__file__).parent
 ALLOWED = {
     "errors": set(),
     "interrupts": set(),
+    "modules": set(),
+    "processes": set(),
     "storage": set(),
     "discrete": {"storage"},
     "designs": {"storage", "discrete"},
@@ -64,7 +66,10 @@ ALLOWED = {
     "cli": {"commands", "discrete", "storage"},
     "__main__": {"cli"},
 }
-"""What each room may import of ours, besides itself, errors, interrupts and the version; commands may import all."""
+"""What each room may import of ours, besides itself, the version and those of SHARED; commands may import all."""
+
+SHARED = {"errors", "interrupts", "modules", "processes"}
+"""What every room may import."""
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}
 
@@ -97,7 +102,7 @@ def _violations(module: str, source: str) -> list[str]:
         if top != "craftsim" or not inside or room == "commands":
             continue
         target = ".".join(inside)
-        allowed = ALLOWED[room] | {room, "errors", "interrupts", "__version__"}
+        allowed = ALLOWED[room] | SHARED | {room, "__version__"}
         if not any(target == entry or target.startswith(f"{entry}.") for entry in allowed):
             wrong.append(name)
     return wrong

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +18,7 @@ from craftsim.discrete.tasks import make_task
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import CraftsimError
+from craftsim.processes import spawn_context
 
 WORLDS: Final = 8
 """That workers share, and that memory is divided by."""
@@ -124,7 +124,7 @@ def _cpu_s(envs: PhysicsVectorEnv) -> list[float]:
 
 def mib_a_world(task: str, options: Mapping[str, Any]) -> float:
     """Return what each world beyond the first adds to the memory of a process that plays it, in MiB."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as process:
+    with ProcessPoolExecutor(1, spawn_context()) as process:
         return process.submit(_grown_mib, task, dict(options), WORLDS).result() / WORLDS
 
 

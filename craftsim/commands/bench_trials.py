@@ -92,7 +92,7 @@ def _first_step_s() -> float:
     """Return the CPU seconds of a process from its start to its first step, the rules having been compiled before."""
     for _ in range(2):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, "-c", _FIRST_STEP], check=True)
+        subprocess.run([sys.executable, "-P", "-c", _FIRST_STEP], check=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -56,8 +54,6 @@ def build(
     from craftsim.validation.builds import build_all, read_goal
     from craftsim.validation.runs.rebuilding import Rebuilding
 
-    # Workers find the modules of tasks where this process finds them.
-    sys.path.insert(0, os.getcwd())
     task = read_goal(start, goal)
     setup = campaign.setup()
     output_directory(out)

@@ -90,7 +90,8 @@ def _physics() -> Check:
     found = versions()["mujoco"]
     if found == _WRONG_MUJOCO:
         return Check(what, False, f"version {found} gives wrong contact physics", install)
-    child = subprocess.run([sys.executable, "-c", _FALLING_BALL], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-P", "-c", _FALLING_BALL]
+    child = subprocess.run(command, capture_output=True, text=True, check=False)
     if child.returncode == 0:
         return Check(what, True, f"{found}, a dropped ball comes to rest")
     reason = (child.stderr.strip().splitlines() or [f"exit status {child.returncode}"])[-1]

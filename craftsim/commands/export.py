@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -61,8 +59,6 @@ def export(
     from craftsim.validation.statistics.proportions import Proportion
 
     need_minari()
-    # Policies' modules are looked for in this folder, too.
-    sys.path.insert(0, os.getcwd())
     played = as_task(task)
     env = parallel_env(played, backend, rule_set=rules)
     player = policy if plan is None else "plan"

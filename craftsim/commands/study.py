@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -50,8 +48,6 @@ def study(
     from craftsim.studies.runs import run_study
     from craftsim.studies.study import read_study
 
-    # Workers find the modules of tasks where this process finds them.
-    sys.path.insert(0, os.getcwd())
     asked = read_study(what)
     folder, console, begun = output_directory(out), Terminal(), time.perf_counter()
     with watching(console, asked, folder) as on_record:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -81,8 +79,6 @@ def validate(
     output_directory(out)
     console = Terminal()
     filming = video != "none" and rendering_works(console)
-    # Workers find the modules of tasks and policies where this process finds them.
-    sys.path.insert(0, os.getcwd())
     result = validation.validate(
         worlds or TASK_NAMES,
         plan=plan,

@@ -7,7 +7,6 @@ import os
 import signal
 import threading
 from collections.abc import Iterable, Mapping, Sequence
-from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from queue import SimpleQueue
 from typing import Any
@@ -16,7 +15,7 @@ from gymnasium.vector.utils import CloudpickleWrapper
 
 from craftsim.envs.world_requests import Answer, Make, Request, perform
 from craftsim.errors import CraftsimError
-from craftsim.interrupts import kept_from_children
+from craftsim.processes import spawn_context
 
 
 def _serve(requests: Connection, answers: Connection, make: Make, worlds: Sequence[int]) -> None:
@@ -52,7 +51,7 @@ class WorldProcesses:
             workers: how many processes share them, at most one a world.
         """
         self.workers = workers
-        context, sent = get_context("spawn"), CloudpickleWrapper(make)
+        context, sent = spawn_context(), CloudpickleWrapper(make)
         self._workers = [_Worker(context, sent, range(i, n_worlds, workers)) for i in range(workers)]
         self._answers: dict[int, Answer] = {}
 
@@ -107,8 +106,7 @@ class _Worker:
         self.answers, there_answers = context.Pipe(duplex=False)
         arguments = (there_requests, there_answers, make, self.worlds)
         self.process = context.Process(target=_serve, args=arguments, daemon=True, name="craftsim-worlds")
-        with kept_from_children():
-            self.process.start()
+        self.process.start()
         # With this end closed here, the death of the process is the end of the file.
         there_requests.close()
         there_answers.close()

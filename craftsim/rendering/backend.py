@@ -53,7 +53,7 @@ def failure(backend: str) -> str | None:
     """
     try:
         child = subprocess.run(
-            [sys.executable, "-c", _ONE_FRAME],
+            [sys.executable, "-P", "-c", _ONE_FRAME],
             env={**_without_choice(), "MUJOCO_GL": backend},
             capture_output=True,
             text=True,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -13,7 +12,8 @@ from multiprocessing.synchronize import Event
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
-from craftsim.interrupts import finishing_first, kept_from_children
+from craftsim.interrupts import finishing_first
+from craftsim.processes import spawn_context
 from craftsim.rendering.frames import Frames, Look
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.rendering.video import Frame
@@ -24,8 +24,6 @@ _BATCH: Final = 8
 """Frames that a process makes at once."""
 _AHEAD: Final = 2
 """Batches that each process may be ahead: frames wait in memory until the film has come to them."""
-
-_SPAWN: Final = multiprocessing.get_context("spawn")
 
 _frames: Frames | None = None
 """Of a worker process."""
@@ -48,7 +46,7 @@ def spread(function: Callable[[Job], None], jobs: Sequence[Job], workers: int = 
     if workers == 1 or len(jobs) < 2:
         yield from map(function, jobs)
         return
-    pool = Shielded(min(workers, len(jobs)), _SPAWN, _share, (_threads(workers),))
+    pool = Shielded(min(workers, len(jobs)), spawn_context(), _share, (_threads(workers),))
     try:
         for done in as_completed([pool.submit(function, job) for job in jobs]):
             yield done.result()
@@ -63,8 +61,11 @@ class FrameProcesses:
         """Start the processes; each rasterizes in so many threads, its share of the processors unless given."""
         self._workers = workers
         # A copy has no compiled model, which would be sent along.
-        copy, self._over = replace(trajectory), _SPAWN.Event()
-        self._pool = Shielded(workers, _SPAWN, _begin, (threads or _threads(workers), copy, look, self._over))
+        copy, context = replace(trajectory), spawn_context()
+        self._over = context.Event()
+        self._pool = Shielded(
+            workers, context, _begin, (threads or _threads(workers), copy, look, self._over)
+        )
 
     def wait(self) -> None:
         """Wait until all have begun."""
@@ -96,7 +97,7 @@ class Shielded(ProcessPoolExecutor):
     def submit(self, *arguments: Any, **named: Any) -> Future[Any]:
         """Have a function called, as with any executor."""
         # In the midst of it, a Ctrl-C would leave a process behind of which nobody knows.
-        with finishing_first(), kept_from_children():
+        with finishing_first():
             return super().submit(*arguments, **named)
 
 

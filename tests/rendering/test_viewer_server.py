@@ -2,10 +2,11 @@
 
 import signal
 import socket
-import subprocess
 import sys
 import urllib.request
+from functools import partial
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
@@ -59,11 +60,21 @@ def test_what_cannot_be_watched_is_named(what: str, tmp_path: Path, monkeypatch:
     assert what in capsys.readouterr().err
 
 
-def test_ctrl_c_ends_it_well(run: Trajectory, tmp_path: Path):
+@pytest.mark.parametrize(
+    ("ignored", "number", "status"),
+    [
+        (False, signal.SIGINT, 0),
+        (False, signal.SIGTERM, -signal.SIGTERM),
+        (True, signal.SIGTERM, -signal.SIGTERM),
+    ],
+)
+def test_a_signal_ends_it_well(run: Trajectory, tmp_path: Path, start, ignored, number, status):
     file = run.write(tmp_path / "run.npz")
     command = [sys.executable, "-m", "craftsim", "view", str(file), "--port", "0"]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # As what a shell runs in the background.
+    before = partial(signal.signal, signal.SIGINT, signal.SIG_IGN) if ignored else None
+    child = start(command, stdout=PIPE, stderr=PIPE, text=True, preexec_fn=before)
     assert "Watch at http://127.0.0.1:" in child.stdout.readline()
-    child.send_signal(signal.SIGINT)
+    child.send_signal(number)
     out, errors = child.communicate(timeout=60)
-    assert (child.returncode, out, errors) == (0, "", "")
+    assert (child.returncode, out, errors) == (status, "", "")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +14,7 @@ from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
 from craftsim.discrete.tasks.task_files import read_task
 from craftsim.discrete.tasks.varied import DESIGNS
 from craftsim.errors import CraftsimError, InputError, suggestion
+from craftsim.modules import import_own, place_of
 
 VARIED_NAMES: Final = (*RANDOM_NAMES, DESIGNS)
 """The tasks whose episodes differ."""
@@ -145,18 +145,17 @@ def _made(text: str) -> Task:
     dotted = name.split(".") + attribute.split(".")
     if not all(part.isidentifier() for part in dotted):
         raise InputError(f"task '{text}': must be module:factory, such as mypackage.tasks:corner")
-    if (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(here)
     try:
-        found: Any = importlib.import_module(name)
+        module = import_own(name)
     except _ANYTHING as error:
         raise InputError(
             f"task '{text}': module '{name}' cannot be imported: {type(error).__name__}: {error}"
         ) from error
+    found: Any = module
     for part in attribute.split("."):
         if not hasattr(found, part):
             hint = suggestion(part, [word for word in dir(found) if not word.startswith("_")])
-            raise InputError(f"task '{text}': '{name}' has no '{attribute}'{hint}")
+            raise InputError(f"task '{text}': '{name}' ({place_of(module)}) has no '{attribute}'{hint}")
         found = getattr(found, part)
     if isinstance(found, Task):
         return found

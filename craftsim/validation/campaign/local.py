@@ -7,11 +7,11 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import CancelledError
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context, parent_process
+from multiprocessing import parent_process
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
-from craftsim.interrupts import kept_from_children
+from craftsim.processes import spawn_context
 from craftsim.validation.campaign.distribute import WorkerDiedError
 from craftsim.validation.campaign.items import Answer, Item, Work, perform
 
@@ -51,9 +51,8 @@ class LocalWorker:
                 raise WorkerDiedError
             if self._pool is None:
                 # A pool of one: in a larger one all wait for the locks of one that is killed.
-                self._pool = ProcessPool(1, initializer=_end_with_parent, context=get_context("spawn"))
-            with kept_from_children():
-                self._running = self._pool.schedule(perform, (self._work, jobs), timeout=timeout_s)
+                self._pool = ProcessPool(1, initializer=_end_with_parent, context=spawn_context())
+            self._running = self._pool.schedule(perform, (self._work, jobs), timeout=timeout_s)
             return self._running
 
     def _stop(self) -> None:

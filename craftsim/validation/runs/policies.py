@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import signal
 import sys
 import textwrap
@@ -24,6 +23,7 @@ from craftsim.envs.actions import by_agent, checked
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
+from craftsim.modules import import_own, place_of
 from craftsim.storage.limits import POLICY
 from craftsim.storage.reading import read_bytes
 from craftsim.training.policy import load_policy, policy_file, shipped_policies
@@ -155,11 +155,13 @@ def _function(name: str) -> Policy:
     if not all(part.isidentifier() for part in (*module.split("."), function)):
         raise InputError(f"policy '{name}': must be module:function, such as mypackage.policies:greedy")
     try:
-        found = getattr(importlib.import_module(module), function)
+        found = getattr(loaded := import_own(module), function)
     except AttributeError as error:
         if error.name != function:
             raise InputError(f"policy '{name}': the module cannot be imported: {error}") from error
-        raise InputError(f"policy '{name}': the module {module} has no '{function}'") from None
+        raise InputError(
+            f"policy '{name}': the module {module} ({place_of(loaded)}) has no '{function}'"
+        ) from None
     except ModuleNotFoundError as error:
         raise InputError(
             f"policy '{name}': {error}; modules are looked for in this folder too; allowed: {known}"

@@ -54,7 +54,7 @@ def test_a_changed_module_has_another_digest(module, tmp_path):
     [
         ("rendom", "no policy 'rendom': there is no such file; allowed: 'random'"),
         ("no_such_module:f", "No module named 'no_such_module'"),
-        ("own_policy:go", "the module own_policy has no 'go'"),
+        ("own_policy:go", r"own_policy\.py\) has no 'go'"),
         ("own_policy:N", "is a int, not a function"),
         ("own_policy:", "must be module:function"),
         ("own_policy:stop.x", "must be module:function"),

@@ -1,0 +1,33 @@
+"""Where modules are looked for: those that ``module:name`` stands for in the working folder too, nothing else there."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from contextlib import suppress
+from pathlib import Path
+from types import ModuleType
+
+
+def import_own(name: str) -> ModuleType:
+    """Import a module by its name: Python's own come first, then installed ones, the working folder last.
+
+    Processes that are started afterwards look for modules there, too. Raises what the import raises.
+    """
+    with suppress(FileNotFoundError):  # a working folder that is gone has no modules
+        if (here := os.getcwd()) not in sys.path:
+            sys.path.append(here)
+    return importlib.import_module(name)
+
+
+def place_of(module: ModuleType) -> str:
+    """Return where a module comes from: one of the working folder may have the name of an installed one."""
+    return getattr(module, "__file__", None) or "a part of Python"
+
+
+def leave_out_working_folder() -> None:
+    """Forget the working folder, where ``python -m`` looks for modules first, unless craftsim itself is run from it."""
+    with suppress(FileNotFoundError):
+        if os.getcwd() == sys.path[0] != str(Path(__file__).parents[1]):
+            del sys.path[0]

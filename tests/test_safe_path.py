@@ -1,0 +1,156 @@
+"""No file that merely lies in the working folder is imported, by commands, their workers, or anything they start."""
+
+import ast
+import os
+import subprocess
+import sys
+from importlib.machinery import PathFinder
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+import craftsim
+from craftsim.modules import import_own
+from craftsim.processes import spawn_context
+
+PACKAGE = Path(craftsim.__file__).parent
+CRAFTSIM = [str(Path(sys.executable).with_name("craftsim"))]
+MODULES = {
+    name
+    for name in {*sys.stdlib_module_names, *packages_distributions()} - {"craftsim"}
+    if name.isidentifier() and (spec := PathFinder.find_spec(name)) is not None and spec.origin is not None
+}
+"""Those that are there; a folder without an __init__.py comes after all else, wherever it lies."""
+PLANTED = "import sys\nwith open({!r}, 'a') as file:\n    print(__name__, sys.argv, file=file)\nraise SystemExit(9)\n"
+POLICY = "def stop(observations):\n    return dict.fromkeys(observations, 14)\n"
+SCRIPT = """\
+import numpy as np
+from craftsim import make_task, vector_env
+
+def look(site):
+    site.seen = True
+
+if __name__ == "__main__":
+    envs = vector_env(make_task("strip"), 2, "physics", drive="reduced", workers=2, observers=[look])
+    envs.reset(seed=0)
+    envs.close()
+    print("played")
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A working folder with a module for every one of Python and of what is installed; each says when it is run."""
+    ran = tmp_path / "ran"
+    here = tmp_path / "here"
+    here.mkdir()
+    for name in MODULES:
+        (here / f"{name}.py").write_text(PLANTED.format(str(ran)))
+    (here / "own.py").write_text(POLICY)
+    return here
+
+
+def _run(folder, *words, cwd=None):
+    done = subprocess.run(
+        [str(word) for word in words],
+        cwd=cwd or folder,
+        env={**os.environ, "PYTHONPATH": str(PACKAGE.parent)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    ran = folder.with_name("ran")
+    assert not ran.exists(), ran.read_text()
+    return done
+
+
+VALIDATE = ("validate", "strip", "--policy", "own:stop", "--max-steps", "1", "--trials", "2")
+"""Workers of a campaign, with a policy of the folder, and of films, where those can be made."""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (*VALIDATE, "--workers", "2", "--video", "all", "--out", "out"),
+        ("export", "strip", "--policy", "own:stop", "--episodes", "1", "--out", "{folder}/out"),
+        ("train", "--steps", "1", "--episodes", "1", "--worlds", "2", "--out", "out"),
+        ("doctor",),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_command_runs_nothing_that_lies_in_the_working_folder(folder, words):
+    done = _run(folder, *CRAFTSIM, *(word.format(folder=folder) for word in words))
+    assert done.returncode == 0, done.stderr
+
+
+def test_started_with_m_it_looks_there_for_nothing_either(folder):
+    # What craftsim's first line imports, Python has looked up before anything of ours runs.
+    for name in ("ast", "inspect", "lazy_loader"):
+        (folder / f"{name}.py").unlink()
+    words = (sys.executable, "-m", "craftsim", *VALIDATE, "--workers", "2", "--video", "none", "--out", "out")
+    done = _run(folder, *words)
+    assert done.returncode == 0, done.stderr
+
+
+def test_processes_find_the_functions_of_a_script_and_nothing_of_the_working_folder(folder, tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    assert _run(folder, sys.executable, script).stdout == "played\n"
+
+
+def test_a_module_of_python_or_an_installed_one_comes_before_one_of_the_working_folder(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    for name in ("this_is_own", "pettingzoo", "wave"):
+        (folder / f"{name}.py").write_text("mine = True\n")
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    found = {name: hasattr(import_own(name), "mine") for name in ("this_is_own", "pettingzoo", "wave")}
+    assert found == {"this_is_own": True, "pettingzoo": False, "wave": False}
+
+
+def test_a_process_leaves_the_environment_as_it_was(monkeypatch):
+    for value in (None, ""):
+        if value is None:
+            monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+        else:
+            monkeypatch.setenv("PYTHONSAFEPATH", value)
+        context = spawn_context()
+        answer = context.SimpleQueue()
+        process = context.Process(target=_say_it, args=(answer,))
+        process.start()
+        assert os.environ.get("PYTHONSAFEPATH") == answer.get() == value
+        process.join()
+
+
+def _say_it(answer):
+    answer.put(os.environ.get("PYTHONSAFEPATH"))
+
+
+def _names(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute | ast.Name):
+            yield ast.unparse(node)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def test_processes_are_started_in_one_way():
+    """All by the context of processes.py, or with -P; and one module alone adds the working folder to the path."""
+    for path in PACKAGE.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        names, place = set(_names(tree)), str(path.relative_to(PACKAGE))
+        assert not names & {
+            "multiprocessing.get_context",
+            "get_context",
+            "os.fork",
+            "os.execv",
+            "os.system",
+        }, place
+        pools = names & {"ProcessPoolExecutor", "ProcessPool", "Shielded"}
+        assert not pools or "spawn_context" in names or place == "rendering/processes.py", place
+        assert "SpawnContext" not in names or place == "processes.py", place
+        for node in ast.walk(tree):
+            if isinstance(node, ast.List) and node.elts and ast.unparse(node.elts[0]) == "sys.executable":
+                assert ast.unparse(node.elts[1]) == "'-P'", place
+        assert not names & {"sys.path.insert", "sys.path.append"} or place == "modules.py", place

@@ -29,6 +29,8 @@ print(craftsim.__file__)
 """
 
 
+PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check")
+
 OUTSIDE = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
 """The environment without a trace of the checkout; pip would take a craftsim on PYTHONPATH for an installed one."""
 
@@ -41,18 +43,23 @@ def _run(*words: object, cwd: Path | None = None) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """Build the wheel from a copy of what a checkout holds after use, caches included."""
-    folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"
+def source(tmp_path_factory):
+    """Return a copy of what a checkout holds after use, caches included."""
+    source = tmp_path_factory.mktemp("wheel") / "source"
     shutil.copytree(PACKAGE, source / "craftsim")
     for part in ("data", "mjcf"):
         (source / "craftsim" / part / "__pycache__").mkdir(exist_ok=True)
         (source / "craftsim" / part / "__pycache__" / "left.pyc").touch()
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
-    _run(*pip, "wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder, source)
+    return source
+
+
+@pytest.fixture(scope="module")
+def wheel(source):
+    """Build the wheel."""
+    folder = source.parent
+    _run(*PIP, "wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder, source)
     (path,) = folder.glob("*.whl")
     return path
 
@@ -60,15 +67,20 @@ def wheel(tmp_path_factory):
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
     """Install the wheel into an environment of its own, which borrows the dependencies of this one."""
-    venv = tmp_path_factory.mktemp("installed") / "venv"
+    python, _ = _environment(tmp_path_factory.mktemp("installed") / "venv")
+    _run(*PIP, "--python", python, "install", "--no-deps", "--no-index", wheel)
+    return python.parent
+
+
+def _environment(venv):
+    """Make an environment that borrows the dependencies of this one; return its Python and its folder of packages."""
     _run(sys.executable, "-m", "venv", "--without-pip", venv)
-    bin_folder, python = venv / "bin", venv / "bin" / "python"
-    _run(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel)
+    python = venv / "bin" / "python"
     site = Path(_run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
     # Folders named in a .pth file come last, and their own .pth files, an editable craftsim, are not read.
     paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
     (site / "dependencies.pth").write_text("".join(f"{path}\n" for path in sorted(paths)))
-    return bin_folder
+    return python, site
 
 
 @pytest.fixture
@@ -104,3 +116,25 @@ def test_a_shipped_world_is_shown(run):
 def test_a_car_moves_in_physics(run, installed):
     loaded_from = Path(run("python", "-c", ACTION).strip())
     assert loaded_from.is_relative_to(installed.parent)
+
+
+@pytest.mark.parametrize("options", [["--editable"], []], ids=["editable", "copy"])
+def test_it_works_where_an_older_copy_left_cache_files_behind(source, tmp_path, options):
+    python, site = _environment(tmp_path / "venv")
+    # Files that pip did not install survive "pip uninstall" and what "pip install" does before it installs.
+    (site / "craftsim" / "discrete" / "__pycache__").mkdir(parents=True)
+    (site / "craftsim" / "discrete" / "__pycache__" / "grid.legal-1.py311.nbi").touch()
+    _run(
+        *PIP,
+        "--python",
+        python,
+        "install",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+        *options,
+        source,
+    )
+    assert _run(python.with_name("craftsim"), "--version", cwd=tmp_path) == f"craftsim {VERSION}\n"
+    place = _run(python, "-c", "import craftsim; print(craftsim.__file__)", cwd=tmp_path).strip()
+    assert Path(place).is_relative_to(source if options else site)

@@ -19,10 +19,7 @@ from craftsim.commands.bench_campaign import of_nothing
 from craftsim.discrete.actions import Action
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.physics_vector import EngineName, PhysicsVectorEnv
-
-NO_RAY: Final = (
-    "Ray is not installed, so its actors are not measured: pip install '.[ray]' in a checkout of craftsim."
-)
+from craftsim.envs.ray_connection import initialise
 
 _TURNS: Final = 5
 _CALLS: Final = 100
@@ -117,9 +114,7 @@ def _local_cluster() -> Iterator[None]:
     kept = {name: os.environ.get(name) for name in ("RAY_ADDRESS", "RAY_USAGE_STATS_ENABLED")}
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     try:
-        ray.init(
-            "local", num_cpus=1, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR
-        )
+        initialise(ray, "local", num_cpus=1, include_dashboard=False, logging_level=logging.ERROR)
         os.environ["RAY_ADDRESS"] = ray.get_runtime_context().gcs_address
         yield
     finally:

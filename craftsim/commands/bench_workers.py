@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from craftsim.commands.bench_campaign import cost_of_a_trial
-from craftsim.commands.bench_handing import NO_RAY, hand_over
+from craftsim.commands.bench_handing import hand_over
 from craftsim.errors import CraftsimError
+from craftsim.extras import install
 from craftsim.validation.validation import validate
 
 if TYPE_CHECKING:
@@ -55,7 +56,8 @@ def bench_workers(console: Console, task: str, runs: int, seed: int) -> dict[str
             soft_wrap=True,
         )
     if "ray" not in handed:
-        console.print(NO_RAY, soft_wrap=True)
+        text = f"Ray is not installed, so its actors are not measured; try: {install('ray')}"
+        console.print(text, soft_wrap=True, markup=False)
     return {
         "one_worker_s": seconds[0],
         "two_workers_s": seconds[1],

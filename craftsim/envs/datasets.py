@@ -7,7 +7,6 @@ import shutil
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,6 +18,7 @@ from craftsim.envs.options import Options
 from craftsim.envs.parallel import Observation, ParallelConstruction
 from craftsim.envs.spaces import central_space, joint_action_space
 from craftsim.errors import InputError
+from craftsim.extras import need
 from craftsim.report import output_directory
 from craftsim.storage.limits import SEED
 
@@ -48,12 +48,7 @@ class Exported:
 
 def need_minari() -> None:
     """Raise InputError with the command that installs what is missing."""
-    missing = [name for name in ("minari", "h5py") if find_spec(name) is None]
-    if missing:
-        raise InputError(
-            f"datasets need {' and '.join(missing)}, not installed here; in a checkout of craftsim try: "
-            "pip install '.[minari]'"
-        )
+    need("minari", "datasets need", "minari", "h5py")
 
 
 def write_dataset(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.envs.backend import MOTION_FPS
 from craftsim.errors import InputError
+from craftsim.extras import install
 from craftsim.rendering.images import camera_number
 from craftsim.rendering.renderer import make_renderer
 
@@ -84,8 +85,8 @@ class Pictures:
         if self._viewer is None:
             if not has_display():
                 raise InputError(
-                    "render_mode 'human' needs a display, or the viewer in the browser (pip install '.[view]' in a "
-                    "checkout of craftsim), and there is neither here; try 'rgb_array' or 'ansi'"
+                    "render_mode 'human' needs a display, or the viewer in the browser, and there is neither here; try "
+                    f"'rgb_array' or 'ansi', or {install('view')}"
                 )
             import mujoco.viewer
 

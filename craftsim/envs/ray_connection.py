@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 import os
 import socket
+from contextlib import chdir
 from typing import Any, Final
 from urllib.parse import urlsplit
 
 from craftsim.errors import InputError
+from craftsim.extras import need
 
 REACH_S: Final = 5.0
 """How long a cluster may take to answer at its address."""
@@ -25,16 +27,13 @@ def connect(hint: str) -> tuple[Any, str]:
     Raises:
         InputError: Ray is not installed, or there is no cluster, at the address that is given for instance.
     """
-    try:
-        import ray
-    except ImportError:
-        raise InputError(
-            "the engine 'ray' needs Ray: pip install '.[ray]' in a checkout of craftsim"
-        ) from None
+    need("ray", "the engine 'ray' needs", "ray")
+    import ray
+
     if not ray.is_initialized():
         try:
             check_reachable(_address(), hint)
-            ray.init(address="auto", log_to_driver=False, logging_level=logging.WARNING)
+            initialise(ray, "auto", logging_level=logging.WARNING)
         except (ConnectionError, ray.exceptions.RayError) as error:
             raise InputError(
                 f"no Ray cluster ({str(error).splitlines()[0]}); start one with 'ray start --head', or give the "
@@ -42,6 +41,13 @@ def connect(hint: str) -> tuple[Any, str]:
             ) from error
     head = _address()
     return ray, head if head.startswith("ray://") else ray.get_runtime_context().gcs_address
+
+
+def initialise(ray: Any, address: str, **options: Any) -> None:
+    """Have Ray connect to a cluster, or start one; its processes do not look for modules in the working folder."""
+    # They would in the folder in which this happens, and first.
+    with chdir("/"):
+        ray.init(address, log_to_driver=False, **options)
 
 
 def processors(ray: Any) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 
 from craftsim.discrete.files.documents import Mapping, Scalar, Source, describe, parse_keys, read_text
 from craftsim.errors import InputError
+from craftsim.extras import need
 from craftsim.logs.log import GROUPS, LONGEST_GAP, TIME, Floats, Log, interpolated
 from craftsim.models.parts import WHEELS
 from craftsim.storage.limits import BAG, BAG_MESSAGES, MIB, size_text
@@ -24,7 +25,6 @@ from craftsim.storage.reading import open_file
 POSES: Final = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
 JOINTS: Final = "sensor_msgs/msg/JointState"
 NUMBERS: Final = "std_msgs/msg/Float64MultiArray"
-MISSING: Final = "reading ROS 2 bags needs the extra 'ros2': pip install 'craftsim[ros2]'"
 
 _RECORD_BYTES: Final = 64 * MIB
 """Of one record, a chunk of messages."""
@@ -78,11 +78,10 @@ def read_bag(path: Path, topics: Path | None = None) -> Log:
     and where the extra ``ros2`` is not installed.
     """
     names = Topics() if topics is None else read_topics(topics)
-    try:
-        from mcap.reader import SeekingReader
-        from mcap_ros2.decoder import DecoderFactory
-    except ImportError as error:
-        raise InputError(MISSING) from error
+    need("ros2", "reading ROS 2 bags needs", "mcap", "mcap_ros2")
+    from mcap.reader import SeekingReader
+    from mcap_ros2.decoder import DecoderFactory
+
     with open_file(path, BAG) as file:
         try:
             reader = SeekingReader(file, True, [DecoderFactory()], record_size_limit=_RECORD_BYTES)

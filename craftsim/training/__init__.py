@@ -1,1 +1,1 @@
-"""Training cars on the grid world with TorchRL; needs the extra ``train``: ``pip install '.[train]'`` in a checkout."""
+"""Training cars on the grid world with TorchRL; needs the extra ``train``."""

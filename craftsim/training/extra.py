@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import os
-from importlib.util import find_spec
 from typing import Final
 
-from craftsim.errors import InputError
+from craftsim.extras import need
 
 PACKAGES: Final = ("torch", "tensordict", "torchrl")
 
 
 def need_torch() -> None:
     """Raise InputError with the command that installs what is missing."""
-    missing = [name for name in PACKAGES if find_spec(name) is None]
-    if missing:
-        raise InputError(
-            f"training needs {', '.join(missing)}, not installed here; in a checkout of craftsim try: "
-            "pip install '.[train]' (a CPU build of torch is enough: pip install torch --index-url https://download.pytorch.org/whl/cpu)"
-        )
+    cpu = "pip install torch --index-url https://download.pytorch.org/whl/cpu"
+    need("train", "training needs", *PACKAGES, remark=f" (a CPU build of torch is enough: {cpu})")
     # TorchRL says on standard output what it allocates, unless it is asked not to before it is imported.
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")

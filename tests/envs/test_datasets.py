@@ -109,6 +109,6 @@ def test_the_command_writes_what_loads_and_overwrites_nothing(folder, capsys):
 
 
 def test_without_minari_the_command_says_how_to_get_it(folder, capsys, monkeypatch):
-    monkeypatch.setattr("craftsim.envs.datasets.find_spec", lambda name: None)
+    monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None)
     assert main(["export", "strip", "--out", str(folder)]) == 2
-    assert "pip install '.[minari]'" in capsys.readouterr().err
+    assert "-m pip install 'minari[hdf5]>=" in capsys.readouterr().err

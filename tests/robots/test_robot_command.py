@@ -84,10 +84,10 @@ def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys):
     assert served_figures["stopped_at_s"] == []
 
 
-def test_robots_and_who_drives_them_outlive_each_other(tmp_path):
+def test_robots_and_who_drives_them_outlive_each_other(tmp_path, start):
     with served(tmp_path, "--lockstep", "--patience-s", "3") as (process, address):
         words = [sys.executable, "-c", DRIVE.format(address=address)]
-        driver = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        driver = start(words, stdout=subprocess.PIPE, text=True)
         assert driver.stdout.readline() == "acting\n"
         asleep = stop_of(process)
         driver.send_signal(signal.SIGCONT)

@@ -47,6 +47,6 @@ def test_a_generation_has_its_number_of_candidates():
 
 
 def test_without_its_library_the_message_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(search, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"tuning needs cma, not installed here; .*pip install '\.\[tune\]'"):
+    monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"tuning needs cma, not installed here; .*-m pip install 'cma>="):
         search.need_cma()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import Final
 
-from craftsim.errors import InputError
+from craftsim.extras import need
 
 LOOPBACK: Final = "127.0.0.1"
 """The address that only this machine reaches."""
@@ -19,7 +19,4 @@ def has_viser() -> bool:
 
 def need_viser() -> None:
     """Raise InputError with the command that installs what is missing."""
-    if not has_viser():
-        raise InputError(
-            "the viewer needs viser, not installed here; in a checkout of craftsim try: pip install '.[view]'"
-        )
+    need("view", "the viewer needs", "viser")

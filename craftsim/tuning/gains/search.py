@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.util import find_spec
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.errors import InputError
+from craftsim.extras import need
 
 FIRST_STEP: Final = 0.25
 """Standard deviation of the first candidates, in positions of knobs: a factor of 1.7."""
@@ -19,10 +18,7 @@ NEXT_STEP: Final = 0.12
 
 def need_cma() -> None:
     """Raise InputError with the command that installs what is missing."""
-    if find_spec("cma") is None:
-        raise InputError(
-            "tuning needs cma, not installed here; in a checkout of craftsim try: pip install '.[tune]'"
-        )
+    need("tune", "tuning needs", "cma")
 
 
 def population(n: int) -> int:

@@ -55,7 +55,8 @@ def compiled(function: F) -> F:
     if dispatcher is function:
         return function
     try:
-        dispatcher.enable_caching()
+        with _cache_of_the_environment():
+            dispatcher.enable_caching()
         cache_file = dispatcher._cache._cache_file
         # Read before anything else of a cache file: what an older craftsim left there may not even unpickle.
         room = function.__module__.partition(".")[2].partition(".")[0]
@@ -64,6 +65,23 @@ def compiled(function: F) -> F:
     except (AttributeError, RuntimeError):
         dispatcher = numba.njit(function, **_OPTIONS)
     return cast(F, dispatcher)
+
+
+@contextmanager
+def _cache_of_the_environment() -> Iterator[None]:
+    """Let the environment alone say where the cache is.
+
+    Numba heeds the file .numba_config.yaml of the working folder, too, and it unpickles what it finds in a cache.
+    """
+    names = [name for name in ("CACHE_DIR", "CACHE_LOCATOR_CLASSES") if hasattr(numba.config, name)]
+    usual = {name: getattr(numba.config, name) for name in names}
+    for name in names:
+        setattr(numba.config, name, os.environ.get(f"NUMBA_{name}", ""))
+    try:
+        yield
+    finally:
+        for name in names:
+            setattr(numba.config, name, usual[name])
 
 
 def _one_process_at_a_time(dispatcher: Any, index: Path) -> None:

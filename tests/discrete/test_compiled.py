@@ -1,5 +1,6 @@
 """Compiled functions are cached by all sources together, and do not hold on to the arrays they are given."""
 
+import os
 import subprocess
 import sys
 import weakref
@@ -67,6 +68,24 @@ def test_of_many_processes_one_compiles_and_the_others_read_what_it_left(tmp_pat
     ]
     told = sorted(process.communicate(timeout=60)[0].split() for process in processes)
     assert told == [["3", "0", "0"], ["3", "0", "0"], ["3", "1", "1"]]
+
+
+@needs_compiler
+@pytest.mark.parametrize("named", [False, True])
+def test_a_file_of_the_working_folder_does_not_say_where_the_cache_is(tmp_path, named):
+    """What is in a cache is unpickled, which runs code."""
+    (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {tmp_path / 'planted'}\n")
+    (tmp_path / "own.py").write_text(
+        "from craftsim.discrete.compiled import compiled\n@compiled\ndef more(number): return number + 1\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    if named:
+        environment["NUMBA_CACHE_DIR"] = str(tmp_path / "named")
+    words = [sys.executable, "-c", "import own; print(own.more(1))"]
+    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout == "2\n"
+    assert not (tmp_path / "planted").exists()
+    assert (tmp_path / "named").exists() == named
 
 
 @pytest.mark.parametrize("rule_set", ["published", "physical"])

@@ -13,6 +13,7 @@ from craftsim.errors import InputError
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import Machines
 from craftsim.models.site import Site
+from craftsim.robots.area import Area
 from craftsim.robots.link import TIMEOUT_S, Link
 from craftsim.robots.mirror import Mirror
 from craftsim.robots.sockets import Caller
@@ -47,16 +48,23 @@ class Connection:
 
         Raises InputError where they do not answer or refuse, or where no referee shows their world.
         """
-        address = address if "://" in address else f"tcp://{address}"
         self._callers = [Caller(address)]
         try:
             digest = world_digest(grid)
-            self.link = Link(self._callers[0], grid.n_cars, machines, digest, timeout_s)
+            self.site = Site(grid, config, goals, reset=False, machines=machines)
+            n_slopes, period_s = len(self.site.slopes), self.site.config.control_period_s
+            self.link = Link(self._callers[0], grid.n_cars, machines, digest, timeout_s, Area(grid.size))
+            welcome = self.link.welcome
+            if welcome.slopes != n_slopes:
+                raise InputError(f"the robots know of {welcome.slopes} slopes, and there are {n_slopes}")
+            if abs(welcome.period_s - period_s) > 1e-9:
+                raise InputError(
+                    f"the robots' control period is {welcome.period_s:g} s, and that of the skills {period_s:g} s"
+                )
             if not self.link.welcome.referee:
                 raise InputError(f"nobody shows the world of the robots at {address}: there is no referee")
             self._callers.append(Caller(address))
-            self.site = Site(grid, config, goals, reset=False, machines=machines)
-            self.link.let_judge(Mirror(self.site, self._callers[1]))
+            self.link.let_judge(Mirror(self.site, self._callers[1], welcome.ticket))
         except BaseException:
             self.__exit__(None, None, None)
             raise

@@ -1,4 +1,4 @@
-"""The libraries that only the network needs, and where robots are reached unless told otherwise."""
+"""The library that only the network needs, and where robots are reached unless told otherwise."""
 
 from __future__ import annotations
 
@@ -13,4 +13,4 @@ PORT: Final = 5555
 
 def need_network() -> None:
     """Raise InputError with the command that installs what is missing."""
-    need("robots", "robots on a network need", "zmq", "msgpack")
+    need("robots", "robots on a network need", "msgpack")

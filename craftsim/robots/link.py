@@ -16,6 +16,7 @@ from typing import Final, Protocol
 from craftsim.errors import InputError
 from craftsim.models.measuring import Records
 from craftsim.models.parameters import Machines
+from craftsim.robots.area import Area
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.messages import (
     COPIES,
@@ -47,6 +48,10 @@ _REMEMBERED: Final = 50
 _SPARE_S: Final = 0.01
 """That commands are given beyond the longest that any of these took."""
 _MOST_LEAD_S: Final = 0.5
+_MOST_BEHIND_S: Final = 1.0
+"""By how much the robots' clock may be ahead of who drives them during an action: their watchdog is quicker."""
+_AT_ONCE: Final = 4096
+"""Messages that are taken at once: more than wait in a connection."""
 _EPSILON_S: Final = 1e-6
 
 
@@ -57,14 +62,17 @@ class Messenger(Protocol):
         """Send a message; it may be lost."""
 
     def receive(self, timeout_s: float) -> bytes | None:
-        """Return the next message that comes, or None where none does in time."""
+        """Return the next message that comes, or None where none does in time.
+
+        Raises ConnectionError where none can come any more.
+        """
 
 
 class Judge(Protocol):
     """Who looks on while robots act."""
 
-    def follow(self, measured: Measurements, timeout_s: float) -> bool:
-        """Look at how things stood when something was measured; return whether that could be seen in time."""
+    def follow(self, measured: Measurements, timeout_s: float) -> str:
+        """Look at how things stood when something was measured; return why that was not seen in time, or nothing."""
 
 
 class Link:
@@ -77,6 +85,7 @@ class Link:
         machines: Machines,
         world: str = "",
         timeout_s: float = TIMEOUT_S,
+        area: Area | None = None,
     ) -> None:
         """Say hello to the robots, and listen for half a second how long messages take.
 
@@ -85,15 +94,19 @@ class Link:
             n_cars: how many there should be.
             machines: their figures.
             world: digest of the world in which they should stand.
-            timeout_s: without a message for so long they count as lost.
+            timeout_s: without a message of use for so long they count as lost.
+            area: where they can be, if that is known.
 
         Raises InputError where nobody answers, or they refuse.
         """
         self._transport, self._timeout_s = transport, timeout_s
         self._judge: Judge | None = None
-        self.lost = ""
+        self.lost, self._dead = "", False
         self.dropped = 0
-        """Messages that were none, or of other cars."""
+        """Messages that were none, or said what cannot be."""
+        self._why_dropped = ""
+        """Of the last of these, in brackets."""
+        self._area = area
         self.welcome = self._greet(n_cars, world)
         period_s = self.period_s = self.welcome.period_s
         self._harness = Harness(n_cars, self.welcome.slopes)
@@ -108,7 +121,6 @@ class Link:
         """How long after the measurement that they answer commands are to begin."""
         self._number = self._first = 0
         self._owed: list[int] = []
-        self._dead = False
         self._newest = self._first_measurements()
         self._due_s, self._stops = self._newest.time_s, self._newest.stops
         for _ in range(_LISTENED):
@@ -133,9 +145,9 @@ class Link:
         takes_s = max(self._takes, default=0.0)
         if takes_s > _EPSILON_S:
             takes_s += _SPARE_S
-        self._lead_s = min(math.ceil(takes_s / self.period_s - _EPSILON_S) * self.period_s, _MOST_LEAD_S)
-        while self._take(self._transport.receive(0.0)):
-            pass
+        lead_s = math.ceil(takes_s / self.period_s - _EPSILON_S) * self.period_s
+        self._lead_s = min(max(lead_s, 0.0), _MOST_LEAD_S)
+        self._take_all()
         self._listen_until(self._newest.time_s + self.period_s)
         self._due_s, self._stops = self._newest.time_s, self._newest.stops
         self._predict()
@@ -151,13 +163,15 @@ class Link:
         self._sent.append((self._lead_s, message))
         self._due_s += self.period_s
         if not self.welcome.waits:
-            while self._take(self._transport.receive(0.0)):
-                pass
+            self._take_all()
         self._listen_until(self._due_s)
+        ahead_s = self._newest.time_s - self._due_s
         if self._newest.heard < self._first:
             self._stops = self._newest.stops
         elif self._newest.stops > self._stops and not self.lost:
             self.lost = f"the robots had no command for {1e3 * self.welcome.watchdog_s:.0f} ms, and stopped"
+        if ahead_s > _MOST_BEHIND_S and not self.lost:
+            self.lost = f"the clock of the robots was {ahead_s:.4g} s ahead of what they were commanded"
         self._predict()
         self._look_on()
 
@@ -179,19 +193,18 @@ class Link:
             raise InputError(self.lost)
 
     def _look_on(self) -> None:
-        if (
-            self._judge is not None
-            and not self.lost
-            and not self._judge.follow(self._newest, self._timeout_s)
-        ):
-            self._lose(f"the referee has said nothing for {self._timeout_s:g} s")
+        if self._judge is not None and not self.lost:
+            why = self._judge.follow(self._newest, self._timeout_s)
+            if why:
+                self._lose(why)
 
     def _greet(self, n_cars: int, world: str) -> Welcome:
         self._transport.send(pack(Hello(n_cars, world)))
         deadline = time.monotonic() + max(_GREETED_S, self._timeout_s)
         while (left_s := deadline - time.monotonic()) > 0:
-            data = self._transport.receive(left_s)
-            message = None if data is None else self._read(data)
+            message = self._message(left_s)
+            if self.lost:
+                raise InputError(f"{self.lost}; is it craftsim robot that listens there?")
             if isinstance(message, Refused):
                 if not message.busy or left_s < 2 * _AGAIN_S:
                     raise InputError(message.why)
@@ -202,20 +215,22 @@ class Link:
                     raise InputError(f"{message.cars} robots answer, and there should be {n_cars}")
                 return message
         raise InputError(
-            f"no robots answer within {max(_GREETED_S, self._timeout_s):g} s; start some with: craftsim robot"
+            f"no robots answer within {max(_GREETED_S, self._timeout_s):g} s{self._why_dropped}; "
+            "start some with: craftsim robot"
         )
 
     def _first_measurements(self) -> Measurements:
         """Return the first measurements that come; raise InputError where none do."""
         deadline = time.monotonic() + self._timeout_s
         while (left_s := deadline - time.monotonic()) > 0:
-            data = self._transport.receive(left_s)
-            message = None if data is None else self._read(data)
-            if isinstance(message, Measurements) and self._fits(message):
+            message = self._message(left_s)
+            if self.lost:
+                raise InputError(self.lost)
+            if isinstance(message, Measurements) and self._fits(message, -math.inf):
                 self._owed.append(message.number)
                 self._harness.measured(message.cars)
                 return message
-        raise InputError(f"the robots measure nothing for {self._timeout_s:g} s")
+        raise InputError(f"the robots measure nothing for {self._timeout_s:g} s{self._why_dropped}")
 
     def _listen_until(self, time_s: float) -> None:
         """Take messages until there is a measurement of a time, or later, by the robots' clock; or lose them."""
@@ -226,29 +241,47 @@ class Link:
             self._owed.clear()
             left_s = deadline - time.monotonic()
             # What is no measurement does not count, however much of it comes.
-            if left_s <= 0 or not self._take(self._transport.receive(left_s)):
-                self._lose(f"nothing has come from the robots for {self._timeout_s:g} s")
+            if left_s <= 0 or not self._take(left_s):
+                self._lose(f"nothing has come from the robots for {self._timeout_s:g} s{self._why_dropped}")
 
-    def _take(self, data: bytes | None) -> bool:
-        """Take a message that has come; return whether there was one."""
-        if data is None:
-            return False
-        message = self._read(data)
+    def _take_all(self) -> None:
+        """Take the messages that have come already."""
+        for _ in range(_AT_ONCE):
+            if not self._take(0.0):
+                break
+
+    def _take(self, timeout_s: float) -> bool:
+        """Take the next message that comes in time; return whether there was one."""
+        before = self.dropped
+        message = self._message(timeout_s)
         if isinstance(message, Bye):
             self._lose(f"the robots have ended{': ' if message.why else ''}{message.why}")
         elif isinstance(message, Measurements):
             if self.welcome.waits:
                 self._owed.append(message.number)
-            if message.number > self._newest.number and self._fits(message):
+            if message.number > self._newest.number and self._fits(message, self._newest.time_s):
                 self._note(message)
-        return True
+        return message is not None or self.dropped > before
 
-    def _fits(self, message: Measurements) -> bool:
-        """Return whether measurements are of these cars, and of slopes that there are."""
-        slopes = (car.slope for car in message.cars if car.slope is not None)
-        fits = len(message.cars) == self.welcome.cars and all(0 <= s < self.welcome.slopes for s in slopes)
-        self.dropped += not fits
-        return fits
+    def _fits(self, message: Measurements, before_s: float) -> bool:
+        """Return whether measurements are newer, of these cars where they can be, and of slopes that there are."""
+        why = ""
+        if len(message.cars) != self.welcome.cars:
+            why = f"measurements of {len(message.cars)} cars; there are {self.welcome.cars}"
+        elif message.time_s <= before_s:
+            why = f"a clock that went from {before_s:g} s to {message.time_s:g} s"
+        for car, now in enumerate(message.cars):
+            if now.slope is not None and now.slope >= self.welcome.slopes:
+                why = f"car {car} docked to slope {now.slope}; there are {self.welcome.slopes}"
+            elif self._area is not None and not self._area.holds(now.x, now.y, now.z):
+                why = f"car {car} at ({now.x:g}, {now.y:g}, {now.z:g}) m, outside the world"
+        if why:
+            self._drop(why)
+        return not why
+
+    def _drop(self, why: str) -> None:
+        self.dropped += 1
+        self._why_dropped = f" (dropped: {why})"
 
     def _note(self, message: Measurements) -> None:
         if message.heard > self._newest.heard:
@@ -260,12 +293,16 @@ class Link:
             car.note(now, command, periods)
         self._newest = message
 
-    def _read(self, data: bytes) -> Message | None:
+    def _message(self, timeout_s: float) -> Message | None:
+        """Return the next message that comes in time, if it is one; the robots are lost where none can come."""
         try:
-            return unpack(data)
-        except MessageError:
-            self.dropped += 1
-            return None
+            data = self._transport.receive(timeout_s)
+            return None if data is None else unpack(data)
+        except ConnectionError as error:
+            self._lose(str(error))
+        except MessageError as error:
+            self._drop(str(error))
+        return None
 
     def _lose(self, why: str) -> None:
         self.lost, self._dead = why, True

@@ -2,29 +2,112 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any, ClassVar, Final
 
 import msgpack
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    TypeAdapter,
+    ValidationError,
+)
+from pydantic_core.core_schema import no_info_after_validator_function
 
 from craftsim.errors import CraftsimError
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.skill import Command
 from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Of the protocol; raised whenever something changes its meaning or goes away."""
 COPIES: Final = 2
 """Of all commands and measurements, so that few are lost: the first that comes counts."""
 _MOST_TEXT: Final = 1000
 
-Number = Annotated[int, Field(ge=0, le=2**53)]
-Seconds = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
-Text = Annotated[str, Field(max_length=_MOST_TEXT)]
-Cars = Annotated[int, Field(ge=1, le=PHYSICS_CARS)]
-Pose = tuple[float, float, float, float, float, float, float]
+_UNIT: Final = 1e-3
+"""By how much the length of a quaternion may be off."""
+_Line = Annotated[float, Field(strict=True, ge=-1.0)]
+"""How far a line lies from where it was looked for, infinitely where none is seen; no number is never as large."""
+
+
+def _real(low: float, high: float) -> Any:
+    return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
+
+
+# What can be, whatever the machines: a thousand is 50 times what the wheels do, in rad/s. Types are those that
+# MessagePack has: "1" and true are no numbers.
+Number = Annotated[int, Field(strict=True, ge=0, le=2**53)]
+Flag = Annotated[bool, Field(strict=True)]
+Seconds = Annotated[float, _real(0, 1e9)]
+Text = Annotated[str, Field(strict=True, max_length=_MOST_TEXT)]
+Cars = Annotated[int, Field(strict=True, ge=1, le=PHYSICS_CARS)]
+Metres = Annotated[float, _real(-1e4, 1e4)]
+"""Several times the largest world."""
+Radians = Annotated[float, _real(-1e3, 1e3)]
+"""A heading may count turns."""
+WheelSpeed = Annotated[float, _real(-1e3, 1e3)]
+"""rad/s."""
+Share = Annotated[float, _real(-1.001, 1.001)]
+Hinge = Annotated[float, _real(-1.0, math.pi + 1.0)]
+"""rad; 0 unfolded, pi folded."""
+Wheels = tuple[WheelSpeed, WheelSpeed, WheelSpeed, WheelSpeed]
+
+
+def _unit(pose: tuple[float, ...]) -> tuple[float, ...]:
+    if abs(math.hypot(*pose[3:]) - 1) > _UNIT:
+        raise ValueError("the quaternion should have the length 1")
+    return pose
+
+
+Pose = Annotated[tuple[Metres, Metres, Metres, Share, Share, Share, Share], AfterValidator(_unit)]
 """x, y, z in metres and a unit quaternion, w first; world frame."""
+
+
+class _Command(BaseModel, extra="forbid"):
+    """A Command as it is sent."""
+
+    wheels: Wheels
+    board: Annotated[float, _real(-10.0, 10.0)]
+    hinge: Annotated[float, _real(-100.0, 100.0)]
+
+
+class _Measurement(BaseModel, extra="forbid"):
+    """A CarMeasurement as it is sent."""
+
+    time_s: Seconds
+    x: Metres
+    y: Metres
+    z: Metres
+    heading: Radians
+    pitch: Radians
+    roll: Radians
+    wheel_speeds: Wheels
+    board_m: Annotated[float, _real(-1.0, 1.0)]
+    board_force_n: Annotated[float, _real(-1e6, 1e6)]
+    slope: Annotated[int, Field(strict=True, ge=0, lt=PHYSICS_PARTS)] | None
+    hinge_rad: Hinge | None
+    position_std_m: Annotated[float, _real(0, 1e4)] = 0.0
+    heading_std_rad: Annotated[float, _real(0, 1e3)] = 0.0
+    fresh: Flag = True
+    lines: tuple[_Line, _Line, _Line, _Line] = (math.inf, math.inf, math.inf, math.inf)
+
+
+def _sent_as(model: type[BaseModel]) -> Any:
+    """Return what lets a field be read as a model says, and made what the field is of."""
+    return GetPydanticSchema(
+        lambda kind, handler: no_info_after_validator_function(
+            lambda sent: kind(**dict(sent)), handler(model)
+        )
+    )
+
+
+SentCommand = Annotated[Command, _sent_as(_Command)]
+SentMeasurement = Annotated[CarMeasurement, _sent_as(_Measurement)]
 
 
 class MessageError(CraftsimError):
@@ -54,15 +137,17 @@ class Welcome(Message):
 
     kind = "welcome"
     cars: Cars
-    slopes: Annotated[int, Field(ge=0, le=PHYSICS_PARTS)]
-    period_s: Annotated[float, Field(ge=0.001, le=1.0)]
+    slopes: Annotated[int, Field(strict=True, ge=0, le=PHYSICS_PARTS)]
+    period_s: Annotated[float, _real(0.001, 1.0)]
     """Control period: they measure that often."""
-    watchdog_s: Seconds
+    watchdog_s: Annotated[float, _real(0.001, 10.0)]
     """Without a command for so long they stop by themselves."""
-    referee: bool = False
+    referee: Flag = False
     """Whether a referee answers at the same address."""
-    waits: bool = False
+    waits: Flag = False
     """Whether their time stands still until each measurement has been answered by Ack."""
+    ticket: Text = ""
+    """What the driver shows the referee, so that it is served before all others who look on."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +156,7 @@ class Refused(Message):
 
     kind = "refused"
     why: Text
-    busy: bool = False
+    busy: Flag = False
     """Whether they will obey when somebody else has ended."""
 
 
@@ -86,11 +171,11 @@ class Measurements(Message):
     """When it was measured, by the robots' clock; theirs are all other times, too."""
     heard: Number
     """Number of the newest command that had come; 0 for none."""
-    late_s: Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
+    late_s: Annotated[float, _real(-1e9, 1e9)]
     """By how much that came after the time for which it was meant; negative where it was early."""
     stops: Number
     """How often they have stopped because no command came."""
-    cars: Annotated[tuple[CarMeasurement, ...], Field(max_length=PHYSICS_CARS)]
+    cars: Annotated[tuple[SentMeasurement, ...], Field(max_length=PHYSICS_CARS)]
 
 
 @dataclass(frozen=True)
@@ -102,7 +187,7 @@ class Commands(Message):
     """Counts up from 1 after each hello."""
     at_s: Seconds
     """When they are to begin with it; what comes too late is begun with at once."""
-    cars: Annotated[tuple[Command, ...], Field(max_length=PHYSICS_CARS)]
+    cars: Annotated[tuple[SentCommand, ...], Field(max_length=PHYSICS_CARS)]
 
 
 @dataclass(frozen=True)
@@ -126,6 +211,8 @@ class Follow(Message):
     """To the referee: somebody looks on, over a connection of its own."""
 
     kind = "follow"
+    ticket: Text = ""
+    """That of the driver's Welcome, if it is the driver who looks on."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +226,7 @@ class TruePoses(Message):
     cars: Annotated[tuple[Pose, ...], Field(max_length=PHYSICS_CARS)]
     things: Annotated[tuple[Pose, ...], Field(max_length=PHYSICS_PARTS)]
     """Blocks, flags, then slopes, each in the order of their cells."""
-    hinges: Annotated[tuple[float, ...], Field(max_length=PHYSICS_PARTS)]
+    hinges: Annotated[tuple[Hinge, ...], Field(max_length=PHYSICS_PARTS)]
     """Of the slopes, in radians: 0 unfolded, pi folded."""
     capped_steps: Number = 0
     """Of a simulation: physics steps in which the solver gave up."""
@@ -151,9 +238,7 @@ _KINDS: Final[dict[str, type[Message]]] = {
 
 
 def _adapter(kind: type[Message]) -> TypeAdapter[Any]:
-    # What a car measures may be infinite, or no number: that is for its skills to tell.
-    config = ConfigDict(extra="forbid", allow_inf_nan=kind is Measurements)
-    kind.__pydantic_config__ = config  # type: ignore[attr-defined]
+    kind.__pydantic_config__ = ConfigDict(extra="forbid")  # type: ignore[attr-defined]
     return TypeAdapter(kind)
 
 
@@ -180,7 +265,7 @@ def unpack(data: bytes) -> Message:
     if not isinstance(content, dict) or "v" not in content or "kind" not in content:
         raise MessageError("no map with 'v' and 'kind'")
     version, kind = content.pop("v"), content.pop("kind")
-    if version != VERSION:
+    if type(version) is not int or version != VERSION:
         raise MessageError(
             f"version {_short(version)} of the protocol; this craftsim speaks version {VERSION}"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from typing import Final
 
@@ -9,11 +10,14 @@ import numpy as np
 
 from craftsim.models.parts import FreeBody
 from craftsim.models.site import Site
+from craftsim.robots.area import Area
 from craftsim.robots.link import Messenger
 from craftsim.robots.messages import Follow, Measurements, MessageError, TruePoses, pack, unpack
 
 _KEPT: Final = 64
 """TruePoses that are kept: those of a measurement are there before it has come."""
+_AHEAD_S: Final = 12.0
+"""By how much what a referee shows may be younger than what was measured: by as much as a network can delay that."""
 _EPSILON_S: Final = 1e-6
 
 
@@ -23,36 +27,55 @@ class Mirror:
     Wheels stand still; boards stand where they were measured; velocities are what changed since what was shown before.
     """
 
-    def __init__(self, site: Site, referee: Messenger) -> None:
-        """Show on a Site, which is never stepped, what a referee publishes."""
+    def __init__(self, site: Site, referee: Messenger, ticket: str = "") -> None:
+        """Show on a Site, which is never stepped, what a referee publishes; ``ticket`` is that of the driver."""
         self.site, self._referee = site, referee
-        referee.send(pack(Follow()))
+        referee.send(pack(Follow(ticket)))
+        self._area = Area(site.size)
         self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
         handles = [*(car.base for car in site.cars), *site.blocks, *site.flags]
         self._bodies: tuple[FreeBody, ...] = (*handles, *(slope.base for slope in site.slopes))
         self._n_cars, self._n_slopes = len(site.cars), len(site.slopes)
 
-    def follow(self, measured: Measurements, timeout_s: float) -> bool:
-        """Show how things stood when that was measured; return whether it could be seen in time."""
+    def follow(self, measured: Measurements, timeout_s: float) -> str:
+        """Show how things stood when that was measured; return why it was not seen in time, or nothing."""
+        deadline, why = time.monotonic() + timeout_s, ""
         while not self._seen or self._seen[-1].time_s < measured.time_s - _EPSILON_S:
-            data = self._referee.receive(timeout_s)
+            left_s = deadline - time.monotonic()
+            try:
+                data = self._referee.receive(left_s) if left_s > 0 else None
+            except ConnectionError as error:
+                return f"the referee is gone: {error}"
             if data is None:
-                return False
-            self._take(data)
+                return f"the referee has shown nothing of use for {timeout_s:g} s{why}"
+            why = self._take(data) or why
         shown = next(poses for poses in self._seen if poses.time_s >= measured.time_s - _EPSILON_S)
+        if shown.time_s > measured.time_s + _AHEAD_S:
+            return (
+                f"the referee's clock shows {shown.time_s:g} s where the robots measure {measured.time_s:g} s"
+            )
         self._show(shown, measured)
-        return True
+        return ""
 
-    def _take(self, data: bytes) -> None:
-        """Take poses, unless they are of another world."""
+    def _take(self, data: bytes) -> str:
+        """Take poses that are newer; return why they cannot be of this world, or nothing."""
         try:
             poses = unpack(data)
-        except MessageError:
-            return
-        if isinstance(poses, TruePoses) and not (self._seen and poses.time_s <= self._seen[-1].time_s):
-            counts = len(poses.cars), len(poses.cars) + len(poses.things), len(poses.hinges)
-            if counts == (self._n_cars, len(self._bodies), self._n_slopes):
-                self._seen.append(poses)
+        except MessageError as error:
+            return f" (dropped: {error})"
+        if not isinstance(poses, TruePoses):
+            return f" (dropped: {poses.kind})"
+        came = len(poses.cars), len(poses.things), len(poses.hinges)
+        there = self._n_cars, len(self._bodies) - self._n_cars, self._n_slopes
+        if came != there:
+            return " (dropped: {} cars, {} things and {} hinges; there are {}, {} and {})".format(
+                *came, *there
+            )
+        if not all(self._area.holds(*pose[:3]) for pose in (*poses.cars, *poses.things)):
+            return " (dropped: poses outside the world)"
+        if not self._seen or poses.time_s > self._seen[-1].time_s + _EPSILON_S:
+            self._seen.append(poses)
+        return ""
 
     def _show(self, poses: TruePoses, measured: Measurements) -> None:
         site, data = self.site, self.site.data

@@ -16,7 +16,9 @@ from craftsim.robots.messages import (
     Measurements,
     Message,
     MessageError,
+    Refused,
     TruePoses,
+    Welcome,
     pack,
     unpack,
 )
@@ -28,7 +30,7 @@ Send = Callable[[bytes, bytes], None]
 _WATCHERS: Final = 8
 """Who look on at most; one more takes the place of the first."""
 _TOLD: Final = 10
-"""Of the messages that are dropped, so many are said why."""
+"""Of the messages that are dropped and of those that are refused, so many are said."""
 
 
 class Service:
@@ -38,7 +40,7 @@ class Service:
         self,
         station: Station,
         clock: Clock,
-        up: Channel[Commands],
+        up: Channel[tuple[bytes, Commands]],
         down: Channel[Measurements],
         send: Send,
         referee: Callable[[Measurements], TruePoses] | None = None,
@@ -49,7 +51,7 @@ class Service:
         Args:
             station: the robots.
             clock: lets their control periods pass.
-            up: what commands go through.
+            up: what commands go through, each with its sender.
             down: what measurements go through.
             send: sends to who drives.
             referee: knows where everything truly is, at the time of some measurements.
@@ -61,13 +63,16 @@ class Service:
         self.periods = 0
         self._measured = False
         """Whether that has been done in this period."""
+        self._complaints = 0
         self.malformed = 0
         """Messages that were none, or out of place."""
         self._watchers: deque[bytes] = deque(maxlen=_WATCHERS)
+        self._witness: bytes | None = None
+        """Who looks on for the driver."""
         self._poses: bytes | None = None
         """Those published last."""
         self.farewells = 0
-        """How many have driven the robots and said goodbye."""
+        """How many have driven the robots and said goodbye, or are gone."""
         self.unseen: set[int] = set()
         """Measurements on which robots that wait have no answer yet."""
 
@@ -85,29 +90,46 @@ class Service:
         try:
             message = unpack(data)
             if isinstance(message, Follow) and self._referee is not None:
-                if sender not in self._watchers:
+                if message.ticket and message.ticket == self.station.ticket:
+                    self._witness = sender
+                elif sender not in self._watchers:
                     self._watchers.append(sender)
                 if self._poses is not None:
                     self._send(sender, self._poses)
                 return
             self.station.check(sender, message)
             if isinstance(message, Commands):
-                self._up.send(now_s, message)
+                self._up.send(now_s, (sender, message))
             else:
                 self._receive(sender, message, now_s)
         except (MessageError, ValueError) as error:
             self.malformed += 1
-            if self.malformed <= _TOLD:
-                self._tell(f"dropped a message: {error}")
+            self._complain(f"dropped a message: {error}")
+
+    def depart(self, sender: bytes) -> None:
+        """Go on without somebody whose connection is closed."""
+        if sender == self.station.driver:
+            self.station.abandoned = True
+            self.farewells += 1
+            self.unseen.clear()
+        if sender == self._witness:
+            self._witness = None
+        if sender in self._watchers:
+            self._watchers.remove(sender)
+
+    @property
+    def clients(self) -> frozenset[bytes]:
+        """Who drive the robots or look on."""
+        known = (*self._watchers, self._witness, self.station.driver)
+        return frozenset(client for client in known if client is not None)
 
     def step(self) -> None:
         """Let happen what happens next."""
         now_s = self.now_s = self.next_s
         self._deliver(now_s)
-        driver = self.station.driver
-        for commands in self._up.due(now_s):
-            if driver is not None:
-                self._receive(driver, commands, now_s)
+        for sender, commands in self._up.due(now_s):
+            if sender == self.station.driver:
+                self._receive(sender, commands, now_s)
         if self._period_s > now_s:
             return
         if not self._measured:
@@ -126,8 +148,8 @@ class Service:
         measured = self.station.measure(now_s)
         if self._referee is not None:
             self._poses = pack(self._referee(measured))
-            for watcher in self._watchers:
-                self._send(watcher, self._poses)
+            for client in self.clients - {self.station.driver}:
+                self._send(client, self._poses)
         if self.station.driver is not None:
             for _ in range(COPIES):
                 self._down.send(now_s, measured)
@@ -137,12 +159,21 @@ class Service:
         answer = self.station.receive(sender, message, now_s)
         if answer is not None:
             self._send(sender, pack(answer))
-            self._tell(f"{now_s:.2f} s: {answer.kind}")
+            say = self._complain if isinstance(answer, Refused) else self._tell
+            say(f"{now_s:.2f} s: {answer.kind}")
+            if isinstance(answer, Welcome):
+                self.unseen.clear()
         if isinstance(message, Ack):
             self.unseen.discard(message.number)
         elif isinstance(message, Bye):
             self.farewells += 1
             self.unseen.clear()
+
+    def _complain(self, line: str) -> None:
+        """Say why somebody is not obeyed, unless that was said often enough."""
+        self._complaints += 1
+        if self._complaints <= _TOLD:
+            self._tell(line)
 
     def _deliver(self, now_s: float) -> None:
         for message in self._down.due(now_s):

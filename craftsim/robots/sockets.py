@@ -1,83 +1,215 @@
-"""Messages over TCP, by ZeroMQ: the socket of robots, and those of who drives them or looks on."""
+"""Messages over TCP: the sockets of robots, and those of who drives them or looks on.
+
+Before each message stands its length, 4 bytes with the highest first. What is kept of a connection is bounded: a
+message that has come in part, and some that wait to leave; of what comes in between TCP makes the sender wait.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import selectors
+import socket
+import time
+from collections.abc import Collection
 from types import TracebackType
-from typing import Any, Final, Self
-
-import zmq
+from typing import Final, Self
 
 from craftsim.errors import InputError
-from craftsim.robots.extra import LOOPBACK
-from craftsim.storage.limits import MESSAGE_BYTES
+from craftsim.robots.extra import LOOPBACK, PORT
+from craftsim.storage.limits import MESSAGE_BYTES, ROBOT_CONNECTIONS
 
-_QUEUED: Final = 200
-"""Messages that wait in a socket; more are dropped."""
+_HEAD_BYTES: Final = 4
+_LEAVING_BYTES: Final = 4 * MESSAGE_BYTES
+"""That wait to leave; messages beyond it are dropped."""
+_SYSTEM_BYTES: Final = MESSAGE_BYTES
+"""That the system holds in each direction: what is old is of no use."""
+_AGAIN_S: Final = 0.05
+"""After so long one calls again where nobody listens yet."""
+_CONNECTED_S: Final = 1.0
+"""How long the other side may take to accept a connection."""
+_ADMITTED: Final = 4
+"""Connections that are accepted before those that there are get their turn."""
 
 
-def _socket(kind: int) -> Any:
-    socket: Any = zmq.Context.instance().socket(kind)
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.setsockopt(zmq.SNDHWM, _QUEUED)
-    socket.setsockopt(zmq.RCVHWM, _QUEUED)
-    socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES)
-    return socket
+class Line:
+    """One connection: bytes become messages, and messages bytes."""
 
+    def __init__(self, connected: socket.socket) -> None:
+        """Take a socket that is connected."""
+        connected.setblocking(False)
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+            connected.setsockopt(socket.SOL_SOCKET, option, _SYSTEM_BYTES)
+        self.socket = connected
+        self._came, self._leaving = bytearray(), bytearray()
+        self.ended = False
+        """Whether nothing more comes than what :meth:`take` returns."""
 
-def _poll(socket: Any, timeout_s: float) -> bool:
-    return bool(socket.poll(max(0, round(1e3 * timeout_s)), zmq.POLLIN))
+    @property
+    def leaves(self) -> bool:
+        """Whether something waits to leave."""
+        return bool(self._leaving)
+
+    def read(self) -> None:
+        """Read what has come, up to a message and its length."""
+        room = _HEAD_BYTES + MESSAGE_BYTES - len(self._came)
+        if room <= 0 or self.ended:
+            return
+        try:
+            data = self.socket.recv(room)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        self._came += data
+        self.ended = not data
+
+    def take(self) -> bytes | None:
+        """Return the next message that has come whole, if there is one; one that is too long ends the connection."""
+        if len(self._came) < _HEAD_BYTES:
+            return None
+        size = int.from_bytes(self._came[:_HEAD_BYTES], "big")
+        if size > MESSAGE_BYTES:
+            self.ended = True
+            self._came.clear()
+            return None
+        end = _HEAD_BYTES + size
+        if len(self._came) < end:
+            return None
+        data = bytes(self._came[_HEAD_BYTES:end])
+        del self._came[:end]
+        return data
+
+    def send(self, data: bytes) -> None:
+        """Send a message, or drop it where too many wait."""
+        if self.ended or len(self._leaving) > _LEAVING_BYTES:
+            return
+        self._leaving += len(data).to_bytes(_HEAD_BYTES, "big") + data
+        self.flush()
+
+    def flush(self) -> None:
+        """Let leave what can."""
+        try:
+            while self._leaving:
+                del self._leaving[: self.socket.send(self._leaving)]
+        except BlockingIOError:
+            return
+        except OSError:
+            # What has come before may still be read.
+            self._leaving.clear()
+
+    def close(self) -> None:
+        """Let leave what can, such as a farewell, and close."""
+        self.flush()
+        with contextlib.suppress(OSError):
+            # A socket that is closed with something unread takes back what has not arrived yet.
+            self.socket.shutdown(socket.SHUT_WR)
+            self.socket.recv(2 * _SYSTEM_BYTES)
+        self.socket.close()
 
 
 class Caller:
     """The socket of who drives robots, or looks on: a :class:`~craftsim.robots.link.Messenger`."""
 
     def __init__(self, address: str) -> None:
-        """Connect to ``tcp://HOST:PORT``. Raises InputError for what is no address."""
-        self._socket = _socket(zmq.DEALER)
+        """Call ``HOST:PORT`` or ``tcp://HOST:PORT``. Raises InputError for what is no address."""
+        scheme, _, place = address.rpartition("://")
+        host, _, port = place.rpartition(":")
+        host = host.removeprefix("[").removesuffix("]")
         try:
-            self._socket.connect(address)
-        except zmq.ZMQError as error:
-            self._socket.close()
+            if scheme not in ("", "tcp") or not host:
+                raise ValueError("not tcp://HOST:PORT")
+            if not (port.isascii() and port.isdecimal() and 1 <= int(port[:6]) <= 65_535):
+                raise ValueError("the port should be 1 to 65535")
+            self._places = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or error
             raise InputError(
-                f"'{address}' is no address of robots ({error}); try tcp://{LOOPBACK}:5555"
+                f"'{address[:100]}' is no address of robots ({why}); try tcp://{LOOPBACK}:{PORT}"
             ) from None
+        self._line: Line | None = None
+        self._first = list[bytes]()
+        """What is to be sent as soon as somebody listens."""
 
     def send(self, data: bytes) -> None:
         """Send a message, or drop it where too many wait."""
-        try:
-            self._socket.send(data, zmq.NOBLOCK)
-        except zmq.Again:
-            return
+        if self._line is not None:
+            self._line.send(data)
+        elif len(self._first) < _ADMITTED:
+            self._first.append(data)
 
     def receive(self, timeout_s: float) -> bytes | None:
-        """Return the next message that comes, or None where none does in time."""
-        if not _poll(self._socket, timeout_s):
+        """Return the next message that comes, or None where none does in time.
+
+        Raises ConnectionError once the other side has closed the connection.
+        """
+        deadline = time.monotonic() + timeout_s
+        line = self._line or self._call(deadline)
+        if line is None:
             return None
-        data: bytes = self._socket.recv(zmq.NOBLOCK)
-        return data
+        while True:
+            line.read()
+            if (data := line.take()) is not None:
+                return data
+            if line.ended:
+                raise ConnectionError("the connection was closed")
+            left_s = deadline - time.monotonic()
+            if left_s <= 0:
+                return None
+            with selectors.DefaultSelector() as selector:
+                selector.register(line.socket, _events(line))
+                selector.select(left_s)
+            line.flush()
+
+    def _call(self, deadline: float) -> Line | None:
+        """Call until somebody listens, or the time is over."""
+        while True:
+            for family, kind, protocol, _, place in self._places:
+                left_s = max(_AGAIN_S, min(_CONNECTED_S, deadline - time.monotonic()))
+                called = socket.socket(family, kind, protocol)
+                called.settimeout(left_s)
+                try:
+                    called.connect(place)
+                except OSError:
+                    called.close()
+                    continue
+                self._line = Line(called)
+                for data in self._first:
+                    self._line.send(data)
+                return self._line
+            if deadline - time.monotonic() < _AGAIN_S:
+                return None
+            time.sleep(_AGAIN_S)
 
     def close(self) -> None:
-        """Close the socket."""
-        # What was sent last, such as a farewell, may leave.
-        self._socket.close(linger=200)
+        """Close the connection."""
+        if self._line is not None:
+            self._line.close()
 
 
 class Host:
-    """The socket of robots."""
+    """The socket of robots, and the connections to it."""
 
     def __init__(self, host: str, port: int) -> None:
         """Listen on a port, any free one if it is 0.
 
         Raises InputError for an address or a port that cannot be had.
         """
-        self._socket = _socket(zmq.ROUTER)
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            self._socket.bind(f"tcp://{host}:{port or '*'}")
-        except zmq.ZMQError as error:
-            self.__exit__(None, None, None)
+            self._listens = socket.create_server((host, port), family=family)
+        except (OSError, UnicodeError, ValueError) as error:
+            why = getattr(error, "strerror", None) or error
             raise InputError(
-                f"cannot listen on {host}, port {port}: {error}; try --host {LOOPBACK}, and --port 0 for a free one"
+                f"cannot listen on {host}, port {port}: {why}; try --host {LOOPBACK}, and --port 0 for a free one"
             ) from None
+        self._listens.setblocking(False)
+        self._lines: dict[bytes, Line] = {}
+        """By who has connected, numbers that count up; who had a turn last comes last."""
+        self._names = itertools.count(1)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listens, selectors.EVENT_READ)
 
     def __enter__(self) -> Self:
         return self
@@ -85,24 +217,81 @@ class Host:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the socket."""
-        self._socket.close(linger=200)
+        """Close all connections."""
+        for line in self._lines.values():
+            line.close()
+        self._listens.close()
+        self._selector.close()
 
     @property
     def address(self) -> str:
         """Where robots are reached."""
-        return str(self._socket.getsockopt_string(zmq.LAST_ENDPOINT))
+        host, port = self._listens.getsockname()[:2]
+        return f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"
 
     def send(self, receiver: bytes, data: bytes) -> None:
         """Send a message, or drop it where too many wait."""
-        try:
-            self._socket.send_multipart([receiver, data], zmq.NOBLOCK)
-        except zmq.Again:
-            return
+        if (line := self._lines.get(receiver)) is not None:
+            line.send(data)
+            self._selector.modify(line.socket, _events(line), receiver)
 
-    def receive(self, timeout_s: float) -> tuple[bytes, bytes] | None:
-        """Return (from whom, what) comes next, or None where nothing does in time."""
-        if not _poll(self._socket, timeout_s):
-            return None
-        sender, *parts = self._socket.recv_multipart(zmq.NOBLOCK)
-        return sender, parts[-1] if len(parts) == 1 else b""
+    def receive(self, timeout_s: float, kept: Collection[bytes] = ()) -> tuple[bytes, bytes | None] | None:
+        """Return (from whom, what) comes next, or None where nothing does in time.
+
+        Who are connected have one turn after the other. No message is of one who has closed the connection. Where
+        there are too many, the one who came first of those that are not ``kept`` is let go.
+        """
+        deadline = time.monotonic() + timeout_s
+        left_s = 0.0
+        while True:
+            # What waits elsewhere is looked for before each turn, so that one who sends much starves nobody.
+            self._attend(left_s, kept)
+            for name, line in list(self._lines.items()):
+                data = line.take()
+                if data is None and not line.ended:
+                    continue
+                if data is None:
+                    self._let_go(name)
+                else:
+                    self._lines[name] = self._lines.pop(name)
+                return name, data
+            left_s = deadline - time.monotonic()
+            if left_s <= 0:
+                return None
+
+    def _attend(self, timeout_s: float, kept: Collection[bytes]) -> None:
+        """Wait until something comes or can leave, and take part of it up."""
+        for key, mask in self._selector.select(timeout_s):
+            if key.fileobj is self._listens:
+                self._admit(kept)
+            elif (line := self._lines.get(key.data)) is not None:
+                if mask & selectors.EVENT_WRITE:
+                    line.flush()
+                line.read()
+                self._selector.modify(line.socket, _events(line), key.data)
+
+    def _admit(self, kept: Collection[bytes]) -> None:
+        for _ in range(_ADMITTED):
+            try:
+                connected, _ = self._listens.accept()
+            except OSError:
+                return
+            name = str(next(self._names)).encode()
+            if len(self._lines) >= ROBOT_CONNECTIONS:
+                self._let_go(min((name for name in self._lines if name not in kept), key=int))
+            try:
+                self._lines[name] = Line(connected)
+            except OSError:  # it is closed already
+                connected.close()
+                continue
+            self._selector.register(connected, selectors.EVENT_READ, name)
+
+    def _let_go(self, name: bytes) -> None:
+        line = self._lines.pop(name)
+        with contextlib.suppress(KeyError, ValueError):
+            self._selector.unregister(line.socket)
+        line.close()
+
+
+def _events(line: Line) -> int:
+    return selectors.EVENT_READ | (selectors.EVENT_WRITE if line.leaves else 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -29,6 +30,8 @@ class Station:
     watchdog_s: float = WATCHDOG_S
     driver: bytes | None = None
     """Whose commands are obeyed."""
+    abandoned: bool = False
+    """Whether the driver has gone without a word: the watchdog will stop the robots, and somebody else may come."""
     stopped_at_s: list[float] = field(default_factory=list)
     """When the robots stopped because no command came."""
     heard_at_s: list[float] = field(default_factory=list)
@@ -38,9 +41,9 @@ class Station:
         self.inbox = Inbox(self.watchdog_s)
         self.number = 0
         """Of the newest measurements."""
-        self.seen = 0
-        """Of the newest that the driver has dealt with."""
         self._heard_s = 0.0
+        self.ticket = ""
+        """Of the driver: who looks on with it is the driver's."""
 
     def check(self, sender: bytes, message: Message) -> None:
         """Raise ValueError for a message that is out of place."""
@@ -61,28 +64,29 @@ class Station:
         match message:
             case Commands():
                 self.inbox.take(message, now_s)
-            case Ack():
-                self.seen = max(self.seen, message.number)
             case Bye():
                 self.leave()
         return None
 
     def _greet(self, sender: bytes, hello: Hello, now_s: float) -> Message:
-        if self.driver not in (None, sender) and now_s - self._heard_s < LEASE_S:
+        silent = self.abandoned or now_s - self._heard_s >= LEASE_S
+        if self.driver not in (None, sender) and not silent:
             return Refused("the robots obey somebody else; try again when that has ended", busy=True)
         if hello.cars != len(self.robots):
             return Refused(f"there are {len(self.robots)} robots, not {hello.cars}")
         if self.world and hello.world and hello.world != self.world:
             return Refused("the robots stand in another world; start both with the same task and files")
         self.inbox.begin()
-        self.driver, self.seen, self._heard_s = sender, self.number, now_s
+        self.driver, self._heard_s = sender, now_s
+        self.abandoned, self.ticket = False, secrets.token_hex(16)
         return Welcome(
-            len(self.robots), self.n_slopes, self.period_s, self.watchdog_s, self.referee, self.waits
+            *(len(self.robots), self.n_slopes, self.period_s, self.watchdog_s),
+            *(self.referee, self.waits, self.ticket),
         )
 
     def leave(self) -> None:
         """Let the driver go; the robots stop."""
-        self.driver = None
+        self.driver, self.abandoned, self.ticket = None, False, ""
         self.inbox.begin()
 
     def measure(self, now_s: float) -> Measurements:
@@ -100,4 +104,6 @@ class Station:
             self.heard_at_s.append(self.inbox.heard_s)
         for car, robot in enumerate(self.robots):
             robot.command(Command() if commands is None else commands.cars[car])
+        if self.abandoned and self.inbox.standing:
+            self.leave()
         return self.inbox.stops == before

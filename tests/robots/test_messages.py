@@ -25,19 +25,17 @@ from craftsim.robots.messages import (
 from craftsim.skills.skill import Command
 from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS
 
-POSE = (0.0, 1.0, 2.0, 1.0, 0.0, 0.0, 0.0)
+POSE = (0.0, 1.0, 2.0, 0.5, -0.5, 0.5, 0.5)
 CAR = CarMeasurement(0.5, 1.0, 2.0, 0.0, 3.0, 0.1, -0.1, (1.0, 2.0, 3.0, 4.0), 0.045, 30.0, 1, 3.1)
 MESSAGES = [
     Hello(2, "digest"),
-    Welcome(2, 1, 0.02, 0.1, True, False),
+    Welcome(2, 1, 0.02, 0.1, True, False, "ticket"),
     Refused("no", True),
-    Measurements(
-        7, 0.5, 3, -0.01, 0, (CAR, CAR._replace(slope=None, hinge_rad=None, board_force_n=math.inf))
-    ),
+    Measurements(7, 0.5, 3, -0.01, 0, (CAR, CAR._replace(slope=None, hinge_rad=None))),
     Commands(3, 0.6, (Command((1.0, 2.0, 3.0, 4.0), 0.05, -0.3),)),
     Ack(7),
     Bye(),
-    Follow(),
+    Follow("ticket"),
     TruePoses(7, 0.5, (POSE,), (POSE, POSE), (3.1,), 2),
 ]
 
@@ -48,7 +46,7 @@ def test_what_is_sent_is_read(message):
 
 
 def test_the_largest_worlds_fit_into_a_message():
-    pose = (-1.2345678901234567,) * 7
+    pose = (*(-1234.5678901234567,) * 3, *(-0.50000000001,) * 4)
     poses = TruePoses(2**53, 1e9, (pose,) * PHYSICS_CARS, (pose,) * PHYSICS_PARTS, (1.23,) * PHYSICS_PARTS)
     assert len(pack(poses)) <= MESSAGE_BYTES
     assert len(pack(Measurements(2**53, 1e9, 2**53, 0.1, 0, (CAR,) * PHYSICS_CARS))) <= MESSAGE_BYTES
@@ -67,7 +65,7 @@ def changed(number: int = 4, /, **values) -> bytes:
         (b"\x91" * 5000, "no MessagePack"),
         (b"\x00" * (MESSAGE_BYTES + 1), "at most 65536"),
         (msgpack.packb([1, 2]), "no map"),
-        (changed(v=VERSION + 1), "version 2 of the protocol; this craftsim speaks version 1"),
+        (changed(v=VERSION + 1), "version 3 of the protocol; this craftsim speaks version 2"),
         (changed(kind="order"), "kind 'order'; there are hello"),
         (changed(kind=["x"] * 1000), "kind \\['x'"),
         (changed(number=-1), "commands.number"),
@@ -85,6 +83,45 @@ def changed(number: int = 4, /, **values) -> bytes:
 def test_what_is_no_message_is_refused_in_words(data, why):
     with pytest.raises(MessageError, match=why):
         unpack(data)
+
+
+def car(**values) -> dict:
+    """Return what changes the first car of some measurements."""
+    return {"cars": [{**CAR._asdict(), **values}]}
+
+
+def told(wheel=1.0, board=0.0, hinge=0.0) -> dict:
+    return {"cars": [{"wheels": [1.0, 1.0, 1.0, wheel], "board": board, "hinge": hinge}]}
+
+
+@pytest.mark.parametrize(
+    ("number", "values", "where"),
+    [
+        *((4, told(wheel), "wheels.3") for wheel in ("1", True, None, [1.0], 1e308, -1001.0)),
+        *((4, told(board=value), "cars.0.board") for value in ("0", False, 1e308)),
+        *((4, told(hinge=value), "cars.0.hinge") for value in ("0", False, 101.0)),
+        *((4, {"number": value}, "number") for value in (True, "3", 3.0, 2**53 + 1)),
+        *((4, {"at_s": value}, "at_s") for value in (True, "0.5", 1e10)),
+        *((3, car(**{name: math.nan}), name) for name in CarMeasurement._fields[:7]),
+        *((3, car(**{name: 1e308}), name) for name in CarMeasurement._fields[:7]),
+        *((3, car(**{name: True}), name) for name in ("x", "heading", "board_m", "slope")),
+        *((3, car(**{name: 1e308}), name) for name in ("board_m", "board_force_n", "hinge_rad")),
+        (3, car(wheel_speeds=[0.0, 0.0, 0.0, 1e308]), "wheel_speeds.3"),
+        (3, car(lines=[0.0, 0.0, math.nan, 0.0]), "lines.2"),
+        (3, car(fresh=1), "fresh"),
+        (3, car(slope=-1), "slope"),
+        (1, {"referee": 1}, "referee"),
+        (1, {"period_s": 1e-9}, "period_s"),
+        (1, {"watchdog_s": 1e9}, "watchdog_s"),
+        (8, {"cars": [(0.0, 0.0, 1e308, *POSE[3:])]}, "cars.0.2"),
+        (8, {"cars": [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)]}, "cars.0: .*length 1"),
+        (8, {"hinges": [1e308]}, "hinges.0"),
+        (8, {"v": True}, "version True"),
+    ],
+)
+def test_what_cannot_be_and_what_is_of_another_type_is_refused(number, values, where):
+    with pytest.raises(MessageError, match=where):
+        unpack(changed(number, **values))
 
 
 def test_noise_is_refused_and_nothing_else_happens(make_robots):

@@ -193,6 +193,8 @@ PATIENCE_S: Final = Range(0.01, 3600)
 """With who does not answer."""
 MESSAGE_BYTES: Final = 64 * KIB
 """To or from robots."""
+PAGE_BYTES: Final = MIB
+"""Of a message from a page of the viewer."""
 ROBOT_CONNECTIONS: Final = 32
 """To robots, at once; up to 64 KiB that has come and 320 KiB that wait to leave are kept of each."""
 

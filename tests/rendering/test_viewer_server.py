@@ -1,5 +1,7 @@
 """The web server of the viewer: who reaches it, how it begins and how it ends."""
 
+import contextlib
+import http.client
 import signal
 import socket
 import sys
@@ -8,12 +10,17 @@ from functools import partial
 from pathlib import Path
 from subprocess import PIPE
 
+import msgpack
 import pytest
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync import client as websocket
 
 from craftsim import LiveView, Trajectory, cli
 from craftsim.errors import InputError
 
-pytest.importorskip("viser", reason="needs the extra 'view'")
+viser = pytest.importorskip("viser", reason="needs the extra 'view'")
+PROTOCOL = f"viser-v{viser.__version__}"
 
 
 def test_it_answers_on_its_own_address_alone(opened: LiveView):
@@ -23,6 +30,95 @@ def test_it_answers_on_its_own_address_alone(opened: LiveView):
     port = int(opened.address.rsplit(":", 1)[1])
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.2", port), timeout=10)
+
+
+def got(port: int, host: str, origin: str | None) -> int:
+    """Return the status of an answer to a browser that asks for the page by a name, from a page of some origin."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.putrequest("GET", "/", skip_host=True)
+    connection.putheader("Host", host)
+    if origin is not None:
+        connection.putheader("Origin", origin)
+    connection.endheaders()
+    with contextlib.closing(connection), connection.getresponse() as answer:
+        if answer.status == 200:
+            assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+        return answer.status
+
+
+def talked(port: int, host: str, origin: str | None) -> int:
+    """Return the status of an answer to a page that opens a websocket; where it is opened the viewer says something."""
+    try:
+        with (
+            socket.create_connection(("127.0.0.1", port), timeout=10) as sock,
+            websocket.connect(f"ws://{host}", sock=sock, origin=origin, subprotocols=[PROTOCOL]) as page,
+        ):
+            assert page.recv(timeout=10)
+            return 200
+    except InvalidStatus as refused:
+        return refused.response.status_code
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "status"),
+    [
+        ("127.0.0.1:{}", None, 200),
+        ("127.0.0.1:{}", "http://127.0.0.1:{}", 200),
+        ("localhost:{}", "http://localhost:{}", 200),
+        ("LOCALHOST:9000", "http://localhost:9000", 200),  # through ssh -L 9000:127.0.0.1:8080
+        ("[::1]:{}", "http://[::1]:{}", 200),
+        ("192.0.2.7", "https://192.0.2.7", 200),
+        ("127.0.0.1:{}", "http://evil.example", 403),
+        ("127.0.0.1:{}", "http://127.0.0.1:1", 403),
+        ("127.0.0.1:{}", "http://localhost:{}", 403),
+        ("127.0.0.1:{}", "null", 403),
+        ("127.0.0.1:{}", "file://127.0.0.1:{}", 403),
+        ("127.0.0.1:{}", "http://[", 403),
+        ("evil.example:{}", None, 403),
+        ("evil.example:{}", "http://evil.example:{}", 403),  # a name that leads here
+        ("127.0.0.1.evil.example", "http://127.0.0.1.evil.example", 403),
+    ],
+)
+def test_pages_of_others_are_refused(opened: LiveView, host: str, origin: str | None, status: int):
+    port = int(opened.address.rsplit(":", 1)[1])
+    host, origin = host.format(port), origin and origin.format(port)
+    assert (got(port, host, origin), talked(port, host, origin)) == (status, status)
+
+
+def test_the_name_that_it_is_asked_for_is_its_own():
+    from craftsim.rendering.viewer.guard import why_refused
+
+    def refused(listens: str, *headers: tuple[str, str]) -> bool:
+        return bool(why_refused(listens, Headers(headers)))
+
+    assert not refused("robots.example", ("Host", "Robots.example:8080"))
+    assert not refused("0.0.0.0", ("Host", socket.gethostname()))
+    assert refused("0.0.0.0", ("Host", "robots.example"))
+    assert refused("0.0.0.0")
+    assert refused("0.0.0.0", ("Host", ""))
+    assert refused("0.0.0.0", ("Host", "["))
+    assert refused("0.0.0.0", ("Host", "10.0.0.1"), ("Host", "10.0.0.2"))
+    assert refused("0.0.0.0", ("Host", "10.0.0.1"), *(("Origin", "http://10.0.0.1"),) * 2)
+
+
+def test_strangers_write_nothing_on_the_terminal(capfd):
+    with LiveView(port=0) as view:
+        port = int(view.address.rsplit(":", 1)[1])
+        for data in (b"\x00" * 100, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"GET " + b"/" * 20_000, b""):
+            with socket.create_connection(("127.0.0.1", port), timeout=10) as connection:
+                connection.sendall(data)
+                connection.shutdown(socket.SHUT_WR)
+                while connection.recv(65536):
+                    pass
+        with pytest.raises(InvalidStatus, match="400"), websocket.connect(f"ws://127.0.0.1:{port}"):
+            pass
+        for message in ("text", b"", b"\xc1", msgpack.packb({"type": "no such message"})):
+            with websocket.connect(f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL]) as page:
+                page.send(message)
+                with pytest.raises(ConnectionClosed):
+                    while page.recv(timeout=10):
+                        pass
+    assert capfd.readouterr() == ("", "")
 
 
 def test_nobody_makes_it_public():

@@ -11,6 +11,7 @@ from viser import ViserServer
 
 from craftsim.errors import InputError
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT
+from craftsim.rendering.viewer.guard import guarded
 
 
 class LocalServer(ViserServer):
@@ -23,7 +24,7 @@ class LocalServer(ViserServer):
         for ever.
         """
         _try(host, port)
-        with contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.redirect_stdout(io.StringIO()), guarded(host):
             super().__init__(host=host, port=port, verbose=False)
         if port not in (0, self.get_port()):
             self.stop()

@@ -119,7 +119,7 @@ class Link:
         self._takes: deque[float] = deque(maxlen=_REMEMBERED)
         self._lead_s = 0.0
         """How long after the measurement that they answer commands are to begin."""
-        self._number = self._first = 0
+        self._number, self._first = 0, 1
         self._owed: list[int] = []
         self._newest = self._first_measurements()
         self._due_s, self._stops = self._newest.time_s, self._newest.stops
@@ -170,7 +170,7 @@ class Link:
             self._stops = self._newest.stops
         elif self._newest.stops > self._stops and not self.lost:
             self.lost = f"the robots had no command for {1e3 * self.welcome.watchdog_s:.0f} ms, and stopped"
-        if ahead_s > _MOST_BEHIND_S and not self.lost:
+        elif ahead_s > _MOST_BEHIND_S and not self.lost:
             self.lost = f"the clock of the robots was {ahead_s:.4g} s ahead of what they were commanded"
         self._predict()
         self._look_on()

@@ -123,7 +123,7 @@ class Caller:
             if not (port.isascii() and port.isdecimal() and 1 <= int(port[:6]) <= 65_535):
                 raise ValueError("the port should be 1 to 65535")
             self._places = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)
-        except (OSError, ValueError) as error:
+        except (OSError, TypeError, ValueError) as error:
             why = getattr(error, "strerror", None) or error
             raise InputError(
                 f"'{address[:100]}' is no address of robots ({why}); try tcp://{LOOPBACK}:{PORT}"
@@ -198,8 +198,10 @@ class Host:
         """
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
+            if not host:
+                raise ValueError("no address")
             self._listens = socket.create_server((host, port), family=family)
-        except (OSError, UnicodeError, ValueError) as error:
+        except (OSError, TypeError, ValueError) as error:
             why = getattr(error, "strerror", None) or error
             raise InputError(
                 f"cannot listen on {host}, port {port}: {why}; try --host {LOOPBACK}, and --port 0 for a free one"

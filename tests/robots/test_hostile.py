@@ -1,0 +1,357 @@
+"""Robots and referees that say what cannot be, and clients of robots that mean harm: each ends in words."""
+
+import math
+import re
+import threading
+from collections import deque
+from contextlib import contextmanager
+from dataclasses import replace
+
+import msgpack
+import numpy as np
+import pytest
+from drawn import draw
+
+from craftsim.checking.settings import setup_of
+from craftsim.checking.world import set_up
+from craftsim.cli import main
+from craftsim.discrete.actions import Action
+from craftsim.errors import InputError
+from craftsim.models.sensing import CarMeasurement
+from craftsim.robots.area import Area
+from craftsim.robots.channel import Channel, Network
+from craftsim.robots.link import Link
+from craftsim.robots.messages import Ack, Bye, Commands, Follow, Hello, Measurements, Welcome, pack, unpack
+from craftsim.robots.service import Service
+from craftsim.robots.serving import Server
+from craftsim.robots.simulated import SimulatedClock, SimulatedReferee, simulated_robots
+from craftsim.robots.sockets import Host
+from craftsim.robots.station import Station
+from craftsim.skills.outcome import Reason
+from craftsim.skills.skill import Command
+
+SIZE, CARS = (3, 1, 1), [(0, 0, 1, 0)]
+
+
+class Lying:
+    """A connection on which some messages are others, and each receipt takes a thousandth of a second."""
+
+    def __init__(self, true, lie, clock):
+        self.true, self.lie, self.clock, self.receipts = true, lie, clock, 0
+
+    def send(self, data: bytes) -> None:
+        self.true.send(data)
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        self.receipts += 1
+        assert self.receipts < 50_000, "it never ends"
+        self.clock[0] += 0.001
+        data = self.true.receive(timeout_s)
+        return None if data is None else self.lie(data)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Let the time in which links and mirrors wait be one that the test counts."""
+    now = [0.0]
+    for module in ("link", "mirror"):
+        monkeypatch.setattr(f"craftsim.robots.{module}.time.monotonic", lambda: now[0])
+    return now
+
+
+def changed(data: bytes, **values) -> bytes:
+    return msgpack.packb({**msgpack.unpackb(data), **values})
+
+
+def measured(**values):
+    """Return what changes the measurement of the first car."""
+
+    def lie(data: bytes) -> bytes:
+        content = msgpack.unpackb(data)
+        if content["kind"] == "measurements":
+            content["cars"][0].update(values)
+        return msgpack.packb(content)
+
+    return lie
+
+
+def clock_shows(time_s):
+    """Return what changes the time of measurements: a function of the true one."""
+
+    def lie(data: bytes) -> bytes:
+        content = msgpack.unpackb(data)
+        if content["kind"] == "measurements":
+            content["time_s"] = time_s(content["time_s"])
+        return msgpack.packb(content)
+
+    return lie
+
+
+@pytest.mark.parametrize(
+    ("lie", "why"),
+    [
+        *(
+            (measured(**{name: math.nan}), f"dropped: measurements.cars.0.{name}")
+            for name in ("x", "heading")
+        ),
+        (measured(y=1e308), "dropped: measurements.cars.0.y"),
+        (measured(x=500.0), "dropped: car 0 at \\(500, .*outside the world"),
+        (measured(slope=0, hinge_rad=0.0), "dropped: car 0 docked to slope 0; there are 0"),
+        (lambda data: changed(data, cars=[]) if b"measurements" in data else data, "of 0 cars; there are 1"),
+        (clock_shows(lambda time_s: 0.0), "dropped: a clock that went from .* s to 0 s"),
+        (clock_shows(lambda time_s: 1e9 - time_s), "clock of the robots was 1e\\+09 s ahead"),
+        (clock_shows(lambda time_s: 1e8 * time_s), "clock of the robots was .* s ahead"),
+        (lambda data: b"\xff\xfe", "dropped: no map|dropped: no MessagePack"),
+        (lambda data: b"\x81\xa1\xff\xa1\xff", "dropped: no MessagePack"),
+        (lambda data: pack(Ack(1)), "nothing has come from the robots for 1 s"),
+    ],
+)
+def test_robots_that_say_what_cannot_be_are_lost_in_words(make_robots, clock, lie, why):
+    robots = make_robots(SIZE, CARS)
+    robots.checked.executor.begin(0, Action.MOVE_RIGHT)
+    robots.checked.executor.advance()
+    robots.link._area = Area(SIZE)
+    robots.link._transport = Lying(robots.driver, lie, clock)
+    ended = {}
+    for _ in range(3000):
+        if ended := robots.checked.executor.advance():
+            break
+    assert ended[0].reason is Reason.DISCONNECTED
+    assert re.search(why, str(ended[0])), str(ended[0])
+
+
+@pytest.mark.parametrize("lie", [measured(x=math.nan), clock_shows(lambda time_s: 1e9 - time_s)])
+def test_robots_that_say_what_cannot_be_at_first_are_refused(make_robots, clock, lie):
+    robots = make_robots(SIZE, CARS)
+    robots.service.station.leave()
+    robots.driver.inbox.clear()
+    with pytest.raises(InputError, match="dropped: "):
+        Link(Lying(robots.driver, lie, clock), 1, setup_of(drive="reduced").machines)
+
+
+def test_a_clock_that_goes_back_costs_neither_time_nor_memory(make_robots, clock):
+    robots = make_robots(SIZE, CARS)
+    link = robots.link
+    now = [1e9]
+    lying = Lying(robots.driver, clock_shows(lambda time_s: now[0]), clock)
+    link._transport = lying
+    link.attend()
+    now[0] = 0.0
+    for _ in range(5):
+        link.advance()
+    assert link.lost
+    assert lying.receipts < 10_000
+    assert abs(link._newest.time_s) <= 1e9
+
+
+def poses(**values):
+    return lambda data: changed(data, **values)
+
+
+POSE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("lie", "why"),
+    [
+        (poses(things=[POSE]), "1 cars, 1 things and 0 hinges; there are 1, 0 and 0"),
+        (poses(cars=[]), "0 cars, 0 things and 0 hinges; there are 1, 0 and 0"),
+        (poses(hinges=[0.0]), "1 cars, 0 things and 1 hinges; there are 1, 0 and 0"),
+        (poses(cars=[[math.nan, *POSE[1:]]]), "poses.cars.0.0"),
+        (poses(cars=[[1e308, *POSE[1:]]]), "poses.cars.0.0"),
+        (poses(cars=[[300.0, *POSE[1:]]]), "outside the world"),
+        (poses(cars=[[0.0] * 7]), "length 1"),
+        (poses(time_s=0.0), "nothing of use for 1 s"),
+        (poses(time_s=1e9), "the referee's clock shows 1e"),
+        (lambda data: pack(Hello(1)), "dropped: hello"),
+        (lambda data: b"\xff\xfe", "dropped: no "),
+    ],
+)
+def test_a_referee_that_says_what_cannot_be_is_lost_in_words(make_robots, clock, lie, why):
+    robots = make_robots(SIZE, CARS)
+    robots.checked.executor.begin(0, Action.MOVE_RIGHT)
+    mirror = robots.link._judge
+    mirror._referee = Lying(mirror._referee, lie, clock)
+    ended = {}
+    for _ in range(100):
+        if ended := robots.checked.executor.advance():
+            break
+    assert ended[0].reason is Reason.DISCONNECTED
+    assert re.search(why, str(ended[0])), str(ended[0])
+    assert np.isfinite(robots.checked.site.data.qpos).all()
+
+
+class Wire:
+    """Sockets in memory, and a clock that goes on with each look at them."""
+
+    def __init__(self):
+        self.now_s, self.waiting, self.sent = 0.0, deque(), {}
+        self.flood = None
+        self.looks, self.flood_s = 0, 1e-5
+
+    def now(self) -> float:
+        return self.now_s
+
+    def send(self, receiver: bytes, data: bytes) -> None:
+        self.sent.setdefault(receiver, []).append(unpack(data))
+
+    def receive(self, timeout_s: float, kept) -> tuple[bytes, bytes | None] | None:
+        self.looks += 1
+        assert self.looks < 100_000, "it never ends"
+        if self.waiting:
+            return self.waiting.popleft()
+        if self.flood is not None:
+            self.now_s += self.flood_s
+            return self.flood
+        self.now_s += max(timeout_s, 1e-4)
+        return None
+
+
+def serve(waits: bool, patience_s: float = 60.0):
+    """Return a server of a robot, its service and its sockets."""
+    fleet = set_up(draw(SIZE, (), CARS), setup_of(drive="reduced"), watch_contacts=False).executor.fleet
+    station = Station(simulated_robots(fleet), 0, 0.02, referee=True, waits=waits)
+    wire, told = Wire(), []
+    up, down = (Channel(Network(), np.random.default_rng(0)) for _ in range(2))
+    service = Service(
+        *(station, SimulatedClock(fleet), up, down, wire.send, SimulatedReferee(fleet.site), told.append)
+    )
+    return Server(service, wire, 1.0, patience_s, wire.now), service, wire, told
+
+
+def run(server: Server, wire: Wire, looks: int) -> None:
+    """Let a server go round so often."""
+    left = iter(range(looks))
+    server.run(lambda: next(left, None) is None)
+
+
+@pytest.mark.parametrize("sender", [b"driver", b"stranger"])
+def test_acknowledgements_without_end_do_not_stop_the_robots_time(sender):
+    server, service, wire, _ = serve(waits=False)
+    wire.waiting.append((b"driver", pack(Hello(1))))
+    run(server, wire, 3)
+    wire.flood = sender, pack(Ack(1))
+    before, looks = service.periods, wire.looks
+    while wire.looks < looks + 20_000:  # 0.2 s of them
+        run(server, wire, 100)
+    assert service.periods - before >= 8
+    assert server.behind_s < 0.1
+
+
+@pytest.mark.parametrize("flood", [(b"stranger", pack(Ack(1))), (b"stranger", pack(Hello(1)))])
+def test_robots_in_lock_step_leave_a_driver_that_is_silent(flood):
+    server, service, wire, told = serve(waits=True, patience_s=0.1)
+    wire.waiting.append((b"driver", pack(Hello(1))))
+    run(server, wire, 3)
+    wire.flood, wire.flood_s = flood, 1e-4
+    looks = wire.looks
+    while wire.looks < looks + 90_000 and service.now_s < 2.5:
+        run(server, wire, 100)
+        if service.station.driver == b"stranger":
+            break
+    wire.flood = None
+    wire.waiting.append((b"other", pack(Hello(1))))
+    run(server, wire, 3)
+    assert service.station.driver in (b"other", b"stranger")
+    assert sum("refused" in line or "dropped" in line for line in told) <= 10
+
+
+def test_robots_in_lock_step_obey_the_next_one_once_their_driver_is_gone():
+    server, service, wire, _ = serve(waits=True)
+    wire.waiting.append((b"driver", pack(Hello(1))))
+    run(server, wire, 3)
+    service.arrive(b"driver", pack(Commands(1, 0.0, (Command((5.0,) * 4),))), service.now_s)
+    wire.waiting.append((b"driver", None))
+    run(server, wire, 100)
+    assert len(service.station.stopped_at_s) == 1  # the watchdog is what stops them
+    assert (service.station.driver, service.farewells) == (None, 1)
+    wire.waiting.append((b"other", pack(Hello(1))))
+    run(server, wire, 2)
+    assert service.station.driver == b"other"
+    assert service.unseen  # and their time waits for it
+
+
+def test_what_a_driver_has_sent_before_is_none_of_the_next_ones(monkeypatch):
+    server, service, wire, _ = serve(waits=False)
+    wire.waiting.append((b"driver", pack(Hello(1))))
+    run(server, wire, 1)
+    wire.waiting.append((b"driver", pack(Commands(2**53, 0.0, (Command((5.0,) * 4),)))))
+    wire.waiting.append((b"driver", pack(Bye())))
+    wire.waiting.append((b"other", pack(Hello(1))))
+    run(server, wire, 10)
+    assert service.station.driver == b"other"
+    assert service.station.inbox.heard == 0
+
+
+def test_nobody_takes_the_referee_from_the_driver():
+    server, service, wire, _ = serve(waits=False)
+    wire.waiting.append((b"driver", pack(Hello(1))))
+    run(server, wire, 1)
+    (welcome,) = (sent for sent in wire.sent[b"driver"] if isinstance(sent, Welcome))
+    wire.waiting.append((b"judge", pack(Follow(welcome.ticket))))
+    wire.waiting.extend((f"watcher {n}".encode(), pack(Follow())) for n in range(100))
+    wire.waiting.append((b"guess", pack(Follow("0" * 32))))
+    run(server, wire, 110)
+    assert {b"driver", b"judge"} < service.clients
+    assert len(service.clients) == 10
+
+
+@contextmanager
+def answering(answer):
+    """Yield the address of robots in a thread, which answer each message by a function of it."""
+    ended = threading.Event()
+    with Host("127.0.0.1", 0) as host:
+
+        def serve() -> None:
+            while not ended.is_set():
+                found = host.receive(0.02)
+                for data in () if found is None or found[1] is None else answer(found[1]):
+                    host.send(found[0], data)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield host.address
+        finally:
+            ended.set()
+            thread.join()
+
+
+CAR = CarMeasurement(0.5, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0, (0.0,) * 4, 0.0, 0.0, None, None)
+
+
+def greeting(cars: tuple, **values):
+    """Return what answers a greeting, and then measures something."""
+    welcome = replace(Welcome(2, 1, 0.02, 0.1, True), **values)
+    return lambda data: [
+        pack(welcome),
+        *(pack(Measurements(n, 0.02 * n, 0, 0.0, 0, cars)) for n in range(1, 60)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        (greeting((CAR._replace(x=math.nan),) * 2), "dropped: measurements.cars.0.x"),
+        (greeting((CAR._replace(z=1e308),) * 2), "dropped: measurements.cars.0.z"),
+        (greeting((CAR,)), "measurements of 1 cars; there are 2"),
+        (greeting((CAR, CAR), slopes=3), "know of 3 slopes"),
+        (greeting((CAR, CAR), period_s=0.01), "control period is 0.01 s"),
+        (greeting((CAR, CAR)), "the referee has shown nothing of use"),
+        (lambda data: [b"\xff\xfe"], "no robots answer within 0.2 s .dropped: no"),
+    ],
+)
+def test_a_demo_with_robots_that_lie_ends_in_words(tmp_path, monkeypatch, capsys, answer, why):
+    monkeypatch.setattr("craftsim.robots.link._GREETED_S", 0.2)
+    plan = tmp_path / "short.plan"
+    plan.write_text("0 0 ROTATE_LEFT\n", encoding="utf-8")
+    with answering(answer) as address:
+        words = ["demo", "--robot", address, "--plan", str(plan), "--timeout-s", "0.2", "--no-video"]
+        assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert re.search(why, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("address", ["\udcff\udcfe:5555", "\udcff"])
+def test_an_address_that_is_no_text_is_refused(tmp_path, capsys, address):
+    assert main(["demo", "--robot", address, "--no-video", "--out", str(tmp_path)]) == 2
+    assert "is no address of robots" in capsys.readouterr().err

@@ -54,8 +54,7 @@ class Lying:
 def clock(monkeypatch):
     """Let the time in which links and mirrors wait be one that the test counts."""
     now = [0.0]
-    for module in ("link", "mirror"):
-        monkeypatch.setattr(f"craftsim.robots.{module}.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
     return now
 
 

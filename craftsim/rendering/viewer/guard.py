@@ -7,6 +7,7 @@ the same origin as the viewer then, and betrayed by that name in Host.
 
 from __future__ import annotations
 
+import contextlib
 import http
 import ipaddress
 import logging
@@ -16,6 +17,7 @@ from contextlib import contextmanager
 from typing import Any, Final
 from urllib.parse import urlsplit
 
+import msgspec
 import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
@@ -76,12 +78,27 @@ def _protocols(headers: Headers) -> list[str]:
 
 
 @contextmanager
-def guarded(host: str) -> Iterator[None]:
-    """Let the server that viser starts meanwhile refuse strangers, as seen by one that listens on this address.
+def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[None]:
+    """Let the server that viser starts meanwhile refuse strangers.
+
+    Args:
+        host: address on which it listens.
+        allows: says of a message of a page whether it is one that viser may see; all others are dropped.
 
     Raises RuntimeError for a viser that starts none, or in another way.
     """
     started = []
+
+    class Screened(ServerConnection):
+        """viser believes what pages send: it sets any property of any part of the panel to any value."""
+
+        async def recv(self, decode: bool | None = None) -> Any:
+            while True:
+                data = await super().recv(decode)
+                with contextlib.suppress(msgspec.DecodeError):
+                    message = msgspec.msgpack.decode(data) if isinstance(data, bytes) else None
+                    if isinstance(message, dict) and allows(message):
+                        return data
 
     class Guarded(websockets.asyncio.server.serve):
         """viser offers no place for this but the class that it takes from websockets."""
@@ -98,7 +115,7 @@ def guarded(host: str) -> Iterator[None]:
                     response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
                 return response
 
-            rest |= {"max_size": PAGE_BYTES, "logger": _QUIET}
+            rest |= {"max_size": PAGE_BYTES, "logger": _QUIET, "create_connection": Screened}
             super().__init__(handler, *places, process_request=first, **rest)
             started.append(self)
 

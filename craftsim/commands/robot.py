@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from craftsim.commands.options import Dir, File, PhysicsOptions
+from craftsim.commands.strangers import warn_of_strangers
 from craftsim.commands.text import complain, say
 from craftsim.robots.extra import LOOPBACK, PORT, need_network
 from craftsim.storage.limits import DELAY_MS, PACE, PATIENCE_S, PORTS, SHARE
@@ -50,7 +51,7 @@ def robot(
         lockstep: let their time stand still until each measurement has been answered: the same seed then gives the
             same run, however slow the machine is.
         patience_s: how long they wait for an answer in lock-step, before their time goes on without.
-        once: end when who has driven them says goodbye.
+        once: end when who has driven them says goodbye, or has closed the connection.
         out: folder for report.json.
     """
     need_network()
@@ -81,6 +82,7 @@ def robot(
         server = Server(service, sockets, pace, patience_s)
         say(f"{len(station.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
         sys.stdout.flush()
+        warn_of_strangers(host, "drive these robots")
         with contextlib.suppress(KeyboardInterrupt):
             server.run(lambda: once and service.farewells > 0)
         server.end()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from craftsim.commands.options import PhysicsOptions
+from craftsim.commands.strangers import warn_of_strangers
 from craftsim.commands.text import say
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
@@ -54,6 +55,7 @@ def view(
     with LiveView(host, port, REAL_TIME) as live:
         try:
             say(f"Watch at {live.address} (Ctrl-C ends it)")
+            warn_of_strangers(host, "look on and press the buttons")
             if building is not None:
                 done = _carry_out(building, live)
                 runs[building.name] = lambda: done

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import Seed
@@ -108,6 +109,14 @@ def test_robots_and_who_drives_them_outlive_each_other(tmp_path, start):
                 ended = executor.advance()
         assert ended[1].reason is Reason.DISCONNECTED
         assert time.monotonic() - begun < 60  # two seconds where nothing else runs
+
+
+@pytest.mark.parametrize(("host", "warns"), [("0.0.0.0", True), ("127.0.0.1", False)])
+def test_robots_that_other_machines_reach_say_so(tmp_path, capsys, monkeypatch, host, warns):
+    monkeypatch.setattr("craftsim.robots.serving.Server.run", lambda self, ended: None)
+    words = ["robot", "--task", "strip", "--host", host, "--port", "0", "--out", str(tmp_path)]
+    assert main(words) == 0
+    assert ("warning: from other machines" in capsys.readouterr().err) == warns
 
 
 def test_an_address_where_no_robots_are_is_refused_in_words(tmp_path, capsys, monkeypatch):

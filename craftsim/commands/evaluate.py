@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import tyro
 
@@ -16,6 +16,10 @@ from craftsim.report import output_directory, write_report
 from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, SEED, TRAIN_EPISODES
 from craftsim.training.config import Acting
 from craftsim.training.extra import need_torch
+
+if TYPE_CHECKING:
+    from craftsim.discrete.tasks import Task
+    from craftsim.training.policy import TrainedPolicy
 
 EPISODES: Final = 1000
 
@@ -56,7 +60,6 @@ def evaluate(
     if not policies:
         raise InputError("name at least one policy: what 'craftsim train' wrote, a file or a folder")
     need_torch()
-    from craftsim.discrete.tasks import as_task
     from craftsim.training.evaluation import evaluate as play
     from craftsim.training.policy import load_policy
     from craftsim.training.shape import Shape
@@ -66,10 +69,7 @@ def evaluate(
     games = []
     for path in policies:
         policy = load_policy(path)
-        config = policy.config
-        for name in task or (config.task,):
-            given = (cars, blocks) if task else (cars or config.n_cars, blocks or config.n_blocks)
-            asked = as_task(name, *given, area or None)
+        for asked in _tasks(path, policy, task, (cars, blocks, area or None)):
             shape = Shape.of(asked, policy.shape.width, policy.shape.network)
             if not policy.shape.fits(shape):
                 raise InputError(
@@ -96,3 +96,30 @@ def evaluate(
         f"Report: {write_report(folder, {'evaluations': rows}, command='evaluate', seed=seed, config=asked_of)}"
     )
     return 0
+
+
+def _tasks(
+    path: str,
+    policy: TrainedPolicy,
+    task: tuple[str, ...],
+    given: tuple[int | None, int | None, tuple[int, ...] | None],
+) -> list[Task]:
+    """Return the tasks that are asked for with these numbers of cars and blocks and this area, or a policy's own.
+
+    Names on the command line may be of code. The name in a policy's file is from whoever wrote that.
+    """
+    from craftsim.discrete.tasks import as_task, known_task
+
+    if task:
+        return [as_task(name, *given) for name in task]
+    (cars, blocks, area), config = given, policy.config
+    try:
+        return [
+            known_task(
+                config.task, n_cars=cars or config.n_cars, n_blocks=blocks or config.n_blocks, area=area
+            )
+        ]
+    except InputError as error:
+        raise InputError(
+            f"{path}: the task that it was trained on is not there: {error}; name one with --task"
+        ) from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -141,7 +141,8 @@ def train(
         episodes: how many episodes the final evaluation has.
         record: write the trajectories of the final evaluation's episodes, in physics only.
         tensorboard: write the learning curve for TensorBoard, too, into tensorboard/ of the output folder.
-        resume: go on with the run in the output folder, begun with the same options.
+        resume: go on with the run in the output folder, begun with the same options; where nothing has been saved yet,
+            begin it.
         out: folder for policy.pt, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not given.
     """
     need_torch()
@@ -188,6 +189,7 @@ def train(
             f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "
             "or name one in a task file (docs/tasks.md)"
         )
+    staged = [as_task(name, cars, blocks) for name in stages]
     folder = output_directory(out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}"))
 
     import torch
@@ -195,7 +197,7 @@ def train(
     # One thread adds numbers up in one order, so that a run can be repeated bit for bit.
     torch.set_num_threads(1)
     console = Terminal()
-    trainer = _trainer(config, learnt, starts, folder, resume, workers)
+    trainer = _trainer(config, learnt, staged, starts, folder, resume, workers)
     begun = time.perf_counter()
     with closing(trainer):
         log = _log(folder, trainer) if tensorboard else None
@@ -225,7 +227,13 @@ def _protocol(preset: PresetName | None, shown: Path | str | None, **given: Any)
 
 
 def _trainer(
-    config: TrainConfig, task: Task, starts: Path | None, folder: Path, resume: bool, workers: int | None
+    config: TrainConfig,
+    task: Task,
+    stages: Sequence[Task],
+    starts: Path | None,
+    folder: Path,
+    resume: bool,
+    workers: int | None,
 ) -> Trainer:
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.starts import with_starts
@@ -235,11 +243,15 @@ def _trainer(
         return counting(Terminal(), "plans", total, bool)
 
     other = with_starts(task, starts, config.rules) if starts else None
-    if resume:
-        return Trainer.resume(folder, other, config=config, workers=workers, progress=progress)
-    if (folder / RUN_FILE).exists():
+    begun = (folder / RUN_FILE).exists()
+    if begun and resume:
+        return Trainer.resume(folder, other, task, config, workers, progress, stages)
+    if begun:
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
-    return Trainer(config, other, task, workers, progress)
+    if resume:
+        # As with a campaign: what was cut off before anything was kept begins again.
+        say(f"Nothing is saved in {folder} yet: the run begins.")
+    return Trainer(config, other, task, workers, progress, stages)
 
 
 def _log(folder: Path, trainer: Trainer) -> TensorboardLog:

@@ -47,7 +47,8 @@ class TrainConfig:
     """Everything that decides what a run learns, its length aside. Raises InputError for a bad value."""
 
     task: str
-    """A registered name, a file or ``module:factory``, as :func:`craftsim.discrete.tasks.as_task` takes it."""
+    """What it is called: a name or a file, as :func:`craftsim.discrete.tasks.known_task` takes it, or
+    ``module:factory``. Of the latter a trainer is given the task itself: a configuration may come from a file."""
     algo: AlgoName = "ippo"
     seed: int = 0
     worlds: int = WORLDS["grid"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from functools import cached_property
@@ -16,7 +16,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from craftsim.discrete.tasks import Task, as_task
+from craftsim.discrete.tasks import Task, known_task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.interrupts import finishing_first
@@ -60,22 +60,25 @@ class Trainer:
         task: Task | None = None,
         workers: int | None = None,
         progress: Progress = silent,
+        stages: Sequence[Task] | None = None,
     ) -> None:
         """Prepare a run; close it when it is done with.
 
         Args:
             config: what decides the run.
             starts: the task with other starts to train from, where they are not its own.
-            task: the task itself; made of its name in the configuration unless given.
+            task: the task itself; looked up by its name in the configuration unless given. A configuration may come from
+                a file, so that nothing is imported for a name in it: a task that Python code makes has to be given.
             workers: how many processes share the worlds in physics; one for each processor unless given.
             progress: shows how many plans have been made, where plans are imitated.
+            stages: the tasks of the stages themselves, as ``task``.
 
         Raises:
             InputError: there is no such task.
         """
         self.config = config
         self.workers = workers
-        self.task = task or as_task(config.task, config.n_cars, config.n_blocks)
+        self.task = task or _named(config.task, config)
         self.identity = TaskIdentity.of(self.task, config.rules)
         self.starts = "" if starts is None else starts_digest(starts)
         """Digest of the other starts; empty without."""
@@ -84,7 +87,9 @@ class Trainer:
         self._given, self._progress = starts, progress
         self._own_starts = starts is None and not config.explore and not config.imitate
         self.shape = Shape.of(self.task, config.width, config.network)
-        self._stages = [self._of_stage(name) for name in config.stages]
+        self._stages = [_named(name, config) for name in config.stages] if stages is None else list(stages)
+        for stage in self._stages:
+            self._check_stage(stage)
         self._made: tuple[int, GridEnv | PhysicsEnv] | None = None
         self.curve: list[Point] = []
         self.wall_s = self.cpu_s = 0.0
@@ -97,11 +102,9 @@ class Trainer:
             """Digest of the policy that it began with; empty without."""
         self.novelty = Novelty(config.novelty, self.shape)
 
-    def _of_stage(self, name: str) -> Task:
-        task = as_task(name, self.config.n_cars, self.config.n_blocks)
-        if (shape := Shape.of(task, self.config.width, self.config.network)) != self.shape:
-            raise InputError(f"stage '{task.name}' has {shape}; allowed is what the task has: {self.shape}")
-        return task
+    def _check_stage(self, stage: Task) -> None:
+        if (shape := Shape.of(stage, self.config.width, self.config.network)) != self.shape:
+            raise InputError(f"stage '{stage.name}' has {shape}; allowed is what the task has: {self.shape}")
 
     @cached_property
     def guidance(self) -> Guidance:
@@ -238,6 +241,7 @@ class Trainer:
         config: TrainConfig | None = None,
         workers: int | None = None,
         progress: Progress = silent,
+        stages: Sequence[Task] | None = None,
     ) -> Trainer:
         """Return the run that a folder holds, as it was when it was saved.
 
@@ -247,16 +251,16 @@ class Trainer:
         Args:
             folder: holds the run.
             starts: the task with other starts to train from, where they are not its own.
-            task: the task itself; made of its name in the file unless given, which may name a Python function. Give it,
-                or the configuration, for a file from others.
+            task: the task itself; looked up by its name in the file unless given, as in the constructor.
             config: what the run must have been begun with; anything unless given.
             workers: as in the constructor.
             progress: as in the constructor.
+            stages: as in the constructor.
         """
         with open_run(folder / RUN_FILE) as run:
             if config is not None and run.head.config != config:
                 raise InputError(f"it was begun with {run.head.config}, not with {config}")
-            trainer = cls(run.head.config, starts, task, workers, progress)
+            trainer = cls(run.head.config, starts, task, workers, progress, stages)
             if run.head.task.digest != trainer.identity.digest:
                 raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
             if run.head.starts != trainer.starts:
@@ -269,6 +273,11 @@ class Trainer:
             trainer.wall_s, trainer.cpu_s = run.head.wall_s, run.head.cpu_s
             trainer.curve = run.head.curve
         return trainer
+
+
+def _named(name: str, config: TrainConfig) -> Task:
+    """Return a task that a configuration names, with its numbers of cars and blocks."""
+    return known_task(name, n_cars=config.n_cars, n_blocks=config.n_blocks)
 
 
 def training_versions() -> dict[str, str]:

@@ -2,7 +2,14 @@
 
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.tasks.random_tasks import random_task
-from craftsim.discrete.tasks.registry import VARIED_NAMES, as_task, register_task, task_names, task_of
+from craftsim.discrete.tasks.registry import (
+    VARIED_NAMES,
+    as_task,
+    known_task,
+    register_task,
+    task_names,
+    task_of,
+)
 from craftsim.discrete.tasks.task import TASK_NAMES, Task, TaskName, free_play, make_task
 
 __all__ = [
@@ -12,6 +19,7 @@ __all__ = [
     "TaskName",
     "as_task",
     "free_play",
+    "known_task",
     "make_task",
     "random_task",
     "register_task",

@@ -1,4 +1,8 @@
-"""From a word to a task: the paper's six, tasks that were registered, files, and factories in Python modules."""
+"""From a word to a task: the paper's six, tasks that were registered, files, and factories in Python modules.
+
+What stands in a file is looked up by :func:`known_task`, which imports nothing; what is given on the command line or in
+Python by :func:`task_of` or :func:`as_task`, which also take ``module:factory``.
+"""
 
 from __future__ import annotations
 
@@ -80,44 +84,105 @@ def task_of(
     n_blocks: int | None = None,
     area: tuple[int, ...] | None = None,
 ) -> Task:
-    """Return the task that a text stands for.
+    """Return the task that a text on the command line or in Python stands for.
+
+    It may import code: a text that was read from a file is for :func:`known_task`.
 
     Args:
-        text: a name (one of the paper's six, one of those that vary, with ``@test`` for its held-out starts, or a
-            registered one), a file (a blueprint or a task file, ``.yaml``), or
-            ``module:factory``, a callable without arguments that returns a Task; the module may lie in the working
-            folder.
+        text: what :func:`known_task` takes, or ``module:factory``, a callable without arguments that returns a Task;
+            the module may lie in the working folder.
         reward: how a named task or a blueprint rewards; a registered task and a factory have their own.
         n_cars: other than the start file's number of cars; those that it does not list are drawn at random.
         n_blocks: the same for blocks.
         area: (length, width) or (length, width, height) in cells, of a task that varies.
 
-    Raises InputError for a text that stands for nothing, a file that is wrong, a factory that raises, counts for a
-    registered task or a factory, which have their own, and an area for any but a task that varies.
+    Raises InputError as :func:`known_task` does, for a factory that raises, and for counts and an area for a factory,
+    which has its own.
     """
-    varied, _, split = text.partition("@")
-    if varied in VARIED_NAMES:
+    if not _is_code(text):
+        return _known(text, reward, n_cars, n_blocks, area, "a file .yaml, or module:factory")
+    if area is not None:
+        raise _own_area(text)
+    if n_cars is not None or n_blocks is not None:
+        raise _own_numbers(text)
+    return _made(text)
+
+
+def known_task(
+    text: str,
+    reward: RewardName = "paper",
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    area: tuple[int, ...] | None = None,
+) -> Task:
+    """Return the task that a text in a file stands for, whoever wrote it; nothing is imported for it.
+
+    Args:
+        text: a name (one of the paper's six, one of those that vary, with ``@test`` for its held-out starts, or a
+            registered one), or a file (a blueprint or a task file, ``.yaml``).
+        reward: as in :func:`task_of`, and so are the others.
+        n_cars: number of cars.
+        n_blocks: number of blocks.
+        area: in cells.
+
+    Raises InputError for a text that stands for nothing, ``module:factory`` included, a file that is wrong, counts for
+    a registered task, which has its own, and an area for any but a task that varies.
+    """
+    if _is_code(text):
+        raise InputError(
+            f"task '{text}': module:factory is code, which is imported where the command line or Python names it, never "
+            f"where a file does; allowed: {', '.join(task_names())}, a file .yaml"
+        )
+    return _known(text, reward, n_cars, n_blocks, area, "a file .yaml")
+
+
+def _is_code(text: str) -> bool:
+    return ":" in text and not _is_varied(text) and not _is_file(text)
+
+
+def _is_varied(text: str) -> bool:
+    return text.partition("@")[0] in VARIED_NAMES
+
+
+def _is_file(text: str) -> bool:
+    return exists(text) and Path(text).is_file()
+
+
+def _own_area(text: str) -> InputError:
+    return InputError(
+        f"task '{text}' has its own area; only those that vary take one: {', '.join(VARIED_NAMES)}"
+    )
+
+
+def _own_numbers(text: str) -> InputError:
+    return InputError(f"task '{text}' has its own numbers of cars and blocks; they cannot be given")
+
+
+def _known(
+    text: str,
+    reward: RewardName,
+    n_cars: int | None,
+    n_blocks: int | None,
+    area: tuple[int, ...] | None,
+    else_allowed: str,
+) -> Task:
+    """Return the task of a name or a file."""
+    if _is_varied(text):
+        varied, _, split = text.partition("@")
         return _varied(varied, split or "train", reward, n_cars, n_blocks, area)
     if area is not None:
-        raise InputError(
-            f"task '{text}' has its own area; only those that vary take one: {', '.join(VARIED_NAMES)}"
-        )
+        raise _own_area(text)
     if text in TASK_NAMES:
         return make_task(text, reward, n_cars=n_cars, n_blocks=n_blocks)
-    is_file = exists(text) and Path(text).is_file()
-    own = text in _REGISTERED or (":" in text and not is_file)
-    if own and (n_cars is not None or n_blocks is not None):
-        raise InputError(f"task '{text}' has its own numbers of cars and blocks; they cannot be given")
     if text in _REGISTERED:
+        if n_cars is not None or n_blocks is not None:
+            raise _own_numbers(text)
         return _REGISTERED[text]
-    if own:
-        return _made(text)
-    if is_file or text.endswith((".yaml", ".yml")):
+    if _is_file(text) or text.endswith((".yaml", ".yml")):
         return read_task(text, reward, n_cars, n_blocks)
     names = task_names()
     raise InputError(
-        f"unknown task '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, "
-        "a file .yaml, or module:factory"
+        f"unknown task '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, {else_allowed}"
     )
 
 

@@ -175,6 +175,12 @@ SHOWN: Final = Range(0, 10_000)
 """Mismatches that are drawn."""
 TRAIN_STEPS: Final = Range(1, 10**12)
 TRAIN_EPISODES: Final = Range(1, 1_000_000)
+STUDY_SEEDS: Final = Range(1, 1000)
+STUDY_TASKS: Final = Range(1, 100)
+"""That a study trains on or plays."""
+STUDY_RUNS: Final = Range(1, 10_000)
+"""Of a study: tasks times algorithms times seeds."""
+TITLE_CHARACTERS: Final = Range(0, 200)
 SHARE: Final = Range(0, 1)
 BONUS: Final = Range(0, 1000)
 """Of novelty."""

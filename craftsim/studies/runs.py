@@ -47,7 +47,10 @@ def run_study(
         Item(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder))
         for run in asked
     ]
-    header = Header("study", 0, {"study": asdict(study)})
+    digests = {
+        name: task.digest for run in asked for name, task in {run.config.task: run.task, **run.tests}.items()
+    }
+    header = Header("study", 0, {"study": asdict(study), "digests": digests})
     records = run_campaign(
         items,
         train_and_evaluate,
@@ -66,7 +69,6 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
     """Train, or go on training, and evaluate; what a worker does of a study."""
     import torch
 
-    from craftsim.discrete.tasks import as_task
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.evaluation import evaluate
     from craftsim.training.trainer import Trainer
@@ -76,7 +78,8 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
     place.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     resumed = (place / RUN_FILE).exists()
-    trainer = Trainer.resume(place, config=config) if resumed else Trainer(config)
+    tasks: dict[str, Any] = {"task": run.task, "stages": run.stages}
+    trainer = Trainer.resume(place, config=config, **tasks) if resumed else Trainer(config, **tasks)
     with closing(trainer):
         for evaluated in trainer.run(run.steps, run.until):
             if evaluated:
@@ -90,15 +93,15 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
             "evaluations": {
                 name: evaluate(
                     trainer.learner.net,
-                    as_task(name),
+                    task,
                     run.episodes,
                     1,
                     config.rules,
                     config.helper_depth,
                     config.acting,
                 ).as_figures()
-                for name in run.tests
+                for name, task in run.tests.items()
             },
         }
-    own = extra["evaluations"][run.tests[0]]["success"]["rate"]
+    own = extra["evaluations"][next(iter(run.tests))]["success"]["rate"]
     return Done(agrees=own >= run.until, extra=extra)

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import json
+import re
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
 from craftsim.discrete.files.documents import Node, Scalar, Sequence, exists, parse_keys, read_text
-from craftsim.discrete.tasks import Task, as_task
+from craftsim.discrete.tasks import Task, known_task
 from craftsim.errors import InputError, suggestion
-from craftsim.storage.mistakes import first_mistake
+from craftsim.storage.limits import (
+    SHARE,
+    STUDY_RUNS,
+    STUDY_SEEDS,
+    STUDY_TASKS,
+    TITLE_CHARACTERS,
+    TRAIN_EPISODES,
+    TRAIN_STEPS,
+)
+from craftsim.storage.schema import Schema
 from craftsim.training.config import PRESETS, AlgoName, PresetName, TrainConfig
+from craftsim.training.shape import Shape
 
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "studies"
 _SETTLED: Final = ("task", "algo", "seed")
@@ -19,20 +33,31 @@ SETTINGS: Final = tuple(field.name for field in fields(TrainConfig) if field.nam
 """Fields of a training configuration that a study may set."""
 
 
+_NAME_CHARACTERS: Final = 80
+"""Of a run's folder."""
+
+
 @dataclass(frozen=True)
 class StudyRun:
-    """One training run, and what it is evaluated on."""
+    """One training run, and what it is evaluated on. Workers are sent the tasks: names are looked up once, before."""
 
     config: TrainConfig
+    task: Task
+    stages: tuple[Task, ...]
     steps: int
     until: float
-    tests: tuple[str, ...]
+    tests: Mapping[str, Task]
+    """By what the study calls them."""
     episodes: int
 
     @property
     def key(self) -> str:
-        """Its name in the study, and that of its folder."""
-        return f"{self.config.task}/{self.config.algo}/{self.config.seed}".replace("@", "-")
+        """Its name in the study, and that of its folder, which lies in the study's whatever a task is called."""
+        return f"{_folder_name(self.task)}/{self.config.algo}/{self.config.seed}"
+
+
+def _folder_name(task: Task) -> str:
+    return re.sub(r"[^\w.-]+", "-", task.name).lstrip(".")[:_NAME_CHARACTERS] or "task"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,13 +86,8 @@ class Study:
     """By task: a published success rate to stand beside."""
 
     def __post_init__(self) -> None:
-        if not self.tasks or not self.algos:
-            raise InputError("a study needs at least one task and one algorithm")
-        if not 1 <= self.seeds <= 1000 or not 1 <= self.episodes <= 1_000_000 or self.steps < 1:
-            raise InputError(
-                f"seeds {self.seeds}, episodes {self.episodes}, steps {self.steps}: each must be 1 or more"
-            )
-        for name, known in {
+        self._check_counts()
+        for key, known in {
             "of_tasks": self.of_tasks,
             "tests": self.tests,
             "reference": self.reference,
@@ -75,37 +95,114 @@ class Study:
             for task in known:
                 if task not in self.tasks:
                     raise InputError(
-                        f"key '{name}.{task}': no task of the study{suggestion(task, self.tasks)}"
+                        f"key '{key}.{task}': no task of the study{suggestion(task, self.tasks)}"
                     )
-        for where, given in {"settings": self.settings, **self.of_tasks}.items():
-            for key in given:
-                if key not in (*SETTINGS, *(() if where == "settings" else ("steps",))):
-                    raise InputError(
-                        f"key '{where}.{key}': unknown{suggestion(key, SETTINGS)}; there are {', '.join(SETTINGS)}"
-                    )
-        for run in self.runs:
-            for name in (run.config.task, *run.tests):
-                _with_goal(name)
+        for task, rate in self.reference.items():
+            SHARE.check(f"key 'reference.{task}'", rate)
+        self._check_settings("settings", self.settings, SETTINGS)
+        for task, given in self.of_tasks.items():
+            self._check_settings(f"of_tasks.{task}", given, (*SETTINGS, "steps"))
+        self._check_runs()
 
-    @property
+    def _check_counts(self) -> None:
+        """Refuse what is too much, or given twice, before anything is made of it."""
+        TITLE_CHARACTERS.check("characters of title", len(self.title))
+        STUDY_SEEDS.check("seeds", self.seeds)
+        TRAIN_EPISODES.check("episodes", self.episodes)
+        TRAIN_STEPS.check("steps", self.steps)
+        SHARE.check("until", self.until)
+        if not self.tasks or not self.algos:
+            raise InputError("a study needs at least one task and one algorithm")
+        STUDY_RUNS.check(
+            f"runs, {len(self.tasks)} tasks x {len(self.algos)} algorithms x {self.seeds} seeds,",
+            len(self.tasks) * len(self.algos) * self.seeds,
+        )
+        lists = {"tasks": self.tasks, "algos": self.algos}
+        for key, names in {**lists, **{f"tests.{task}": names for task, names in self.tests.items()}}.items():
+            _check_once(key, names)
+        STUDY_TASKS.check(
+            "tasks that are trained on or played", len({*self.tasks}.union(*self.tests.values()))
+        )
+
+    def _check_settings(self, where: str, given: Mapping[str, Any], known: tuple[str, ...]) -> None:
+        for key in given:
+            if key not in known:
+                raise InputError(
+                    f"key '{where}.{key}': unknown{suggestion(key, known)}; there are {', '.join(known)}"
+                )
+
+    def _check_runs(self) -> None:
+        """Refuse tasks of one name, and what would fail only once a run has been trained."""
+        names: dict[str, str] = {}
+        for run in (run for run in self.runs if run.config.seed == 0):
+            called, folder = run.config.task, _folder_name(run.task)
+            if names.setdefault(folder, called) != called:
+                raise InputError(
+                    f"tasks '{names[folder]}' and '{called}' are both called '{folder}'; rename one"
+                )
+            own = Shape.of(run.task, run.config.width, run.config.network)
+            for task in (run.task, *run.tests.values()):
+                if not task.has_goal:
+                    raise InputError(f"task '{task.name}' has no goal to learn")
+                size, n_cars = task.starts[0].size, task.layout.n_cars
+                if own.size != size or (own.network == "map" and own.n_cars != n_cars):
+                    raise InputError(
+                        f"key 'tests.{called}': '{task.name}' has {n_cars} cars in an area of {size}, the network of "
+                        f"'{called}' is for {own}; it serves areas of one size, and unless it is relative, one number "
+                        "of cars"
+                    )
+
+    @cached_property
     def runs(self) -> list[StudyRun]:
         """All runs."""
-        return [
-            self._run(task, algo, seed)
-            for task in self.tasks
-            for algo in self.algos
-            for seed in range(self.seeds)
-        ]
+        found = cache(known_task)
+        runs = []
+        for task in self.tasks:
+            for algo in self.algos:
+                config = self._config(task, algo)
+                tasks = {
+                    name: found(name, n_cars=config.n_cars, n_blocks=config.n_blocks)
+                    for name in (task, *config.stages, *self._tests(task))
+                }
+                stages = tuple(tasks[name] for name in config.stages)
+                tests = {name: tasks[name] for name in self._tests(task)}
+                steps = self.of_tasks.get(task, {}).get("steps", self.steps)
+                runs += [
+                    StudyRun(
+                        replace(config, seed=seed),
+                        *(tasks[task], stages, steps, self.until, tests, self.episodes),
+                    )
+                    for seed in range(self.seeds)
+                ]
+        return runs
 
-    def _run(self, task: str, algo: AlgoName, seed: int) -> StudyRun:
+    def _tests(self, task: str) -> tuple[str, ...]:
+        return self.tests.get(task, (task,))
+
+    def _config(self, task: str, algo: AlgoName) -> TrainConfig:
+        """Return the configuration of a task's runs, the first seed's."""
         given = {
             **(PRESETS[self.preset] if self.preset else {}),
             **self.settings,
             **self.of_tasks.get(task, {}),
         }
-        steps = int(given.pop("steps", self.steps))
-        config = TrainConfig(task=task, algo=algo, seed=seed, **given)
-        return StudyRun(config, steps, self.until, self.tests.get(task, (task,)), self.episodes)
+        if not isinstance(steps := given.pop("steps", self.steps), int):
+            raise InputError(f"key 'of_tasks.{task}.steps': must be an integer, not {str(steps)[:40]!r}")
+        TRAIN_STEPS.check(f"key 'of_tasks.{task}.steps'", steps)
+        text = json.dumps({"task": task, "algo": algo, **given}, default=str)
+        return _CONFIG.parse(text.encode(), f"settings of '{task}' by {algo}")
+
+
+_CONFIG: Final = Schema(TrainConfig)
+_STUDY: Final = Schema(Study)
+
+
+def _check_once(key: str, names: tuple[str, ...]) -> None:
+    if not names:
+        raise InputError(f"key '{key}': needs at least one")
+    ((name, times),) = Counter(names).most_common(1)
+    if times > 1:
+        raise InputError(f"key '{key}': '{name}' is given {times} times; give each once")
 
 
 def read_study(text: str) -> Study:
@@ -117,17 +214,9 @@ def read_study(text: str) -> Study:
                 f"no study '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, and files"
             )
         text = str(SHIPPED / f"{text}.yaml")
-    from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
-
     path = Path(text)
     _, keys = parse_keys(path, read_text(path), [field.name for field in fields(Study)])
-    adapter = TypeAdapter(with_config(ConfigDict(extra="forbid"))(Study))
-    try:
-        return adapter.validate_python({key: _plain(node) for key, node in keys.items.items()})
-    except ValidationError as error:
-        raise InputError(f"{path}: {first_mistake(error)}") from None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    return _STUDY.parse(json.dumps(_plain(keys)).encode(), str(path))
 
 
 def _plain(node: Node) -> Any:
@@ -142,10 +231,3 @@ def _plain(node: Node) -> Any:
     if isinstance(node, Sequence):
         return [_plain(item) for item in node.items]
     return {key: _plain(item) for key, item in node.items.items()}
-
-
-def _with_goal(name: str) -> Task:
-    task = as_task(name)
-    if not task.has_goal:
-        raise InputError(f"task '{name}' has no goal to learn")
-    return task

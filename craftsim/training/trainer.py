@@ -67,8 +67,8 @@ class Trainer:
         Args:
             config: what decides the run.
             starts: the task with other starts to train from, where they are not its own.
-            task: the task itself; looked up by its name in the configuration unless given. A configuration may come from
-                a file, so that nothing is imported for a name in it: a task that Python code makes has to be given.
+            task: the task itself; looked up by its name in the configuration unless given. A configuration may come
+                from a file, so that nothing is imported for a name in it: what Python code makes has to be given.
             workers: how many processes share the worlds in physics; one for each processor unless given.
             progress: shows how many plans have been made, where plans are imitated.
             stages: the tasks of the stages themselves, as ``task``.

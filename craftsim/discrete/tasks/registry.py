@@ -130,8 +130,8 @@ def known_task(
     """
     if _is_code(text):
         raise InputError(
-            f"task '{text}': module:factory is code, which is imported where the command line or Python names it, never "
-            f"where a file does; allowed: {', '.join(task_names())}, a file .yaml"
+            f"task '{text}': module:factory is code, which is imported where the command line or Python names it, "
+            f"never where a file does; allowed: {', '.join(task_names())}, a file .yaml"
         )
     return _known(text, reward, n_cars, n_blocks, area, "a file .yaml")
 

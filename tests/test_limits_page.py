@@ -49,6 +49,7 @@ PHRASES = {
     "SEED": "| `--seed` | {} |",
     "TRIAL_COUNT": "| `--trials`, and all runs of a campaign together | {} |",
     "RUNS": "all runs of a campaign together | {} |",
+    "STAGES": "| the stages of a training run | {} tasks |",
     "STUDY_RUNS": "| a study | {} runs (tasks times algorithms times seeds)",
     "STUDY_TASKS": "seeds), {} tasks that are trained on or played",
     "STUDY_SEEDS": "or played, {} seeds",

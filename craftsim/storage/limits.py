@@ -175,6 +175,8 @@ SHOWN: Final = Range(0, 10_000)
 """Mismatches that are drawn."""
 TRAIN_STEPS: Final = Range(1, 10**12)
 TRAIN_EPISODES: Final = Range(1, 1_000_000)
+STAGES: Final = Range(0, 100)
+"""Tasks to learn on before the one that is learnt."""
 STUDY_SEEDS: Final = Range(1, 1000)
 STUDY_TASKS: Final = Range(1, 100)
 """That a study trains on or plays."""

@@ -118,7 +118,8 @@ def _plot_curves(path: Path, study: Study, figures: dict[str, Any]) -> Path:
         if task in study.reference:
             axes.axhline(study.reference[task], color="gray", linestyle=":", label="published")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-        axes.set(title=task, ylim=(-0.03, 1.03), xlabel="steps", ylabel="success, IQM over seeds")
+        axes.set(ylim=(-0.03, 1.03), xlabel="steps", ylabel="success, IQM over seeds")
+        axes.set_title(task, parse_math=False)  # the study's words may have a $ in them
     _name_lines(figure)
     with whole(path) as partial:
         figure.savefig(partial, dpi=110)
@@ -132,7 +133,8 @@ def _plot_profiles(path: Path, study: Study, figures: dict[str, Any]) -> Path:
     axes = figure.add_subplot()
     for algo in study.algos:
         _band(axes, TAUS, profile(_scores(study, figures["runs"], algo)), study, algo)
-    axes.set(xlabel="success rate", ylabel="share of runs above it", ylim=(-0.03, 1.03), title=study.title)
+    axes.set(xlabel="success rate", ylabel="share of runs above it", ylim=(-0.03, 1.03))
+    axes.set_title(study.title, parse_math=False)
     _name_lines(figure)
     with whole(path) as partial:
         figure.savefig(partial, dpi=110)

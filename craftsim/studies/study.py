@@ -25,7 +25,9 @@ from craftsim.storage.limits import (
 )
 from craftsim.storage.schema import Schema
 from craftsim.training.config import PRESETS, AlgoName, PresetName, TrainConfig
-from craftsim.training.shape import Shape
+from craftsim.training.guidance import check_guidance
+from craftsim.training.policy import policy_file
+from craftsim.training.shape import Shape, check_stage
 
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "studies"
 _SETTLED: Final = ("task", "algo", "seed")
@@ -132,7 +134,7 @@ class Study:
                 )
 
     def _check_runs(self) -> None:
-        """Refuse tasks of one name, and what would fail only once a run has been trained."""
+        """Refuse tasks of one name, and what would fail when a run begins, or only once it has been trained."""
         names: dict[str, str] = {}
         for run in (run for run in self.runs if run.config.seed == 0):
             called, folder = run.config.task, _folder_name(run.task)
@@ -140,7 +142,14 @@ class Study:
                 raise InputError(
                     f"tasks '{names[folder]}' and '{called}' are both called '{folder}'; rename one"
                 )
+            check_guidance(run.config, run.task, None)
+            if (begun := run.config.pretrained) and not exists(policy_file(begun)):
+                raise InputError(
+                    f"key 'pretrained': no policy '{begun}'; allowed: a file, a folder, a shipped one"
+                )
             own = Shape.of(run.task, run.config.width, run.config.network)
+            for stage in run.stages:
+                check_stage(stage, own)
             for task in (run.task, *run.tests.values()):
                 if not task.has_goal:
                     raise InputError(f"task '{task.name}' has no goal to learn")

@@ -18,6 +18,7 @@ from craftsim.storage.limits import (
     NETWORK_WIDTH,
     SEED,
     SHARE,
+    STAGES,
     TRAIN_STEPS,
 )
 from craftsim.training.settings import settings_of
@@ -138,6 +139,7 @@ class TrainConfig:
                 f"shown_share is {self.shown_share}, but nothing is imitated; leave it out, or imitate plans"
             )
         object.__setattr__(self, "stages", tuple(self.stages))
+        STAGES.check("stages", len(self.stages))
         if bool(self.stages) != bool(self.stage_steps) or (self.stages and (self.explore or self.imitate)):
             raise InputError(
                 f"stages {', '.join(self.stages) or 'none'} of {self.stage_steps} steps: name tasks and give each at "

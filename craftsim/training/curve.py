@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.errors import InputError
+from craftsim.storage.limits import TABLE
+from craftsim.storage.reading import read_text
 from craftsim.storage.writing import whole, write_whole
 
 CURVE_FILE: Final = "curve.csv"
@@ -102,13 +104,12 @@ def write_curve(path: Path, curve: Sequence[Point]) -> Path:
 
 
 def read_last(path: Path) -> tuple[int, float] | None:
-    """Return steps and success of the last point of a curve's file; None where there is no such file yet."""
+    """Return steps and success of the last point of a curve's file; None where there is no such file yet, or another."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            *_, last = csv.DictReader(file)
-    except (OSError, ValueError):
+        *_, last = csv.DictReader(io.StringIO(read_text(path, TABLE)))
+        return int(last["steps"]), int(last["successes"]) / int(last["episodes"])
+    except (InputError, ArithmeticError, KeyError, TypeError, ValueError, csv.Error):
         return None
-    return int(last["steps"]), int(last["successes"]) / int(last["episodes"])
 
 
 def plot_curve(path: Path, title: str, curve: Sequence[Point]) -> Path:
@@ -128,7 +129,8 @@ def plot_curve(path: Path, title: str, curve: Sequence[Point]) -> Path:
         lows, highs = zip(*intervals, strict=True)
         left.fill_between(at, lows, highs, color="tab:blue", alpha=0.2)
     right.plot(steps, [point.mean_return for point in curve], color="tab:orange", label="return")
-    left.set(xlabel="steps of all worlds together", ylabel="success", ylim=(-0.02, 1.02), title=title)
+    left.set(xlabel="steps of all worlds together", ylabel="success", ylim=(-0.02, 1.02))
+    left.set_title(title, parse_math=False)  # a file's name may have a $ in it
     right.set_ylabel("mean return")
     figure.legend(loc="outside lower center", ncols=2)
     with whole(path) as partial:

@@ -80,3 +80,9 @@ class Shape:
         if self.network == "map":
             return self == other
         return (self.size, self.width, self.network) == (other.size, other.width, other.network)
+
+
+def check_stage(stage: Task, shape: Shape) -> None:
+    """Raise InputError for a task to learn on before another one that is of another shape."""
+    if (own := Shape.of(stage, shape.width, shape.network)) != shape:
+        raise InputError(f"stage '{stage.name}' has {own}; allowed is what the task has: {shape}")

@@ -38,7 +38,7 @@ from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.policy import POLICY_FILE
 from craftsim.training.pretraining import begin_as_pretrained
 from craftsim.training.restoring import numbers
-from craftsim.training.shape import Shape
+from craftsim.training.shape import Shape, check_stage
 
 if TYPE_CHECKING:
     from craftsim.checking.settings import Randomize
@@ -89,7 +89,7 @@ class Trainer:
         self.shape = Shape.of(self.task, config.width, config.network)
         self._stages = [_named(name, config) for name in config.stages] if stages is None else list(stages)
         for stage in self._stages:
-            self._check_stage(stage)
+            check_stage(stage, self.shape)
         self._made: tuple[int, GridEnv | PhysicsEnv] | None = None
         self.curve: list[Point] = []
         self.wall_s = self.cpu_s = 0.0
@@ -101,10 +101,6 @@ class Trainer:
             )
             """Digest of the policy that it began with; empty without."""
         self.novelty = Novelty(config.novelty, self.shape)
-
-    def _check_stage(self, stage: Task) -> None:
-        if (shape := Shape.of(stage, self.config.width, self.config.network)) != self.shape:
-            raise InputError(f"stage '{stage.name}' has {shape}; allowed is what the task has: {self.shape}")
 
     @cached_property
     def guidance(self) -> Guidance:

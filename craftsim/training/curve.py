@@ -104,7 +104,7 @@ def write_curve(path: Path, curve: Sequence[Point]) -> Path:
 
 
 def read_last(path: Path) -> tuple[int, float] | None:
-    """Return steps and success of the last point of a curve's file; None where there is no such file yet, or another."""
+    """Return steps and success of the last point of a curve's file; None where there is none yet, or another file."""
     try:
         *_, last = csv.DictReader(io.StringIO(read_text(path, TABLE)))
         return int(last["steps"]), int(last["successes"]) / int(last["episodes"])

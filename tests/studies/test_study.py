@@ -13,9 +13,11 @@ from craftsim.cli import main
 from craftsim.commands import study_progress
 from craftsim.commands.study_text import conclusions, runs_table
 from craftsim.commands.terminal import Terminal
+from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
-from craftsim.studies.study import SHIPPED, read_study
-from craftsim.training.curve import CURVE_FILE, Point, write_curve
+from craftsim.studies.runs import run_study
+from craftsim.studies.study import SHIPPED, Study, read_study
+from craftsim.training.curve import CURVE_FILE, Point, read_last, write_curve
 
 TEXT = """
 title: Tiny
@@ -110,6 +112,48 @@ def test_shipped_studies_are_sound(name):
         ("{worlds: 10, width: 8}", "{world: 10}", "did you mean 'worlds'"),
         ("{worlds: 10, width: 8}", "{width: 100000}", "width is 100000"),
         ("reference: {strip: 0.92}", "reference: {block: 0.9}", "no task of the study"),
+        ("reference: {strip: 0.92}", "reference: {strip: nan}", "key 'reference.strip'"),
+        ("reference: {strip: 0.92}", "reference: {strip: 92}", "key 'reference.strip' is 92"),
+        ("steps: 400", "steps: inf", "key 'steps'"),
+        ("steps: 400", "steps: 0", "steps is 0; allowed: 1 to"),
+        ("episodes: 20", "episodes: [1]", "key 'episodes'"),
+        ("seeds: 2", "seeds: 1001", "seeds is 1001; allowed: 1 to 1000"),
+        ("seeds: 2", "until: nan", "key 'until'"),
+        ("seeds: 2", "until: 2", "until is 2.0; allowed: 0 to 1"),
+        ("title: Tiny", "title: " + 201 * "x", "characters of title is 201"),
+        ("tasks: [strip]", "tasks: [strip, strip]", "key 'tasks': 'strip' is given 2 times"),
+        ("tasks: [strip]", "tasks: []", "at least one task"),
+        ("algos: [ippo]", "algos: [ippo, vdn, ippo]", "key 'algos': 'ippo' is given 2 times"),
+        ("{strip: [strip, random_strip@test]}", "{strip: []}", "key 'tests.strip': needs at least one"),
+        (
+            "{strip: [strip, random_strip@test]}",
+            "{strip: [block]}",
+            "key 'tests.strip': 'block' has 2 cars in an area",
+        ),
+        (
+            "{strip: [strip, random_strip@test]}",
+            "{strip: [designs]}",
+            "key 'tests.strip': 'designs' has 3 cars",
+        ),
+        ("{worlds: 10, width: 8}", "{width: [1]}", "settings of 'strip' by ippo: key 'width'.* not a list"),
+        ("{worlds: 10, width: 8}", "{stages: 5}", "key 'stages'"),
+        ("{worlds: 10, width: 8}", "{stages: [designs], stage_steps: 1}", "stage 'designs' has"),
+        ("{worlds: 10, width: 8}", "{hyperparameters: 5}", "key 'hyperparameters'"),
+        ("{worlds: 10, width: 8}", "{hyperparameters: {gamma: nan}}", "key 'hyperparameters.gamma'"),
+        ("{worlds: 10, width: 8}", "{pretrained: nothere}", "no policy 'nothere'"),
+        ("{worlds: 10, width: 8}", "{shown_share: 0.9, imitate: 3}", "leave it out"),
+        (
+            "reference: {strip: 0.92}",
+            "of_tasks: {strip: {steps: inf}}",
+            "'of_tasks.strip.steps': must be an integer",
+        ),
+        (
+            "reference: {strip: 0.92}",
+            "of_tasks: {strip: {steps: [1]}}",
+            "'of_tasks.strip.steps': must be an integer",
+        ),
+        ("reference: {strip: 0.92}", "of_tasks: {strip: {steps: -1}}", "'of_tasks.strip.steps' is -1"),
+        ("tasks: [strip]", "tasks: [http.server:test]", "module:factory is code"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_named(old, new, said, tiny):
@@ -117,6 +161,79 @@ def test_what_is_wrong_in_a_file_is_named(old, new, said, tiny):
     with pytest.raises(InputError, match=said) as error:
         read_study(str(tiny))
     assert str(tiny) in str(error.value)
+
+
+def test_a_product_that_is_too_large_is_refused_by_count_before_anything_is_made_of_it(tiny, monkeypatch):
+    def looked_up(*given, **named):
+        raise AssertionError("a task was looked up")
+
+    monkeypatch.setattr("craftsim.studies.study.known_task", looked_up)
+    names = ", ".join(f"task_{number}" for number in range(2000))
+    text = TEXT.replace("tasks: [strip]", f"tasks: [{names}]").replace("seeds: 2", "seeds: 1000")
+    tiny.write_text(text.replace("algos: [ippo]", f"algos: [{', '.join(['ippo'] * 70)}]"))
+    with pytest.raises(
+        InputError, match=r"2000 tasks x 70 algorithms x 1000 seeds, is 140000000; allowed: 1 to"
+    ):
+        read_study(str(tiny))
+
+
+START = "area_length: 4\narea_width: 4\narea_height: 2\nblock_num: 2\nslope_num: 0\nsmartcar_num: 1\n"
+
+
+def test_runs_of_tasks_from_files_lie_in_the_study_wherever_the_files_do(tmp_path, monkeypatch):
+    for name in ("own$\\frac", "..."):
+        (tmp_path / f"{name}.yaml").write_text("start: start.yaml\ngoal: platform\n")
+    (tmp_path / "start.yaml").write_text(START)
+    work = tmp_path / "a" / "b"
+    work.mkdir(parents=True)
+    monkeypatch.chdir(work)
+    tasks = ["../../own$\\frac.yaml", str(tmp_path / "....yaml")]
+    text = f"title: $\\frac\ntasks: {json.dumps(tasks)}\nseeds: 1\nsteps: 1\nepisodes: 2\nsettings: {{worlds: 2, width: 4}}\n"
+    Path("own.yaml").write_text(text)
+    before = {path for path in tmp_path.rglob("*") if "out" not in path.parts}
+    assert main(["study", "own.yaml", "--out", "out"]) == 1
+    assert {path for path in tmp_path.rglob("*") if "out" not in path.parts} == before
+    assert sorted(str(path.parent.relative_to("out")) for path in Path("out").rglob("run.pt")) == [
+        "runs/own-frac/ippo/0",
+        "runs/task/ippo/0",
+    ]
+    report = json.loads(Path("out/report.json").read_text())
+    assert [run["error"] for run in report["figures"]["runs"]] == [None, None]
+
+
+def test_two_tasks_of_one_name_are_not_mixed_and_a_changed_one_is_noticed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "own.yaml").write_text("start: ../start.yaml\ngoal: platform\n")
+    (tmp_path / "start.yaml").write_text(START)
+    settings = "seeds: 1\nsteps: 1\nepisodes: 2\nsettings: {worlds: 2, width: 4}\n"
+    Path("s.yaml").write_text(f"title: T\ntasks: [a/own.yaml, b/own.yaml]\n{settings}")
+    assert main(["study", "s.yaml"]) == 2
+    assert "tasks 'a/own.yaml' and 'b/own.yaml' are both called 'own'" in capsys.readouterr().err
+    Path("s.yaml").write_text(f"title: T\ntasks: [a/own.yaml]\n{settings}")
+    assert main(["study", "s.yaml"]) == 1
+    Path("start.yaml").write_text(START.replace("block_num: 2", "block_num: 3"))
+    assert main(["study", "s.yaml", "--resume"]) == 2
+    assert "digests" in capsys.readouterr().err
+
+
+def test_a_registered_task_is_known_to_the_workers(monkeypatch, tmp_path):
+    monkeypatch.setattr("craftsim.discrete.tasks.registry._REGISTERED", {})
+    register_task(replace(make_task("strip"), name="mine"))
+    study = Study(
+        title="T", tasks=("mine",), seeds=1, steps=1, episodes=1, settings={"worlds": 2, "width": 4}
+    )
+    (record,) = run_study(study, tmp_path)
+    assert (record["key"], record["error"]) == ("mine/ippo/0", None)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "steps\n", "steps,successes,episodes\n1,1,0\n", "steps,successes\n1,2\n", "\xff\x00"]
+)
+def test_progress_lives_with_a_curve_that_is_none(text, tmp_path):
+    (tmp_path / CURVE_FILE).write_text(text, encoding="latin-1")
+    assert read_last(tmp_path / CURVE_FILE) is None
 
 
 def test_a_folder_for_its_results_does_not_hide_a_shipped_study(tmp_path, monkeypatch):

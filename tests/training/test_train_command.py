@@ -46,7 +46,6 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
     [
         (["--until", "2"], "--until is 2.0"),
         (["--steps", "0"], "--steps is 0; allowed: 1 to"),
-        (["--resume"], "no such file"),
         (["--seed", "-1"], "seed is -1"),
         (["--novelty", "nan"], "novelty is nan"),
         (["--starts", "no_such.plan"], "no_such.plan"),
@@ -64,6 +63,35 @@ def test_wrong_input_gives_one_message(words, message, tmp_path, capsys):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_a_run_that_was_cut_off_before_its_first_save_begins_again(tmp_path, capsys):
+    cut, whole = tmp_path / "cut", tmp_path / "whole"
+    cut.mkdir()
+    (cut / "policy.pt").write_bytes(b"of a save that was cut off")
+    assert _train(cut, "--steps", "20", "--resume") == 0
+    assert f"Nothing is saved in {cut} yet" in capsys.readouterr().out
+    assert _train(whole, "--steps", "20") == 0
+    figures = [json.loads((folder / "report.json").read_text())["figures"] for folder in (cut, whole)]
+    assert figures[0] == figures[1]
+
+
+def test_a_task_and_a_stage_that_code_makes_are_trained_on_and_gone_on_with(tmp_path, monkeypatch, capsys):
+    (tmp_path / "corners.py").write_text(
+        "import craftsim\n\ndef corner():\n    return craftsim.make_task('strip')\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    words = ["--task", "corners:corner", "--stages", "corners:corner", "--stage-steps", "5", "--steps", "1"]
+    assert _train(tmp_path / "out", *words) == 0
+    assert _train(tmp_path / "out", *words, "--resume") == 0
+    evaluate = ["evaluate", "out", "--episodes", "1", "--out", "played"]
+    assert main(evaluate) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: out: the task that it was trained on is not there: task 'corners:corner'")
+    assert "name one with --task" in error
+    assert main([*evaluate, "--task", "corners:corner"]) == 0
+    sys.modules.pop("corners")
 
 
 def test_the_preset_of_the_paper_is_its_rules_and_its_helper(tmp_path):

@@ -96,9 +96,8 @@ class Study:
         }.items():
             for task in known:
                 if task not in self.tasks:
-                    raise InputError(
-                        f"key '{key}.{task}': no task of the study{suggestion(task, self.tasks)}"
-                    )
+                    hint = suggestion(task[:80], self.tasks)
+                    raise InputError(f"key '{key}.{task[:40]}': no task of the study{hint}")
         for task, rate in self.reference.items():
             SHARE.check(f"key 'reference.{task}'", rate)
         self._check_settings("settings", self.settings, SETTINGS)
@@ -130,7 +129,7 @@ class Study:
         for key in given:
             if key not in known:
                 raise InputError(
-                    f"key '{where}.{key}': unknown{suggestion(key, known)}; there are {', '.join(known)}"
+                    f"key '{where}.{key[:40]}': unknown{suggestion(key[:80], known)}; there are {', '.join(known)}"
                 )
 
     def _check_runs(self) -> None:
@@ -208,10 +207,10 @@ _STUDY: Final = Schema(Study)
 
 def _check_once(key: str, names: tuple[str, ...]) -> None:
     if not names:
-        raise InputError(f"key '{key}': needs at least one")
+        raise InputError(f"key '{key[:40]}': needs at least one")
     ((name, times),) = Counter(names).most_common(1)
     if times > 1:
-        raise InputError(f"key '{key}': '{name}' is given {times} times; give each once")
+        raise InputError(f"key '{key[:40]}': '{name[:40]}' is given {times} times; give each once")
 
 
 def read_study(text: str) -> Study:

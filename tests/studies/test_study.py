@@ -149,6 +149,7 @@ def test_shipped_studies_are_sound(name):
         ),
         ("reference: {strip: 0.92}", "of_tasks: {strip: {steps: -1}}", "'of_tasks.strip.steps' is -1"),
         ("[strip, random_strip@test]", "[http.server:test]", "module:factory is code"),
+        ("[strip, random_strip@test]", f"[{'x' * 1001}]", "a name of 1001 characters; allowed: at most 1000"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_named(old, new, said, tiny):

@@ -26,6 +26,8 @@ VARIED_NAMES: Final = (*RANDOM_NAMES, DESIGNS)
 _REGISTERED: Final[dict[str, Task]] = {}
 _ANYTHING: Final = (Exception, SystemExit)
 """What others' code may raise, when it is imported or called."""
+_LONGEST: Final = 1000
+"""Characters of a name in a file, which messages repeat."""
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -128,6 +130,10 @@ def known_task(
     Raises InputError for a text that stands for nothing, ``module:factory`` included, a file that is wrong, counts for
     a registered task, which has its own, and an area for any but a task that varies.
     """
+    if len(text) > _LONGEST:
+        raise InputError(
+            f"task '{text[:40]}...': a name of {len(text)} characters; allowed: at most {_LONGEST}"
+        )
     if _is_code(text):
         raise InputError(
             f"task '{text}': module:factory is code, which is imported where the command line or Python names it, "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import os
 import platform
 from collections.abc import Mapping
 from enum import Enum
@@ -15,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from craftsim.errors import InputError
+from craftsim.storage.folders import owned
 from craftsim.storage.writing import writable, write_whole
 
 SCHEMA_VERSION: Final = 2
@@ -36,21 +35,6 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "not installed"
-
-
-def output_directory(out: Path) -> Path:
-    """Make a directory for results, parents included, and return it.
-
-    Raises:
-        InputError: it cannot be made or written to.
-    """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the output directory {out}: {error.strerror}") from error
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise InputError(f"cannot write into the output directory {out}")
-    return out
 
 
 def write_report(
@@ -77,7 +61,7 @@ def write_report(
         wall: what the clock said (durations, rates): never the same twice, hence kept apart.
 
     Raises:
-        InputError: the directory cannot be written to.
+        InputError: the directory cannot be written to, or somebody else owns it.
         TypeError: a value has no place in JSON.
     """
     report = {
@@ -90,7 +74,8 @@ def write_report(
         "wall": wall or {},
     }
     text = json.dumps(plain(report), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
-    return write_whole(output_directory(out) / "report.json", text)
+    with owned(out):
+        return write_whole(out / "report.json", text)
 
 
 def plain(value: Any) -> Any:

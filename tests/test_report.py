@@ -9,7 +9,8 @@ import pytest
 
 from craftsim.discrete.actions import Action
 from craftsim.errors import InputError
-from craftsim.report import SCHEMA_VERSION, output_directory, write_report
+from craftsim.report import SCHEMA_VERSION, write_report
+from craftsim.storage.folders import output_directory
 
 
 @dataclass(frozen=True)

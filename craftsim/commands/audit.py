@@ -13,6 +13,7 @@ from craftsim.commands.options import CampaignOptions, Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.errors import InputError
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import RUNS
 from craftsim.validation.contexts.context import Verb
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 OPTIONS: Final = CampaignOptions(rules="published", trials=20)
 
 
+@owning
 def audit(
     actions: tuple[Verb, ...] = (),
     contexts: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",

@@ -9,6 +9,7 @@ import tyro
 
 from craftsim.discrete.rules import RuleSet
 from craftsim.models.parameters import Drive
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import BATCH, BENCH_RUNS, BENCH_S, BENCH_TICKS, SEED
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
@@ -18,6 +19,7 @@ DEPTH: Final = 20
 """The search depth of CraftEnv's published training settings, the costlier of the two."""
 
 
+@owning
 def bench(
     what: tyro.conf.Positional[
         Literal[
@@ -83,10 +85,8 @@ def bench(
         out: folder for report.json; for the tables in rules.md, env.md or physics.md, and physics.png, too.
     """
     from craftsim.commands.terminal import Terminal
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
 
-    if out is not None:
-        output_directory(out)
     console = Terminal(highlight=False)
     figures: dict[str, Any] = {}
     wall: dict[str, Any] = {}

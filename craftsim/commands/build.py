@@ -10,11 +10,13 @@ import tyro
 from craftsim.commands.options import CampaignOptions, Dir, File
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import PLAN_ROUNDS, REPLANS, TIMEOUT_S
 
 OPTIONS: Final = CampaignOptions(trials=1)
 
 
+@owning
 def build(
     start: Annotated[str, tyro.conf.Positional],
     goal: File = None,
@@ -50,13 +52,11 @@ def build(
     from craftsim.commands.notes_text import print_notes
     from craftsim.commands.progress import counting
     from craftsim.commands.validate_text import print_disagreements
-    from craftsim.report import output_directory
     from craftsim.validation.builds import build_all, read_goal
     from craftsim.validation.runs.rebuilding import Rebuilding
 
     task = read_goal(start, goal)
     setup = campaign.setup()
-    output_directory(out)
     console = Terminal()
     filming = video and rendering_works(console)
     result = build_all(

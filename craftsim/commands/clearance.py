@@ -11,6 +11,7 @@ import tyro
 from craftsim.commands.options import File
 from craftsim.commands.text import say
 from craftsim.discrete.rules import RuleSet
+from craftsim.storage.folders import owning
 from craftsim.validation.contexts.context import Verb
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ _SHOWN: Final = 30
 """How many findings of a kind are printed; the others are in the report."""
 
 
+@owning
 def clearance(
     actions: tuple[Verb, ...] = (),
     rules: RuleSet = "physical",
@@ -42,11 +44,10 @@ def clearance(
     from craftsim.commands.terminal import Terminal
     from craftsim.models.parameter_files import load_machines
     from craftsim.models.parameters import NOMINAL
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
     from craftsim.validation.neighbourhoods.findings import judged_neighbours
 
     machines = NOMINAL if parameters is None else load_machines(parameters)
-    output_directory(out)
     judged = judged_neighbours(rules, machines, actions)
     table = Table("situation", "neighbours", "within reach", "in the way", "allowed", "unexplained", box=None)
     table.columns[0].no_wrap = True

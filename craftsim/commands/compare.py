@@ -10,9 +10,11 @@ import tyro
 from craftsim.commands.options import Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import SEED
 
 
+@owning
 def compare(
     sim: Annotated[Path, tyro.conf.Positional],
     real: Annotated[Path, tyro.conf.Positional],
@@ -31,10 +33,9 @@ def compare(
         out: folder for report.json.
     """
     from craftsim.commands.compare_text import print_gap
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
     from craftsim.validation.statistics.reality import compare_with_reality, read_run
 
-    output_directory(out)
     gap = compare_with_reality(read_run(sim), read_run(real), seed)
     report = write_report(
         out, {"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}

@@ -12,6 +12,7 @@ import tyro
 from craftsim.commands.text import say
 from craftsim.discrete.actions import Action
 from craftsim.discrete.rules import RuleSet
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import SHOWN
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from craftsim.discrete.records.conformance import Mismatch, Tally
 
 
+@owning
 def conformance(
     files: Annotated[
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE ...", help_behavior_hint="")
@@ -44,12 +46,10 @@ def conformance(
     from craftsim.discrete.records.traces import read_records
     from craftsim.discrete.rules import Rules
     from craftsim.errors import CraftsimError, InputError
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
 
     if not files:
         raise InputError("no recordings given; name one or more .jsonl.gz files")
-    if out is not None:
-        output_directory(out)
     begun = time.perf_counter()
     checker = Checker(Rules(rules), keep=show)
     for file in files:

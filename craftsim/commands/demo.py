@@ -18,11 +18,13 @@ from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S
 
 OPTIONS: Final = PhysicsOptions(randomize="none")
 
 
+@owning
 def demo(
     task: str = "simple_two_story",
     physics: tyro.conf.OmitArgPrefixes[PhysicsOptions] = OPTIONS,
@@ -62,7 +64,7 @@ def demo(
     from craftsim.logs.tables import LOG_SUFFIX, write_table
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
     from craftsim.validation.building import Building, read_building
 
     started = time.perf_counter()
@@ -74,7 +76,6 @@ def demo(
     setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
     buildings = [read_building(name, blueprint, plan, goal) for name in names]
-    output_directory(out)
     filming = video and rendering_works(console)
     films: list[str] = []
     done: list[Building] = []

@@ -9,6 +9,7 @@ import tyro
 
 from craftsim.commands.options import Dir
 from craftsim.commands.text import say
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, PHYSICS_CELLS, SEED, SHARE
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 CARS_UNLESS_GIVEN = 2
 
 
+@owning
 def design(
     what: tyro.conf.Positional[tuple[str, ...]] = (),
     size: Annotated[tuple[int, ...], DESIGN_SIDE] = (),
@@ -93,12 +95,11 @@ def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) 
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.saving import blueprint_text, design_text
     from craftsim.discrete.kinds import Kind
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
     from craftsim.storage.writing import write_whole
 
     grid, goal = start.grid, start.design
     texts = {"goal": design_text(goal), "start": blueprint_text(grid)}
-    output_directory(out)
     console = Terminal(highlight=False)
     console.print(world_text(goal.finished(grid.size)), soft_wrap=True)
     console.print("start", style="bold")

@@ -17,6 +17,7 @@ from craftsim.commands.terminal import Terminal, cell
 from craftsim.commands.text import say
 from craftsim.rendering.backend import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.report import versions, write_report
+from craftsim.storage.folders import owning
 
 _WRONG_MUJOCO: Final = "4.0.0"
 """Its solver tilts and sinks stacked blocks (google-deepmind/mujoco issue 3767, fixed in 4.0.1)."""
@@ -49,6 +50,7 @@ class Check:
     """The command that fixes it."""
 
 
+@owning
 def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> int:
     """Say what works on this machine, and the command that fixes what does not.
 

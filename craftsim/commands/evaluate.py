@@ -12,7 +12,8 @@ from craftsim.commands.options import Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.errors import InputError
-from craftsim.report import output_directory, write_report
+from craftsim.report import write_report
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, SEED, TRAIN_EPISODES
 from craftsim.training.config import Acting
 from craftsim.training.extra import need_torch
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 EPISODES: Final = 1000
 
 
+@owning
 def evaluate(
     policies: Annotated[
         tuple[str, ...],
@@ -64,7 +66,6 @@ def evaluate(
     from craftsim.training.policy import load_policy
     from craftsim.training.shape import Shape
 
-    folder = output_directory(out)
     columns = ("policy", "task", "success", "starts solved", "at 95 %", "ways", "ticks")
     games = []
     for path in policies:
@@ -92,9 +93,7 @@ def evaluate(
     show([Cells(title, columns, tuple(lines))], (), Terminal())
     asked_of = {"policies": list(policies), "task": list(task), "episodes": episodes}
     asked_of |= {"cars": cars, "blocks": blocks, "area": list(area)}
-    say(
-        f"Report: {write_report(folder, {'evaluations': rows}, command='evaluate', seed=seed, config=asked_of)}"
-    )
+    say(f"Report: {write_report(out, {'evaluations': rows}, command='evaluate', seed=seed, config=asked_of)}")
     return 0
 
 

@@ -9,11 +9,13 @@ import tyro
 
 from craftsim.commands.options import Dir, PhysicsOptions
 from craftsim.commands.text import say
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import EXCITE_M, EXCITE_S
 
 OPTIONS: Final = PhysicsOptions(randomize="mild")
 
 
+@owning
 def excite(
     physics: tyro.conf.OmitArgPrefixes[PhysicsOptions] = OPTIONS,
     time: Annotated[float, EXCITE_S] = 120.0,
@@ -39,14 +41,13 @@ def excite(
 
     from craftsim.checking.world import Seed
     from craftsim.logs.tables import write_commands, write_table
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
     from craftsim.tuning.driving_log import drive, free_area
     from craftsim.tuning.excitation import Area, excitation
 
     setup, area = physics.setup(), Area(length, width)
     period_s = setup.simulation.control_period_s
     commands = excitation(time, area, setup.machines.car(0), period_s, load)
-    output_directory(out)
     log = drive(free_area(area, load), setup, Seed((physics.seed,)), commands)
     # From the area's centre; the heading at the start is that of its length.
     way = log.pose[:, :2] - log.pose[0, :2] - [area.from_load_m if load else 0.0, 0.0]

@@ -14,7 +14,7 @@ from craftsim.rendering.frames import Look
 from craftsim.rendering.processes import spread
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
-from craftsim.report import output_directory
+from craftsim.storage.folders import directory_within
 from craftsim.validation.campaign import TrialRecord
 from craftsim.validation.replays.bundle import FILM, TRAJECTORY, Recorded, read_bundle
 from craftsim.validation.replays.recording import CLIP_S, record_bundle
@@ -62,8 +62,8 @@ def record_failures(
 
 def film_runs(console: Console, out: Path, workers: int = 1) -> None:
     """Film the recorded runs that have no film yet, from their start to their end."""
-    folder = output_directory(out / FILMS)
-    paths = [(path, folder / f"{path.stem}.mp4") for path in sorted((out / TRAJECTORIES).glob(f"*{SUFFIX}"))]
+    folder = directory_within(out, FILMS)
+    paths = [(path, folder / f"{path.stem}.mp4") for path in sorted((out / TRAJECTORIES).glob(f"[!.]*{SUFFIX}"))]
     missing = [pair for pair in paths if not pair[1].exists()]
     with counting(console, "films", len(missing), bool) as tell:
         for _ in spread(_film_trajectory, missing, workers):

@@ -11,12 +11,14 @@ from craftsim.commands.options import Dir, File
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.models.parameters import Drive
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import LOGGED_CARS
 
 if TYPE_CHECKING:
     from craftsim.tuning.identification import Identification, Identified
 
 
+@owning
 def identify(
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
     held_out: File = None,
@@ -47,7 +49,7 @@ def identify(
 
     from craftsim.checking.settings import setup_of
     from craftsim.logs.files import read_log
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
     from craftsim.tuning import findings
     from craftsim.tuning.identification import identify as fit
     from craftsim.tuning.identified_plot import draw_prediction
@@ -58,7 +60,6 @@ def identify(
     machines = replace(machines, cars=(machines.car(min(car, len(machines.cars) - 1)),))
     given = read_log(log, car, topics)
     other = None if held_out is None else Predictor(read_log(held_out, car, topics), machines, load)
-    output_directory(out)
     console = Terminal()
     with console.status("fitting") as status:
         found = fit(given, machines, load, lambda number, total: status.update(f"fit {number} of {total}"))

@@ -12,12 +12,14 @@ from craftsim.commands.options import CampaignOptions, Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.errors import InputError
+from craftsim.storage.folders import owning
 
 OPTIONS: Final = CampaignOptions(randomize="none", trials=59, drive="reduced")
 QUICK: Final = ("lippage", "unevenness", "position-bias", "heading-bias", "delay", "motor-lag")
 """The axes of a quick look."""
 
 
+@owning
 def margins(
     axes: tuple[str, ...] = (),
     scenarios: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",

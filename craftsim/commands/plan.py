@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -49,6 +50,7 @@ def plan(
 
     from craftsim.discrete.files.plan import write_plan
     from craftsim.planning import plan_building
+    from craftsim.storage.folders import owned
     from craftsim.validation.builds import read_goal
 
     rng = np.random.default_rng(seed)
@@ -63,21 +65,24 @@ def plan(
             best = planned.cost(objective)[0]
             say(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
 
-    planned = plan_building(
-        grid, task, objective=objective, rounds=rounds, time_s=time_s, seed=seed, report=report
-    )
-    if not planned.ticks:
-        say("the goal is reached already; there is nothing to do")
-        return 0
-    known = "proved to be the best" if planned.optimal else f"none can take less than {planned.bound_s:.1f} s"
-    say(f"best: {_figures(planned)}; {known}")
     file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
-    if file is not out:
-        _draw(planned, out, task.name, video)
-        _report(planned, out, task.name, objective, rounds, seed, time.monotonic() - begun)
-    write_plan(planned.ticks, file, planned.schedule)
-    say(f"plan: {file}")
-    return 0
+    with nullcontext() if file is out else owned(out):
+        planned = plan_building(
+            grid, task, objective=objective, rounds=rounds, time_s=time_s, seed=seed, report=report
+        )
+        if not planned.ticks:
+            say("the goal is reached already; there is nothing to do")
+            return 0
+        known = (
+            "proved to be the best" if planned.optimal else f"none can take less than {planned.bound_s:.1f} s"
+        )
+        say(f"best: {_figures(planned)}; {known}")
+        if file is not out:
+            _draw(planned, out, task.name, video)
+            _report(planned, out, task.name, objective, rounds, seed, time.monotonic() - begun)
+        write_plan(planned.ticks, file, planned.schedule)
+        say(f"plan: {file}")
+        return 0
 
 
 def _figures(planned: Planned) -> str:
@@ -92,9 +97,7 @@ def _draw(planned: Planned, out: Path, name: str, video: bool) -> None:
     from craftsim.discrete.rules import Rules
     from craftsim.rendering.plan_film import film_plan
     from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
-    from craftsim.report import output_directory
 
-    output_directory(out)
     for ending in FORMATS:
         say(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', planned.schedule, name)}")
     if video:

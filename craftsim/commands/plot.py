@@ -32,13 +32,13 @@ def plot(
     from craftsim.rendering.plots.signals import Signals
     from craftsim.rendering.recorded import trajectory_files
     from craftsim.rendering.trajectory import Trajectory
-    from craftsim.report import output_directory
+    from craftsim.storage.folders import directory_within, output_directory
 
     files = trajectory_files(recorded, run)
     output_directory(out)
     with counting(Terminal(), "trajectories", len(files), bool) as on_trajectory:
         for file in files:
-            written = list(write_figures(out / file.stem, Signals.of(Trajectory.read(file))))
+            written = list(write_figures(directory_within(out, file.stem), Signals.of(Trajectory.read(file))))
             on_trajectory(written)
             say(f"{file.stem}: {len(written)} files in {out / file.stem}")
     return 0

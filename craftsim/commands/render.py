@@ -72,7 +72,7 @@ def render(
     from craftsim.rendering.frames import Look
     from craftsim.rendering.render import check_format
     from craftsim.rendering.render import render as render_file
-    from craftsim.report import output_directory
+    from craftsim.storage.folders import output_directory
 
     look = Look(_pixels(size), fps, camera, layout, quality, speed, None, ghost, captions, cards, title)
     check_format(out, at)

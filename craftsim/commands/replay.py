@@ -14,7 +14,8 @@ from craftsim.commands.films import film_bundle, rendering_works
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.errors import InputError
-from craftsim.report import output_directory, versions, write_report
+from craftsim.report import versions, write_report
+from craftsim.storage.folders import owning
 
 if TYPE_CHECKING:
     from craftsim.checking.checked_site import CheckedSite
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from craftsim.validation.replays.replay import Replay
 
 
+@owning
 def replay(
     bundle: Annotated[Path, tyro.conf.Positional],
     view: bool = False,
@@ -56,7 +58,6 @@ def replay(
     from craftsim.validation.replays.bundle import read_bundle
 
     recorded = read_bundle(bundle)
-    output_directory(out)
     film = out / f"{bundle.resolve().name}.mp4"
     watch = _viewer if view else again.unwatched
     result = film_bundle(recorded, film) if filming else again.replay(recorded, watch)
@@ -80,7 +81,6 @@ def _shrink(folder: Path, out: Path) -> int:
 
     console = Terminal()
     bundle = read_bundle(folder).bundle
-    output_directory(out)
     with counting(console, "trials", MOST_TRIALS, lambda fails: fails) as on_trial:
         found = shrink_bundle(bundle, out, ".", on_trial)
     write_report(out, {"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})

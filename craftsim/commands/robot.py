@@ -15,11 +15,13 @@ from craftsim.commands.options import Dir, File, PhysicsOptions
 from craftsim.commands.strangers import warn_of_strangers
 from craftsim.commands.text import complain, say
 from craftsim.robots.extra import LOOPBACK, PORT, need_network
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import DELAY_MS, PACE, PATIENCE_S, PORTS, SHARE
 
 OPTIONS = PhysicsOptions(randomize="none")
 
 
+@owning
 def robot(
     task: str = "simple_two_story",
     physics: tyro.conf.OmitArgPrefixes[PhysicsOptions] = OPTIONS,
@@ -58,7 +60,7 @@ def robot(
     from craftsim.checking.world import Seed, set_up
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.tasks import as_task, free_play
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
     from craftsim.robots.channel import Network
     from craftsim.robots.connecting import world_digest
     from craftsim.robots.serving import Server
@@ -71,7 +73,6 @@ def robot(
     found = as_task(task) if blueprint is None else free_play(blueprint.stem, (read_blueprint(blueprint),))
     seeds = np.random.SeedSequence(physics.seed).spawn(4)
     grid = found.draw(np.random.default_rng(seeds[0]))
-    output_directory(out)
     started = time.perf_counter()
     with Host(host, port) as sockets:
         world = set_up(grid, setup, Seed.of(seeds[1]), watch_contacts=False).executor.fleet

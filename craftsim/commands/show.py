@@ -76,7 +76,7 @@ def show(
     if out is not None:
         from craftsim.rendering.plots.blueprint import draw_blueprint
         from craftsim.rendering.shapes import wanted_of
-        from craftsim.report import output_directory
+        from craftsim.storage.folders import output_directory
 
         file = output_directory(out) / f"{path.stem}.png"
         say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(design))}")

@@ -11,12 +11,14 @@ import tyro
 from craftsim.commands.options import Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
-from craftsim.report import output_directory, write_report
+from craftsim.report import write_report
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S, WORKERS
 from craftsim.training.extra import need_torch
 from craftsim.validation.campaign import Engine
 
 
+@owning
 def study(
     what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")],
     workers: Annotated[int, WORKERS] = 1,
@@ -49,11 +51,11 @@ def study(
     from craftsim.studies.study import read_study
 
     asked = read_study(what)
-    folder, console, begun = output_directory(out), Terminal(), time.perf_counter()
-    with watching(console, asked, folder) as on_record:
+    console, begun = Terminal(), time.perf_counter()
+    with watching(console, asked, out) as on_record:
         records = run_study(
             asked,
-            folder,
+            out,
             workers=workers,
             engine=engine,
             timeout_s=timeout,
@@ -61,13 +63,13 @@ def study(
             on_record=on_record,
         )
     figures = figures_of(asked, records)
-    show([runs_table(asked, figures)], conclusions(figures), console, folder / "study.md")
-    pictures = plot_results(folder, asked, figures)
+    show([runs_table(asked, figures)], conclusions(figures), console, out / "study.md")
+    pictures = plot_results(out, asked, figures)
     config: dict[str, Any] = {"study": asked, "what": what}
     wall = {
         "this_call_s": time.perf_counter() - begun,
         "cpu_s": {record["key"]: record["extra"].get("cpu_s") for record in records},
     }
-    report = write_report(folder, figures, command="study", seed=0, config=config, wall=wall)
+    report = write_report(out, figures, command="study", seed=0, config=config, wall=wall)
     say(f"Plots: {', '.join(map(str, pictures))}\nReport: {report}")
     return 0 if all(record["agrees"] for record in records) else 1

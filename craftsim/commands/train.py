@@ -19,7 +19,8 @@ from craftsim.commands.text import say
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
 from craftsim.models.parameters import Drive
-from craftsim.report import output_directory, write_report
+from craftsim.report import write_report
+from craftsim.storage.folders import owned
 from craftsim.storage.limits import (
     BATCH,
     BLOCKS,
@@ -190,16 +191,18 @@ def train(
             "or name one in a task file (docs/tasks.md)"
         )
     staged = [as_task(name, cars, blocks) for name in stages]
-    folder = output_directory(out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}"))
+    folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
 
     import torch
 
     # One thread adds numbers up in one order, so that a run can be repeated bit for bit.
     torch.set_num_threads(1)
     console = Terminal()
-    trainer = _trainer(config, learnt, staged, starts, folder, resume, workers)
     begun = time.perf_counter()
-    with closing(trainer):
+    with (
+        owned(folder),
+        closing(_trainer(config, learnt, staged, starts, folder, resume, workers)) as trainer,
+    ):
         log = _log(folder, trainer) if tensorboard else None
         _ = trainer.guidance  # shows progress of its own
         try:

@@ -11,12 +11,14 @@ from craftsim.commands.again import command_again
 from craftsim.commands.options import Dir, PhysicsOptions
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import TRIAL_COUNT, WORKERS
 
 OPTIONS: Final = PhysicsOptions(drive="reduced")
 _Objective = Literal["time", "error", "margin", "energy", "force"]
 
 
+@owning
 def tune(
     subject: Annotated[
         Literal["drive", "board", "hinge", "all"], tyro.conf.Positional, tyro.conf.arg(metavar="SKILL")
@@ -53,7 +55,7 @@ def tune(
     given = locals().copy()
     from craftsim.commands.progress import counting
     from craftsim.commands.tune_text import gains_table, verdict_table
-    from craftsim.report import output_directory, write_report
+    from craftsim.report import write_report
     from craftsim.tuning.gains.goal import Goal
     from craftsim.tuning.gains.page import sentence, tune_page
     from craftsim.tuning.gains.tune import COMMAND
@@ -63,7 +65,6 @@ def tune(
 
     goal = Goal.of(weights, objectives, choose)
     setup = physics.setup()
-    output_directory(out)
     console = Terminal()
     tuned = run(
         subject,

@@ -12,11 +12,13 @@ from craftsim.commands.options import CampaignOptions, Dir, File
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.storage.folders import owning
 from craftsim.storage.limits import BLOCKS, CARS, EPISODE_TICKS, RUNS, TIMEOUT_S
 
 OPTIONS: Final = CampaignOptions()
 
 
+@owning
 def validate(
     worlds: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[WORLD ...]")] = (),
     plan: File = None,
@@ -67,7 +69,6 @@ def validate(
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
     from craftsim.commands.validate_text import conclusion, coverage_table, print_disagreements, runs_table
-    from craftsim.report import output_directory
     from craftsim.validation import validation
     from craftsim.validation.html.validate import validate_page
     from craftsim.validation.html.writing import write_html
@@ -76,7 +77,6 @@ def validate(
         "--trials times worlds and policies",
         campaign.trials * len(worlds or TASK_NAMES) * max(1, len(policy)),
     )
-    output_directory(out)
     console = Terminal()
     filming = video != "none" and rendering_works(console)
     result = validation.validate(

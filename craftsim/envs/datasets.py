@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from craftsim.envs.parallel import Observation, ParallelConstruction
 from craftsim.envs.spaces import central_space, joint_action_space
 from craftsim.errors import InputError
 from craftsim.extras import need
-from craftsim.report import output_directory
+from craftsim.storage.folders import LOCK, owned, remove
 from craftsim.storage.limits import SEED
 
 if TYPE_CHECKING:
@@ -78,8 +79,8 @@ def write_dataset(
         algorithm: what Minari should call the policy.
         progress: called after each episode with whether it reached the goal.
 
-    Raises InputError where Minari is not installed, for a name that is none, where the dataset exists already, and
-    where the disk does not take it.
+    Raises InputError where Minari is not installed, for a name that is none, where the dataset exists already, while
+    another process writes it, and where the disk does not take it.
     """
     need_minari()
     import minari
@@ -88,16 +89,11 @@ def write_dataset(
     if not DATASET_NAME.fullmatch(name):
         raise InputError(f"'{name}' is no name of a dataset; allowed: such as craftsim/strip/planner-v0")
     SEED.check("the seed of the last episode", seed + episodes - 1)
-    target = Path(folder) / name
-    if target.exists():
-        raise InputError(f"{target} exists already; choose another name, a higher version, or another folder")
-    partial = target.with_name(f".partial-{target.name}")
-    shutil.rmtree(partial, ignore_errors=True)
-    task = env.core.task
-    try:
-        output_directory(partial)
+    # Minari takes what is relative twice over.
+    target, task = Path(folder).absolute() / name, env.core.task
+    with owned(target), _whole_folder(target, "data") as partial:
         storage = MinariStorage.new(
-            partial / "data",
+            partial,
             observation_space=central_space(task),
             action_space=joint_action_space(task),
             env_spec=_env_spec(env),
@@ -119,14 +115,34 @@ def write_dataset(
             steps += len(buffer.rewards)
             successes += success
             progress(success)
-        partial.rename(target)
+    return Exported(target, episodes, steps, successes)
+
+
+@contextmanager
+def _whole_folder(target: Path, name: str) -> Iterator[Path]:
+    """Give an empty folder within an owned one, which gets its name when the block ends without an error.
+
+    Raises InputError where there is anything else already, and where the disk does not take it.
+    """
+    # Always the same name: what a kill leaves behind is gone with the next writing.
+    partial = target / f".partial-{name}"
+    try:
+        if {path.name for path in target.iterdir()} - {LOCK, partial.name}:
+            raise InputError(
+                f"{target} exists already; choose another name, a higher version, or another folder"
+            )
+        remove(partial)
+        partial.mkdir()
+        try:
+            yield partial
+            partial.rename(target / name)
+        except BaseException:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
     except OSError as error:
         raise InputError(
             f"{target}: cannot be written: {error}; make room, or choose another folder"
         ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return Exported(target, episodes, steps, successes)
 
 
 def _episodes(

@@ -13,7 +13,7 @@ from craftsim.checking.recipe import Recipe
 from craftsim.discrete.files.design import Design
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import SUFFIX
-from craftsim.report import output_directory
+from craftsim.storage.folders import output_directory
 
 _DIGITS: Final = 8
 

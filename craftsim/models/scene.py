@@ -11,6 +11,7 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import load_part
 from craftsim.models.placement import placements
+from craftsim.storage.folders import directory_within
 from craftsim.storage.writing import write_whole
 
 
@@ -31,6 +32,5 @@ def write_scene(
     spec.compile()
     files = {**spec.assets, "site.xml": spec.to_xml()}
     for name, content in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, content)
+        inner = Path(folder.name, name)
+        write_whole(directory_within(folder.parent, *inner.parent.parts) / inner.name, content)

@@ -34,7 +34,8 @@ def trajectory_files(run: Path, name: str | None = None) -> list[Path]:
     if (run / BUNDLE).is_file():
         found = sorted(run.glob(f"trajectory{SUFFIX}"))
     else:
-        found = sorted((run / TRAJECTORIES).glob(f"*{SUFFIX}")) or sorted(run.glob(f"*{SUFFIX}"))
+        # What begins with a dot is what a kill left of one.
+        found = sorted((run / TRAJECTORIES).glob(f"[!.]*{SUFFIX}")) or sorted(run.glob(f"[!.]*{SUFFIX}"))
         # An audit records in the bundles of its disagreements.
         found = found or sorted(run.glob(f"bundles/*/trajectory{SUFFIX}"))
     if not found:

@@ -1,4 +1,4 @@
-"""Writing files that are whole or, whatever happens, as they were before: a full disk, a kill, a mistake."""
+"""Writing files that are whole or as they were, whatever happens: a full disk, a kill, a mistake, another writer."""
 
 from __future__ import annotations
 
@@ -7,30 +7,29 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 from craftsim.errors import InputError
+from craftsim.storage.locks import FLAGS, lock
+
+WRITERS: Final = 64
+"""How many may write one file at the same time; the last to end is the one whose file stays."""
 
 
 @contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
-    """Give the path of a file to write, which takes the place of ``path`` when the block ends without an error.
+    """Give the path of an empty file to write, which takes the place of ``path`` when the block ends without an error.
 
-    Its name ends as that of ``path`` does, for libraries that choose the format by it.
+    Its name ends as that of ``path`` does, for libraries that choose the format by it. It is new, and no other
+    writer's: a link in its place is not followed. A link at ``path`` itself is replaced, not what it points to.
 
-    Raises InputError where the disk does not take it, or where the block leaves nothing behind.
+    Raises InputError where the disk does not take it, or where the block writes nothing.
     """
     target = Path(path)
-    # Always the same name: what a kill leaves behind is gone with the next writing.
-    partial = target.with_name(f".partial-{target.name}")
-    try:
+    with _replacing(target) as partial:
         yield partial
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        partial.replace(target)
-    except OSError as error:
-        raise InputError(unwritten(target, error)) from error
-    finally:
-        _discard(partial)
+        if not partial.stat().st_size:
+            raise InputError(f"{target}: cannot be written: nothing was written")
 
 
 def write_whole(path: str | Path, content: str | bytes) -> Path:
@@ -40,7 +39,7 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
     disk does not take it.
     """
     data = content if isinstance(content, bytes) else content.encode("utf-8", "backslashreplace")
-    with whole(path) as partial:
+    with _replacing(Path(path)) as partial:
         partial.write_bytes(data)
     return Path(path)
 
@@ -60,7 +59,58 @@ def unwritten(path: Path, error: OSError) -> str:
     return f"{path}: cannot be written: {error.strerror or error}; make room, or choose another --out"
 
 
-def _discard(path: Path) -> None:
-    """Remove what is left of a file, where anything is; a disk that fails has failed before."""
+@contextmanager
+def _replacing(target: Path) -> Iterator[Path]:
+    """Give a new, locked file beside a target, which takes its place when the block ends without an error."""
+    try:
+        partial, number = _new_beside(target)
+        try:
+            yield partial
+            with partial.open("rb") as file:
+                os.fsync(file.fileno())
+            partial.replace(target)
+        except BaseException:
+            # Only then: once it has been renamed, its name may be another writer's.
+            with contextlib.suppress(OSError):
+                partial.unlink(missing_ok=True)
+            raise
+        finally:
+            os.close(number)
+    except OSError as error:
+        raise InputError(unwritten(target, error)) from error
+
+
+def _new_beside(target: Path) -> tuple[Path, int]:
+    """Make a file of a name that nobody uses, and return its path and number."""
+    for writer in range(WRITERS):
+        # Always the same names: what a kill leaves behind is gone with the next writing.
+        partial = target.with_name(f".partial-{writer}-{target.name}")
+        _remove_if_abandoned(partial)
+        try:
+            number = os.open(partial, FLAGS | os.O_CREAT | os.O_EXCL, 0o666)
+        except FileExistsError:
+            continue
+        try:
+            ours = lock(number, partial)
+        except OSError:
+            ours = True  # Without locks nobody takes it for abandoned either.
+        if ours:
+            return partial, number
+        os.close(number)
+    raise InputError(
+        f"{target}: cannot be written: all names {target.with_name(f'.partial-0-{target.name}')} to "
+        f"{WRITERS - 1} are taken; remove what is there, or choose another --out"
+    )
+
+
+def _remove_if_abandoned(partial: Path) -> None:
+    """Remove the file that a writer left which is dead, for one that lives has it locked."""
     with contextlib.suppress(OSError):
-        path.unlink(missing_ok=True)
+        if not partial.is_file() or partial.is_symlink():
+            return
+        number = os.open(partial, FLAGS)
+        try:
+            if lock(number, partial):
+                partial.unlink()
+        finally:
+            os.close(number)

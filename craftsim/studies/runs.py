@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from craftsim.storage.folders import directory_within, owned
 from craftsim.studies.study import Study, StudyRun
 from craftsim.validation.campaign import Done, Engine, Header, Item, TrialRecord, run_campaign
 
@@ -42,7 +43,7 @@ def run_study(
     Raises InputError where the folder holds another study.
     """
     asked = study.runs
-    folder = out.resolve() / RUNS
+    folder = out.resolve()
     items = [
         Item(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder))
         for run in asked
@@ -67,15 +68,20 @@ def run_study(
 
 def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
     """Train, or go on training, and evaluate; what a worker does of a study."""
+    run, out = asked
+    # Its own too: somebody may go on with this run alone.
+    with owned(directory_within(out, RUNS, run.key)) as place:
+        return _train_and_evaluate(run, place)
+
+
+def _train_and_evaluate(run: StudyRun, place: Path) -> Done:
     import torch
 
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.evaluation import evaluate
     from craftsim.training.trainer import Trainer
 
-    run, folder = asked
-    config, place = run.config, folder / run.key
-    place.mkdir(parents=True, exist_ok=True)
+    config = run.config
     torch.set_num_threads(1)
     resumed = (place / RUN_FILE).exists()
     tasks: dict[str, Any] = {"task": run.task, "stages": run.stages}

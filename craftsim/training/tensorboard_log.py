@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from craftsim.errors import InputError
+from craftsim.storage.folders import directory_within
 from craftsim.training.curve import Point
 
 FOLDER: Final = "tensorboard"
@@ -31,7 +32,7 @@ class TensorboardLog:
             )
         from torchrl.record.loggers.tensorboard import TensorboardLogger
 
-        for old in (folder / FOLDER).glob("events.out.tfevents.*"):
+        for old in directory_within(folder, FOLDER).glob("events.out.tfevents.*"):
             old.unlink()
         self._logger = TensorboardLogger(FOLDER, str(folder))
         for point in curve:

@@ -21,6 +21,7 @@ from craftsim.discrete.tasks.measures import Finished
 from craftsim.errors import InputError
 from craftsim.planning import Planned, plan_building
 from craftsim.report import write_report
+from craftsim.storage.folders import owning
 from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign
 from craftsim.validation.forms import BUILDS
 from craftsim.validation.runs.choice import check_starts, subjects_of
@@ -83,6 +84,7 @@ def read_goal(start: str, goal: Path | None) -> Task:
     return task
 
 
+@owning
 def build_all(
     task: Task,
     setup: Setup,

@@ -20,6 +20,7 @@ from craftsim.models.parameters import Drive, Machines
 from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains
+from craftsim.storage.folders import owning
 from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign, run_here
 from craftsim.validation.forms import RUNS
 from craftsim.validation.play.coverage import Coverage
@@ -116,6 +117,7 @@ class Validation:
         return f"<p><b>{html.escape(repr(self))}</b></p>{counts.to_html()}"
 
 
+@owning
 def validate(
     worlds: World | Iterable[World],
     *,

@@ -12,7 +12,7 @@ from craftsim.rendering.plots.motion import draw_paths, paths_height_in, trackin
 from craftsim.rendering.plots.signals import Signals
 from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper
 from craftsim.rendering.plots.timeline import Diagram, draw_rows, height_in
-from craftsim.report import output_directory
+from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import whole
 
 if TYPE_CHECKING:

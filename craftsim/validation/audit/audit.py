@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from craftsim.checking.settings import Setup
-from craftsim.report import output_directory, write_report
+from craftsim.report import write_report
+from craftsim.storage.folders import owning
 from craftsim.validation.audit.corrections import rows_by_flag
 from craftsim.validation.audit.results import Results, bundle_disagreements, judged_by_rules
 from craftsim.validation.audit.rows import Row
@@ -52,6 +53,7 @@ class Audit:
         return rows_by_flag(self.corrections)
 
 
+@owning
 def run_audit(
     plan: Sequence[Row],
     setup: Setup,
@@ -86,7 +88,6 @@ def run_audit(
         shrink: shows how the first failure of each kind is shrunk to its smallest world; unless given, none is.
     """
     started = time.perf_counter()
-    output_directory(out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     items = items_of(plan, trials, seed, setup)
     earlier = None if against is None else read_earlier(against, COMMAND, out, seed, items, TRIALS)

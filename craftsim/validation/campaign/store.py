@@ -6,18 +6,16 @@ which they finish, and is put into the items' order at the end.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import reprlib
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 from craftsim.errors import InputError
-from craftsim.report import output_directory
+from craftsim.storage.folders import owned, remove
 from craftsim.storage.limits import MIB, size_text
 from craftsim.storage.limits import TRIALS as TRIALS_LIMITS
 from craftsim.storage.reading import read_lines
@@ -34,7 +32,7 @@ _FOLDERS: Final = ("bundles", "films", "trajectories", "worlds", "smallest")
 
 
 class Store:
-    """The records of one campaign; one process at a time may have it open."""
+    """The records of one campaign, whose folder it owns until it is closed."""
 
     def __init__(
         self, out: Path, header: Header, items: Sequence[Item], resume: bool, form: Form = ANY
@@ -42,24 +40,23 @@ class Store:
         """Begin a campaign in a folder, or go on with the one that is there.
 
         Raises:
-            InputError: the folder cannot be written to; another process works in it; it holds results of no campaign,
+            InputError: the folder cannot be written to; somebody else owns it; it holds results of no campaign,
                 or an unfinished campaign and ``resume`` is not set; or, with it, holds another campaign, or
                 records that cannot be read.
         """
         if len({item.key for item in items}) != len(items):
             raise ValueError("keys of a campaign's items must be unique")
-        self.out = output_directory(out)
-        self._path = self.out / TRIALS
+        self.out, self._path = out, out / TRIALS
         self._items, self._form, self._header = items, form, described(header, items)
         self._lines = Lines(len(items))
-        with _disk(self.out):
-            _check_places(self.out)
-            self._number = self._open()
-            try:
+        with ExitStack() as opened:
+            opened.enter_context(owned(out))
+            with _disk(out):
+                _check_places(out)
+                self._number = self._open()
+                opened.callback(lambda: os.close(self._number))
                 self._begin(resume)
-            except BaseException:
-                self.close()
-                raise
+            self._opened = opened.pop_all()
 
     @property
     def n_kept(self) -> int:
@@ -124,18 +121,12 @@ class Store:
 
     def close(self) -> None:
         """Let others open the folder."""
-        os.close(self._number)
+        self._opened.close()
 
     def _open(self) -> int:
-        """Open and lock the file of records; a pipe is not waited for."""
-        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
-        number = os.open(self._path, flags, 0o666)
-        try:
-            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(number)
-            raise InputError(f"another process is running a campaign in {self.out}") from None
-        return number
+        """Open the file of records; no link is followed, and a pipe is not waited for."""
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        return os.open(self._path, flags, 0o666)
 
     def _begin(self, resume: bool) -> None:
         path = self.out / CAMPAIGN
@@ -151,7 +142,7 @@ class Store:
                 "--resume, or choose another --out, or remove that folder"
             )
         for name in (*_FILES, *_FOLDERS):
-            _remove(self.out / name)
+            remove(self.out / name)
         # A file of its own: who still holds the records of the campaign before can read on.
         self._path.unlink()
         before, self._number = self._number, self._open()
@@ -190,7 +181,7 @@ def _check_places(out: Path) -> None:
     for name in (CAMPAIGN, TRIALS, *_FILES, *_FOLDERS):
         path, what = out / name, "folder" if name in _FOLDERS else "regular file"
         fits = path.is_dir() if name in _FOLDERS else path.is_file()
-        if path.exists() and not fits:
+        if os.path.lexists(path) and (path.is_symlink() or not fits):
             raise InputError(f"{path}: not a {what}; move it away, or choose another --out")
     trials = out / TRIALS
     strangers = [TRIALS] if trials.exists() and trials.stat().st_size else []
@@ -208,13 +199,6 @@ def _check_same(path: Path, there: Mapping[str, Any], wanted: Mapping[str, Any])
             f"{path}: cannot go on with another campaign: its {key} is {reprlib.repr(old)}, not {reprlib.repr(new)}; "
             "use the options that it was begun with, or choose another --out"
         )
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
 
 
 @contextmanager

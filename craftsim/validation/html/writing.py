@@ -10,7 +10,7 @@ from typing import Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from craftsim.report import output_directory
+from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import write_whole
 from craftsim.validation.html import plots
 from craftsim.validation.html.film_links import Films

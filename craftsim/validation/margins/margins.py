@@ -11,7 +11,8 @@ from typing import Any, Final
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.settings import Setup
 from craftsim.errors import InputError
-from craftsim.report import output_directory, write_report
+from craftsim.report import write_report
+from craftsim.storage.folders import owning
 from craftsim.validation.campaign import (
     Done,
     Engine,
@@ -115,6 +116,7 @@ class Margins:
         return ended and all(one.limit.end is not End.BASE for one in self.margins)
 
 
+@owning
 def run_margins(
     scenarios: Sequence[Scenario],
     axes: Sequence[Axis],
@@ -149,7 +151,6 @@ def run_margins(
         against: folder of an earlier search to compare with.
     """
     started = time.perf_counter()
-    output_directory(out)
     earlier = {} if against is None else _earlier(against, out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     rigs = [Rig(scenario, setup, seed) for scenario in scenarios]

@@ -22,8 +22,9 @@ from craftsim.errors import InputError
 from craftsim.models.randomization import Nominal
 from craftsim.models.scene import write_scene
 from craftsim.models.site import Site
-from craftsim.report import output_directory, versions
+from craftsim.report import versions
 from craftsim.storage import limits
+from craftsim.storage.folders import directory_within
 from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.schema import Schema
 from craftsim.storage.writing import write_whole
@@ -126,7 +127,7 @@ def write_bundle(
         start_s=start_s,
         end_s=checked.site.time_s,
     )
-    output_directory(folder)
+    directory_within(folder.parent, folder.name)
     try:
         _write(folder, bundle, checked, before)
     except OSError as error:

@@ -32,6 +32,7 @@ from craftsim.logs.tables import LOG_SUFFIX, write_table
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.skills.executor import Observer
+from craftsim.storage.folders import directory_within
 from craftsim.validation.campaign import Done
 from craftsim.validation.play.coverage import covered
 from craftsim.validation.play.play import Play, play
@@ -281,8 +282,7 @@ def _bundle(run: Run, episode: Episode) -> str | None:
 
 def _save_recording(run: Run, recording: Recording) -> None:
     assert run.terms.out is not None, "a campaign that records has a folder"
-    folder = run.terms.out / TRAJECTORIES
-    folder.mkdir(exist_ok=True)
+    folder = directory_within(run.terms.out, TRAJECTORIES)
     recording.trajectory.write(folder / f"{run.file_name}{SUFFIX}")
     write_table(folder / f"{run.file_name}{LOG_SUFFIX}", recording.logs)
 
@@ -291,7 +291,6 @@ def _save_world(run: Run, grid: Grid, played: Play) -> None:
     """Write a random world and its play as a blueprint and a plan, which ``craftsim validate`` takes again."""
     if run.terms.out is None or not any(played.ticks):
         return
-    folder = run.terms.out / WORLDS
-    folder.mkdir(exist_ok=True)
+    folder = directory_within(run.terms.out, WORLDS)
     write_blueprint(grid, folder / f"{run.file_name}.yaml")
     write_plan(played.ticks, folder / f"{run.file_name}.plan")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from craftsim.discrete.files.saving import write_blueprint
-from craftsim.report import output_directory
+from craftsim.storage.folders import directory_within
 from craftsim.storage.writing import write_whole
 from craftsim.validation.campaign import Answer, Done, Engine, Failure, Item, TrialRecord, do_all
 from craftsim.validation.replays.bundle import Bundle, read_bundle
@@ -48,13 +48,13 @@ ShrinkProgress = Callable[[int], AbstractContextManager[Callable[[Shrunk], None]
 """Given the number of kinds, opens what is called with each one's result."""
 
 
-def shrink_bundle(bundle: Bundle, folder: Path, name: str, on_trial: OnTrial = lambda fails: None) -> Shrunk:
+def shrink_bundle(bundle: Bundle, out: Path, name: str, on_trial: OnTrial = lambda fails: None) -> Shrunk:
     """Shrink the failure that a replay bundle shows, and write its smallest world.
 
     Args:
         bundle: the failure.
-        folder: for the files.
-        name: of the folder in the result.
+        out: folder of results.
+        name: of the folder in it for the files.
         on_trial: shows what is done.
 
     Raises InputError where no legal action fails, and for a folder that cannot be written.
@@ -66,7 +66,7 @@ def shrink_bundle(bundle: Bundle, folder: Path, name: str, on_trial: OnTrial = l
         except DependsError as error:
             why = why or f"car {failing.car} {failing.action.name}: {error}"
             continue
-        write_smallest(found, output_directory(folder))
+        write_smallest(found, directory_within(out, name))
         text, cells = sentence(found), found.grid.size
         return Shrunk(bundle.key, text, rules, found.minimal, found.trials, cells, name)
     return Shrunk(bundle.key, why, rules, minimal=False, trials=0, cells=None, folder=None)
@@ -127,7 +127,7 @@ def first_of_each_kind(records: Iterable[TrialRecord]) -> dict[str, str]:
 
 def _shrink(job: tuple[Path, str, str]) -> Done:
     out, bundle, name = job
-    return Done(agrees=True, extra=asdict(shrink_bundle(read_bundle(out / bundle).bundle, out / name, name)))
+    return Done(agrees=True, extra=asdict(shrink_bundle(read_bundle(out / bundle).bundle, out, name)))
 
 
 def _shrunk(bundle: str, answer: Answer) -> Shrunk:

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.report import output_directory
+from craftsim.storage.folders import output_directory
 from craftsim.storage.limits import TABLE
 from craftsim.storage.reading import read_text
 from craftsim.storage.writing import write_whole

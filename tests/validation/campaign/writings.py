@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import select
 import struct
 import time
@@ -60,4 +61,4 @@ class Writings:
 
 def kind(path: Path) -> str:
     """Return what a file is to a run: its name, or that of the folder that it is in; partial ones are of their own."""
-    return ("partial " if path.name.startswith(".") else "") + path.parts[0].removeprefix(".partial-")
+    return ("partial " if path.name.startswith(".") else "") + re.sub(r"^\.partial-\d+-", "", path.parts[0])

@@ -1,0 +1,161 @@
+"""Folders for results: one process at a time has one, so that none overwrites or removes what another is writing."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import functools
+import inspect
+import os
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, ParamSpec, TypeVar
+
+from craftsim.errors import InputError
+from craftsim.storage.locks import FLAGS, is_at, lock
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+LOCK: Final = ".craftsim-lock"
+"""An empty file in a folder that is owned; what a kill leaves of it keeps nobody out."""
+
+_RETRIES: Final = 100
+"""How often the lock of a folder may vanish, since its owner ended just then, before something else must be at work."""
+
+
+class _Owned(threading.local):
+    def __init__(self) -> None:
+        self.folders: set[str] = set()
+
+
+_OWNED: Final = _Owned()
+
+
+def output_directory(out: Path) -> Path:
+    """Make a directory for results, parents included, and return it.
+
+    Raises:
+        InputError: it cannot be made or written to.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the output directory {out}: {error.strerror}") from error
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise InputError(f"cannot write into the output directory {out}")
+    return out
+
+
+def directory_within(folder: Path, *names: str) -> Path:
+    """Make a directory in one for results, those between included, and return it.
+
+    Raises InputError where it cannot be made, where a name leads out of the folder, and for a link on the way: who made
+    what is in the folder does not decide what else is written to.
+    """
+    for part in Path(*names).parts:
+        if part in ("..", "/"):
+            raise InputError(f"'{Path(*names)}' leads out of {folder}; allowed: names of folders in it")
+        folder /= part
+        if folder.is_symlink():
+            raise InputError(
+                f"{folder} is a link, and none is followed within a folder of results; remove it"
+            )
+    return output_directory(folder)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a link or a directory with all that is in it, where there is one; no link is followed.
+
+    Raises OSError.
+    """
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def owned(out: Path) -> Iterator[Path]:
+    """Make a directory for results, and keep other processes, and threads, from owning it until the block ends.
+
+    Who owns it may do so again within the block. The lock is the system's, on an empty file in the directory: it ends
+    with its process, however that ends. A directory that was made for the block and is empty after it is removed.
+
+    Raises:
+        InputError: somebody else owns it, or it cannot be made, written to or locked.
+    """
+    if (key := os.path.realpath(out)) in _OWNED.folders:
+        yield out
+        return
+    made = _missing(out)
+    number = _lock(out)
+    _OWNED.folders.add(key)
+    try:
+        yield out
+    finally:
+        _OWNED.folders.discard(key)
+        with contextlib.suppress(OSError):
+            if is_at(number, out / LOCK):
+                (out / LOCK).unlink()
+        os.close(number)
+        with contextlib.suppress(OSError):
+            for folder in made:
+                folder.rmdir()
+
+
+def owning(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function own the folder that is its argument ``out`` while it runs, if there is one."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> R:
+        given = signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        out = given.arguments["out"]
+        with contextlib.nullcontext() if out is None else owned(Path(out)):
+            return function(*args, **kwargs)
+
+    return alone
+
+
+def _missing(out: Path) -> list[Path]:
+    """Return the directories that must be made for one, the innermost first."""
+    return [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]
+
+
+def _lock(out: Path) -> int:
+    """Return the number of the locked file in a directory, which is made."""
+    path = out / LOCK
+    for _ in range(_RETRIES):
+        output_directory(out)
+        try:
+            number = os.open(path, FLAGS | os.O_CREAT, 0o666)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            what = "a link, or no regular file" if error.errno == errno.ELOOP else error.strerror
+            raise InputError(
+                f"{path}: cannot be locked: {what}; remove it, or choose another --out"
+            ) from error
+        try:
+            if lock(number, path):
+                return number
+            busy = is_at(number, path)
+        except OSError as error:
+            os.close(number)
+            raise InputError(
+                f"{out}: its file system has no locks ({error.strerror}), which keep processes apart; "
+                "choose an --out elsewhere"
+            ) from error
+        os.close(number)
+        if busy:
+            raise InputError(
+                f"{out} is in use: another craftsim writes into it; wait until it has ended, or choose another --out"
+            )
+        if os.path.lexists(path) and not path.is_file():
+            raise InputError(f"{path}: not a regular file; remove it, or choose another --out")
+    raise InputError(f"{path}: cannot be locked, something keeps removing it; choose another --out")

@@ -63,7 +63,9 @@ def record_failures(
 def film_runs(console: Console, out: Path, workers: int = 1) -> None:
     """Film the recorded runs that have no film yet, from their start to their end."""
     folder = directory_within(out, FILMS)
-    paths = [(path, folder / f"{path.stem}.mp4") for path in sorted((out / TRAJECTORIES).glob(f"[!.]*{SUFFIX}"))]
+    paths = [
+        (path, folder / f"{path.stem}.mp4") for path in sorted((out / TRAJECTORIES).glob(f"[!.]*{SUFFIX}"))
+    ]
     missing = [pair for pair in paths if not pair[1].exists()]
     with counting(console, "films", len(missing), bool) as tell:
         for _ in spread(_film_trajectory, missing, workers):

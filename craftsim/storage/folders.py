@@ -8,6 +8,7 @@ import functools
 import inspect
 import os
 import shutil
+import stat
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -29,7 +30,7 @@ _RETRIES: Final = 100
 
 class _Owned(threading.local):
     def __init__(self) -> None:
-        self.folders: set[str] = set()
+        self.folders: set[tuple[int, int] | None] = set()
 
 
 _OWNED: Final = _Owned()
@@ -88,11 +89,12 @@ def owned(out: Path) -> Iterator[Path]:
     Raises:
         InputError: somebody else owns it, or it cannot be made, written to or locked.
     """
-    if (key := os.path.realpath(out)) in _OWNED.folders:
+    if _identity(out) in _OWNED.folders:
         yield out
         return
     made = _missing(out)
     number = _lock(out)
+    key = _identity(out)
     _OWNED.folders.add(key)
     try:
         yield out
@@ -122,6 +124,15 @@ def owning(function: Callable[P, R]) -> Callable[P, R]:
     return alone
 
 
+def _identity(out: Path) -> tuple[int, int] | None:
+    """Return what tells a directory from others, whatever path or link leads to it; None where there is none."""
+    try:
+        there = out.stat()
+    except OSError:
+        return None
+    return there.st_dev, there.st_ino
+
+
 def _missing(out: Path) -> list[Path]:
     """Return the directories that must be made for one, the innermost first."""
     return [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]
@@ -129,33 +140,44 @@ def _missing(out: Path) -> list[Path]:
 
 def _lock(out: Path) -> int:
     """Return the number of the locked file in a directory, which is made."""
-    path = out / LOCK
-    for _ in range(_RETRIES):
-        output_directory(out)
+    for left in reversed(range(_RETRIES)):
         try:
-            number = os.open(path, FLAGS | os.O_CREAT, 0o666)
-        except FileNotFoundError:
+            number = _try_to_lock(output_directory(out), out / LOCK)
+        except InputError:
+            # Whoever made it, and has nothing in it, may be removing it just now.
+            if os.path.exists(out) or not left:
+                raise
             continue
-        except OSError as error:
-            what = "a link, or no regular file" if error.errno == errno.ELOOP else error.strerror
-            raise InputError(
-                f"{path}: cannot be locked: {what}; remove it, or choose another --out"
-            ) from error
+        if number is not None:
+            return number
+    raise InputError(f"{out / LOCK}: cannot be locked, something keeps removing it; choose another --out")
+
+
+def _try_to_lock(out: Path, path: Path) -> int | None:
+    """Return the number of the file of a path, locked; None where it is gone before it is ours."""
+    try:
+        number = os.open(path, FLAGS | os.O_CREAT, 0o666)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        what = "a link" if error.errno == errno.ELOOP else error.strerror
+        raise InputError(f"{path}: cannot be locked: {what}; remove it, or choose another --out") from error
+    with contextlib.ExitStack() as closing:
+        closing.callback(os.close, number)
+        if not stat.S_ISREG(os.fstat(number).st_mode):
+            raise InputError(f"{path}: cannot be locked: not a file; remove it, or choose another --out")
         try:
-            if lock(number, path):
-                return number
-            busy = is_at(number, path)
+            ours = lock(number, path)
         except OSError as error:
-            os.close(number)
             raise InputError(
                 f"{out}: its file system has no locks ({error.strerror}), which keep processes apart; "
                 "choose an --out elsewhere"
             ) from error
-        os.close(number)
-        if busy:
+        if ours:
+            closing.pop_all()
+            return number
+        if is_at(number, path):
             raise InputError(
                 f"{out} is in use: another craftsim writes into it; wait until it has ended, or choose another --out"
             )
-        if os.path.lexists(path) and not path.is_file():
-            raise InputError(f"{path}: not a regular file; remove it, or choose another --out")
-    raise InputError(f"{path}: cannot be locked, something keeps removing it; choose another --out")
+    return None

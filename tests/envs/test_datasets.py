@@ -1,6 +1,9 @@
 """A dataset that Minari loads holds what was played, bit for bit, and is whole or not there."""
 
 import json
+import subprocess
+import sys
+import threading
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ from craftsim.envs import parallel_env
 from craftsim.envs.datasets import write_dataset
 from craftsim.envs.planner import PlanPolicy
 from craftsim.errors import InputError
+from craftsim.storage.folders import LOCK
 from craftsim.testing import random_policy
 
 minari = pytest.importorskip("minari")
@@ -106,6 +110,77 @@ def test_the_command_writes_what_loads_and_overwrites_nothing(folder, capsys):
     assert "exists already; choose another name" in capsys.readouterr().err
     assert main([*words, "--policy", "random"]) == 2
     assert "give one of them" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [[], ["--out", "sets"], ["--out", "sets/inner/../../sets"]])
+def test_the_folder_may_be_relative(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", "strip", "--policy", "random", "--episodes", "1", *words]) == 0
+    folder = tmp_path / (words[-1] if words else "out/minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder))
+    assert minari.load_dataset("craftsim/strip/random-v0").total_episodes == 1
+    assert sorted(path.name for path in (folder / "craftsim/strip/random-v0").iterdir()) == [
+        "data",
+        "report.json",
+    ]
+
+
+def test_a_second_export_of_a_name_is_refused_and_the_first_loses_nothing(folder, capsys):
+    words = ["export", "strip", "--name", NAME, "--policy", "random", "--episodes", "1", "--out", str(folder)]
+    statuses = []
+
+    def meanwhile(seed):
+        if seed == 1:
+            # As another process would: who owns a folder in this thread may own it again.
+            second = threading.Thread(target=lambda: statuses.append(main(words)))
+            second.start()
+            second.join()
+        return _random(seed)
+
+    write_dataset(parallel_env("strip", "grid"), meanwhile, folder, NAME, 3)
+    assert statuses == [2]
+    assert "is in use: another craftsim writes into it" in capsys.readouterr().err
+    assert minari.load_dataset(NAME).total_episodes == 3
+    assert [path.name for path in (folder / NAME).iterdir()] == ["data"]
+
+
+def test_two_processes_that_export_one_name_leave_one_whole_dataset(folder):
+    words = [
+        "export",
+        "strip",
+        "--name",
+        NAME,
+        "--policy",
+        "random",
+        "--episodes",
+        "20",
+        "--out",
+        str(folder),
+    ]
+    command = [sys.executable, "-m", "craftsim", *words]
+    processes = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    errors = [process.communicate()[1] for process in processes]
+    assert sorted(process.returncode for process in processes) == [0, 2]
+    assert any("is in use" in text or "exists already" in text for text in errors)
+    assert minari.load_dataset(NAME).total_episodes == 20
+
+
+def test_what_a_kill_leaves_of_a_dataset_is_gone_with_the_next_and_no_link_there_is_followed(folder):
+    victim = folder / "victim"
+    victim.mkdir()
+    (victim / "precious").touch()
+    for name in (NAME, "left-v0"):
+        (folder / name).mkdir(parents=True)
+    (folder / NAME / ".partial-data").symlink_to(victim)
+    (folder / NAME).with_name(".partial-test-v3").symlink_to(victim)
+    (folder / "left-v0/.partial-data").mkdir()
+    (folder / "left-v0/.partial-data/main_data.hdf5").write_text("half")
+    (folder / "left-v0" / LOCK).touch()
+    for name in (NAME, "left-v0"):
+        write_dataset(parallel_env("strip", "grid"), _random, folder, name, 1)
+        assert minari.load_dataset(name).total_episodes == 1
+        assert [path.name for path in (folder / name).iterdir()] == ["data"]
+    assert [path.name for path in victim.iterdir()] == ["precious"]
 
 
 def test_without_minari_the_command_says_how_to_get_it(folder, capsys, monkeypatch):

@@ -1,10 +1,12 @@
 """A campaign's folder is what it says, or the user is told what is wrong with it."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import cheap_work
 import pytest
+from owner import owner
 
 from craftsim.errors import InputError
 from craftsim.validation.campaign import Done, Header
@@ -112,10 +114,31 @@ def test_a_finished_campaign_gives_way_to_another_with_all_that_it_left(begun):
 
 
 def test_one_process_at_a_time_has_a_folder(begun):
-    store = Store(begun, HEADER, ITEMS, resume=True)
-    with pytest.raises(InputError, match="another process is running a campaign"):
+    with owner(begun), pytest.raises(InputError, match="is in use: another craftsim writes into it"):
         Store(begun, HEADER, ITEMS, resume=True)
+    store = Store(begun, HEADER, ITEMS, resume=True)
+    with ThreadPoolExecutor(1) as other, pytest.raises(InputError, match="is in use"):
+        other.submit(_resume, begun).result()
     store.close()
+    _resume(begun)
+
+
+def test_nothing_that_a_link_in_the_folder_points_to_is_changed(begun, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    (elsewhere / "precious").write_text("a line without an end")
+    trials = begun / "trials.jsonl"
+    trials.unlink()
+    trials.symlink_to(elsewhere / "precious")
+    with pytest.raises(InputError, match=r"trials\.jsonl: not a regular file"):
+        _resume(begun)
+    trials.unlink()
+    for name in ("bundles", "trajectories", "worlds"):
+        (begun / name).symlink_to(elsewhere)
+        for resume in (False, True):
+            with pytest.raises(InputError, match=f"{name}: not a folder; move it away"):
+                Store(begun, HEADER, ITEMS, resume)
+        (begun / name).unlink()
+    assert (elsewhere / "precious").read_text() == "a line without an end"
     _resume(begun)
 
 

@@ -1,0 +1,215 @@
+"""One process at a time writes into a folder for results: a second one is told, and the first loses nothing."""
+
+import fcntl
+import inspect
+import os
+import subprocess
+import sys
+import threading
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from owner import kill, owner
+
+from craftsim.cli import COMMANDS, main
+from craftsim.errors import InputError
+from craftsim.report import write_report
+from craftsim.storage.folders import LOCK, directory_within, owned
+from craftsim.validation.validation import validate
+
+IN_USE = "is in use: another craftsim writes into it"
+WORDS = {
+    "demo": [],
+    "validate": ["strip"],
+    "plan": ["strip"],
+    "build": ["strip"],
+    "audit": ["--quick"],
+    "tune": ["drive"],
+    "margins": ["--quick"],
+    "compare": ["a", "b"],
+    "clearance": [],
+    "replay": ["a"],
+    "excite": [],
+    "identify": ["a.csv"],
+    "robot": [],
+    "train": [],
+    "study": ["quick"],
+    "evaluate": ["a.pt"],
+    "conformance": ["a.gz"],
+    "bench": ["rules"],
+    "design": ["tower"],
+    "doctor": [],
+}
+"""Commands that own the folder that they write into, with what they cannot do without."""
+WITHOUT = {
+    "render": "one film or some pictures",
+    "plot": "pictures",
+    "show": "pictures",
+    "view": "nothing",
+    "export": "a folder of its own within the one it is given",
+}
+"""Commands that own no folder, and what they write."""
+
+_TAKES_TURNS = """
+import os, sys
+from pathlib import Path
+from craftsim.errors import InputError
+from craftsim.storage.folders import owned
+folder, turns = Path(sys.argv[1]), 0
+for _ in range(2000):
+    try:
+        with owned(folder):
+            os.close(os.open(folder / "inside", os.O_CREAT | os.O_EXCL))
+            os.unlink(folder / "inside")
+            turns += 1
+    except InputError as error:
+        assert "is in use" in str(error), error
+print(turns)
+"""
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory):
+    """Return a folder that another process owns."""
+    folder = tmp_path_factory.mktemp("taken")
+    (folder / "report.json").write_text("the first's")
+    with owner(folder):
+        yield folder
+
+
+def test_every_command_with_a_folder_is_here():
+    assert {*WORDS, *WITHOUT} == {*COMMANDS}
+    for name in WORDS:
+        function = getattr(import_module(f"craftsim.commands.{name}"), name)
+        assert "out" in inspect.signature(function).parameters
+
+
+@pytest.mark.parametrize("command", WORDS)
+def test_a_second_process_is_told_and_the_first_loses_nothing(command, taken, capsys):
+    before = sorted(taken.iterdir())
+    assert main([command, *WORDS[command], "--out", str(taken)]) == 2
+    assert f"{taken} {IN_USE}; wait until it has ended, or choose another --out" in capsys.readouterr().err
+    assert sorted(taken.iterdir()) == before
+    assert (taken / "report.json").read_text() == "the first's"
+
+
+def test_python_is_told_too(taken):
+    with pytest.raises(InputError, match=IN_USE):
+        write_report(taken, {}, command="mine")
+    with pytest.raises(InputError, match=IN_USE):
+        validate("strip", out=taken)
+
+
+def test_a_link_to_a_folder_is_the_folder(taken, tmp_path):
+    (tmp_path / "link").symlink_to(taken)
+    with pytest.raises(InputError, match=IN_USE), owned(tmp_path / "link"):
+        pass
+
+
+def test_an_owner_that_is_killed_keeps_nobody_out(tmp_path):
+    with owner(tmp_path) as first:
+        with pytest.raises(InputError, match=IN_USE), owned(tmp_path):
+            pass
+        kill(first)
+    assert (tmp_path / LOCK).exists()
+    with owned(tmp_path):
+        pass
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_process_that_an_owner_started_owns_nothing_when_the_owner_has_ended(tmp_path):
+    with owned(tmp_path):
+        child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, close_fds=False)
+    with child, owned(tmp_path):
+        assert child.poll() is None
+        child.communicate(b"\n")
+
+
+def test_an_owner_may_own_again_and_another_thread_may_not(tmp_path):
+    refused = []
+
+    def other():
+        try:
+            with owned(tmp_path):
+                pass
+        except InputError as error:
+            refused.append(error)
+
+    with owned(tmp_path), owned(tmp_path):
+        thread = threading.Thread(target=other)
+        thread.start()
+        thread.join()
+    assert len(refused) == 1
+    other()
+    assert len(refused) == 1
+
+
+def test_processes_that_take_turns_are_never_in_a_folder_at_the_same_time(tmp_path):
+    command = [sys.executable, "-c", _TAKES_TURNS, tmp_path / "new"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    processes = [subprocess.Popen(command, **pipes) for _ in range(3)]
+    for process in processes:
+        turns, errors = process.communicate()
+        assert (process.returncode, errors) == (0, "")
+        assert int(turns) > 0
+    assert {*tmp_path.rglob("*")} <= {tmp_path / "new"}
+
+
+def test_wrong_input_leaves_no_folder_and_removes_none(tmp_path, capsys):
+    (tmp_path / "mine").mkdir()
+    for folder in ("new/inner", "mine"):
+        assert main(["demo", "--task", "nonsense", "--out", str(tmp_path / folder)]) == 2
+    assert "nonsense" in capsys.readouterr().err
+    assert [*tmp_path.iterdir()] == [tmp_path / "mine"]
+    assert not [*(tmp_path / "mine").iterdir()]
+
+
+@pytest.mark.parametrize("plant", ["link", "dangling link", "pipe", "folder"])
+def test_what_lies_at_the_name_of_the_lock_is_refused(tmp_path, plant):
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    out = tmp_path / "out"
+    out.mkdir()
+    match plant:
+        case "link":
+            (out / LOCK).symlink_to(victim)
+        case "dangling link":
+            (out / LOCK).symlink_to(tmp_path / "nowhere")
+        case "pipe":
+            os.mkfifo(out / LOCK)
+        case "folder":
+            (out / LOCK).mkdir()
+    with (
+        pytest.raises(InputError, match=r"craftsim-lock: .*; remove it, or choose another --out"),
+        owned(out),
+    ):
+        pass
+    assert victim.read_text() == "precious"
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_a_file_system_without_locks_is_refused(tmp_path, monkeypatch):
+    def refuses(number, operation):
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuses)
+    with pytest.raises(InputError, match="its file system has no locks"), owned(tmp_path / "new"):
+        pass
+
+
+def test_a_folder_within_is_not_made_behind_a_link_or_elsewhere(tmp_path):
+    victim, out = tmp_path / "victim", tmp_path / "out"
+    victim.mkdir()
+    assert directory_within(out, "a", "b/c") == out / "a/b/c"
+    (out / "a/link").symlink_to(victim)
+    for names in (("a", "link"), ("a/link/inner",)):
+        with pytest.raises(
+            InputError, match="a/link is a link, and none is followed within a folder of results"
+        ):
+            directory_within(out, *names)
+    for name in ("../victim", "a/../../victim", str(victim)):
+        with pytest.raises(InputError, match="leads out of"):
+            directory_within(out, name)
+    assert not [*victim.iterdir()]
+    assert directory_within(Path(out)) == out

@@ -137,7 +137,8 @@ def _without_empty_defaults(function: Callable[..., int]) -> Callable[..., int]:
     for name, parameter in inspect.signature(function).parameters.items():
         if parameter.default in (None, ()):
             types[name] = Annotated[types[name], unsaid]
-    function.__annotations__ = types
+    # Of the command itself, which tyro looks at, whatever it is decorated with.
+    inspect.unwrap(function).__annotations__ = types
     return function
 
 

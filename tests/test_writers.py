@@ -70,7 +70,7 @@ def test_what_lies_at_a_temporary_name_is_not_written_to(tmp_path, plant):
     out, victim = tmp_path / "out", tmp_path / "victim"
     out.mkdir()
     victim.write_text("precious")
-    readers = []
+    ends = []
     for name in NAMES:
         match plant:
             case "link":
@@ -79,16 +79,16 @@ def test_what_lies_at_a_temporary_name_is_not_written_to(tmp_path, plant):
                 os.link(victim, out / name)
             case "pipe":
                 os.mkfifo(out / name)
-                # With a reader nothing that opens it for writing hangs.
-                readers.append(os.open(out / name, os.O_RDONLY | os.O_NONBLOCK))
+                # With both ends open nothing that opens it hangs.
+                ends.append(os.open(out / name, os.O_RDWR | os.O_NONBLOCK))
             case "folder":
                 (out / name).mkdir()
     write_whole(out / "a.txt", "mine")
     assert victim.read_text() == "precious"
     assert (out / "a.txt").read_text() == "mine"
     assert not (out / "a.txt").is_symlink()
-    for reader in readers:
-        os.close(reader)
+    for end in ends:
+        os.close(end)
 
 
 def test_a_command_does_not_write_through_a_link_at_a_temporary_name(tmp_path, capsys):

@@ -114,6 +114,7 @@ def test_a_car_that_was_thrown_far_away_is_drawn_at_the_edge(recorded: Trajector
 
 
 def test_a_run_s_folder_has_its_trajectories_by_name(run: Path) -> None:
+    (run / "trajectories" / ".partial-0-move-0.npz").touch()  # left by a kill
     assert [path.stem for path in trajectory_files(run)] == ["move-0", "move-1"]
     assert [path.stem for path in trajectory_files(run / "trajectories")] == ["move-0", "move-1"]
     assert trajectory_files(run, "move-1.npz") == [run / "trajectories" / "move-1.npz"]

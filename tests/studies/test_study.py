@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from owner import owner
 
 from craftsim.cli import main
 from craftsim.commands import study_progress
@@ -15,7 +16,7 @@ from craftsim.commands.study_text import conclusions, runs_table
 from craftsim.commands.terminal import Terminal
 from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
-from craftsim.studies.runs import run_study
+from craftsim.studies.runs import RUNS, run_study, train_and_evaluate
 from craftsim.studies.study import SHIPPED, Study, read_study
 from craftsim.training.curve import CURVE_FILE, Point, read_last, write_curve
 
@@ -243,3 +244,15 @@ def test_a_folder_for_its_results_does_not_hide_a_shipped_study(tmp_path, monkey
 def test_a_study_that_is_not_there_is_named_with_those_that_are():
     with pytest.raises(InputError, match="there are designs, paper, paper_ippo, quick, random"):
         read_study("papers")
+
+
+def test_a_run_that_somebody_goes_on_with_alone_is_left_to_them(tiny, tmp_path):
+    run, out = read_study(str(tiny)).runs[0], tmp_path / "out"
+    with owner(out / RUNS / run.key), pytest.raises(InputError, match="is in use"):
+        train_and_evaluate((run, out))
+    (tmp_path / "elsewhere").mkdir()
+    (out / RUNS / run.key).parent.mkdir(parents=True)
+    (out / RUNS / run.key).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="is a link, and none is followed"):
+        train_and_evaluate((run, out))
+    assert not [*(tmp_path / "elsewhere").iterdir()]

@@ -3,6 +3,7 @@
 import pytest
 
 from craftsim.cli import main
+from craftsim.errors import InputError
 from craftsim.training.curve import Point
 from craftsim.training.tensorboard_log import FOLDER, TensorboardLog
 
@@ -23,6 +24,18 @@ def test_every_point_is_there_once_after_a_run_went_on(tmp_path):
     assert set(events.Tags()["scalars"]) == {"eval/success", "eval/return", "eval/ticks"}
     shown = [(event.step, event.value) for event in events.Scalars("eval/success")]
     assert shown == [(100, pytest.approx(0.1)), (200, pytest.approx(0.2)), (300, pytest.approx(0.3))]
+
+
+def test_a_log_behind_a_link_is_left_alone(tmp_path):
+    pytest.importorskip("tensorboard")
+    precious = tmp_path / "elsewhere/events.out.tfevents.1"
+    precious.parent.mkdir()
+    precious.touch()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / FOLDER).symlink_to(precious.parent)
+    with pytest.raises(InputError, match="is a link, and none is followed"):
+        TensorboardLog(tmp_path / "run", [])
+    assert [*precious.parent.iterdir()] == [precious]
 
 
 def test_without_tensorboard_the_command_says_how_to_get_it(tmp_path, monkeypatch, capsys):

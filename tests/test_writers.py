@@ -65,6 +65,16 @@ def test_what_a_kill_leaves_is_gone_with_the_next_writing_and_what_is_written_no
     assert [*tmp_path.iterdir()] == [path]
 
 
+def test_what_several_leave_that_are_killed_is_gone_with_the_next_writing(tmp_path):
+    path = tmp_path / "a.txt"
+    with writer(path) as first, writer(path) as second, writer(path) as third:
+        for process in (first, second, third):
+            kill(process)
+    assert len([*tmp_path.iterdir()]) == 3
+    write_whole(path, "mine")
+    assert [*tmp_path.iterdir()] == [path]
+
+
 @pytest.mark.parametrize("plant", ["link", "hard link", "pipe", "folder"])
 def test_what_lies_at_a_temporary_name_is_not_written_to(tmp_path, plant):
     out, victim = tmp_path / "out", tmp_path / "victim"

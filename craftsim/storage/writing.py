@@ -12,7 +12,7 @@ from typing import Final
 from craftsim.errors import InputError
 from craftsim.storage.locks import FLAGS, lock
 
-WRITERS: Final = 64
+WRITERS: Final = 16
 """How many may write one file at the same time; the last to end is the one whose file stays."""
 
 
@@ -82,10 +82,11 @@ def _replacing(target: Path) -> Iterator[Path]:
 
 def _new_beside(target: Path) -> tuple[Path, int]:
     """Make a file of a name that nobody uses, and return its path and number."""
-    for writer in range(WRITERS):
-        # Always the same names: what a kill leaves behind is gone with the next writing.
-        partial = target.with_name(f".partial-{writer}-{target.name}")
+    # Always the same names: what a kill leaves behind is gone with the next writing.
+    names = [target.with_name(f".partial-{writer}-{target.name}") for writer in range(WRITERS)]
+    for partial in names:
         _remove_if_abandoned(partial)
+    for partial in names:
         try:
             number = os.open(partial, FLAGS | os.O_CREAT | os.O_EXCL, 0o666)
         except FileExistsError:
@@ -98,16 +99,14 @@ def _new_beside(target: Path) -> tuple[Path, int]:
             return partial, number
         os.close(number)
     raise InputError(
-        f"{target}: cannot be written: all names {target.with_name(f'.partial-0-{target.name}')} to "
-        f"{WRITERS - 1} are taken; remove what is there, or choose another --out"
+        f"{target}: cannot be written: all names from {names[0]} to {names[-1].name} are taken; "
+        "remove what is there, or choose another --out"
     )
 
 
 def _remove_if_abandoned(partial: Path) -> None:
     """Remove the file that a writer left which is dead, for one that lives has it locked."""
     with contextlib.suppress(OSError):
-        if not partial.is_file() or partial.is_symlink():
-            return
         number = os.open(partial, FLAGS)
         try:
             if lock(number, partial):

@@ -1,8 +1,15 @@
 """Writing test bags with the library's own writer."""
 
+import io
 import math
+import struct
 
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Message, Schema
+from mcap.stream_reader import StreamReader
 from mcap_ros2.writer import Writer
+
+MAGIC = b"\x89MCAP0\r\n"
 
 STAMP = "builtin_interfaces/Time stamp\nstring frame_id"
 TIME = "int32 sec\nuint32 nanosec"
@@ -60,3 +67,50 @@ def write_bag(path, log, commands="/wheel_commands", pose_topics=("/localisation
             writer.write_message(commands, joints, told, at, at)
         writer.finish()
     return path
+
+
+def records_of(bag, *kinds):
+    """Return the records of some kinds before the summary, unpacked."""
+    found = []
+    for record in StreamReader(io.BytesIO(bag)).records:
+        if isinstance(record, DataEnd):
+            return found
+        if isinstance(record, kinds):
+            found.append(record)
+    return found
+
+
+def loose_bag(bag, messages=None, chunk=None, schema=None):
+    """Return a bag without chunks or checksums, of the same messages, or of others.
+
+    ``chunk`` stands in their place, as packing and content; its head and its entry in the index claim 1000 bytes.
+    ``schema`` is a text that is put after that of each type.
+    """
+    described = records_of(bag, Schema, Channel)
+    for record in described:
+        if isinstance(record, Schema) and schema:
+            record.data += schema
+    data = RecordBuilder()
+    data.write(MAGIC)
+    Header("ros2", "").write(data)
+    for record in described:
+        record.write(data)
+    place = data.count
+    if chunk:
+        packing, content = chunk
+        head = struct.pack("<QQQI", 0, 1, 1000, 0) + struct.pack("<I", len(packing)) + packing.encode()
+        content = head + struct.pack("<Q", len(content)) + content
+        data.write(struct.pack("<BQ", 0x06, len(content)) + content)
+    else:
+        for message in messages or records_of(bag, Message):
+            message.write(data)
+    length = data.count - place
+    DataEnd(0).write(data)
+    start = data.count
+    for record in described:
+        record.write(data)
+    if chunk:
+        ChunkIndex(length, place, packing, length, 1, 0, {}, 0, 1000).write(data)
+    Footer(start, 0, 0).write(data)
+    data.write(MAGIC)
+    return data.end()

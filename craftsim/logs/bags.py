@@ -7,30 +7,27 @@ Messages count from when the bag received them, as a controller on the robot wou
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from array import array
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from craftsim.discrete.files.documents import Mapping, Scalar, Source, describe, parse_keys, read_text
 from craftsim.errors import InputError
-from craftsim.extras import need
+from craftsim.logs.bag_messages import JOINTS, NUMBERS, ODOMETRY, POSE, decoder
+from craftsim.logs.bag_records import BagFile, Channel
 from craftsim.logs.log import GROUPS, LONGEST_GAP, TIME, Floats, Log, interpolated
 from craftsim.models.parts import WHEELS
-from craftsim.storage.limits import BAG, BAG_MESSAGES, MIB, size_text
+from craftsim.storage.limits import BAG, BAG_MESSAGES
 from craftsim.storage.reading import open_file
 
-POSES: Final = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
-JOINTS: Final = "sensor_msgs/msg/JointState"
-NUMBERS: Final = "std_msgs/msg/Float64MultiArray"
-
-_RECORD_BYTES: Final = 64 * MIB
-"""Of one record, a chunk of messages."""
-
-Series = dict[str, list[tuple[float, float]]]
-"""(time, value) by column of a log."""
+Series = dict[str, "array[float]"]
+"""Times and values by column of a log, in turns."""
+Take = Callable[[float, Any], None]
+"""Takes the time and the content of a message."""
 
 
 @dataclass(frozen=True)
@@ -78,108 +75,99 @@ def read_bag(path: Path, topics: Path | None = None) -> Log:
     and where the extra ``ros2`` is not installed.
     """
     names = Topics() if topics is None else read_topics(topics)
-    need("ros2", "reading ROS 2 bags needs", "mcap", "mcap_ros2")
-    from mcap.reader import SeekingReader
-    from mcap_ros2.decoder import DecoderFactory
-
     with open_file(path, BAG) as file:
         try:
-            reader = SeekingReader(file, True, [DecoderFactory()], record_size_limit=_RECORD_BYTES)
-            summary = _summary(path, reader.get_summary())
-            pose = names.pose or _pose_topic(path, summary)
-            wanted = [name for name in (names.commands, names.joints, pose) if name]
-            series = _collect(reader.iter_decoded_messages(wanted), names, pose)
+            return _log(_collect(BagFile(file), names), names)
         except InputError as error:
-            raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+            raise InputError(f"{path}: {error}") from error
         except Exception as error:  # what decoders and decompressors raise for damaged data is their own
             raise InputError(f"{path}: damaged or no ROS 2 bag: {error or type(error).__name__}") from error
-    try:
-        return _log(series, names)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
-def _summary(path: Path, summary: Any) -> Any:
-    """Return the summary of a bag that may be read."""
-    if summary is None:
-        raise InputError(
-            f"{path}: the bag has no summary at its end; was it cut off? 'mcap recover' repairs it"
-        )
-    sizes = [chunk.uncompressed_size for chunk in summary.chunk_indexes]
-    if max(sizes, default=0) > _RECORD_BYTES or sum(sizes) > BAG.content_bytes:
-        raise InputError(
-            f"{path}: unpacks to {size_text(sum(sizes))}; allowed: {size_text(BAG.content_bytes)}"
-        )
-    return summary
-
-
-def _pose_topic(path: Path, summary: Any) -> str:
-    """Return the one topic with poses; an empty text where there is none."""
-    types = {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
-    found = sorted(topic for topic, kind in types.items() if kind in POSES)
-    if len(found) > 1:
-        raise InputError(
-            f"{path}: several topics hold poses: {', '.join(found)}; name one with --topics, key 'pose'"
-        )
-    return found[0] if found else ""
-
-
-def _collect(messages: Iterator[Any], names: Topics, pose: str) -> Series:
-    series: Series = {name: [] for columns in GROUPS.values() for name in columns}
-    for number, (schema, channel, message, content) in enumerate(messages):
-        if number == BAG_MESSAGES:
+def _collect(bag: BagFile, names: Topics) -> Series:
+    """Return what the wanted topics hold."""
+    series: Series = {name: array("d") for columns in GROUPS.values() for name in columns}
+    takers: dict[int, tuple[Callable[[bytes], Any], Take]] = {}
+    channels = bag.channels()
+    pose = names.pose or _pose_topic(channels)
+    for number, channel in channels.items():
+        if channel.topic in (names.commands, names.joints, pose):
+            take = _taker(channel, series, names)
+            takers[number] = (decoder(channel.type, channel.encoding), take)
+    for n_read, (number, time, content) in enumerate(bag.messages(takers) if takers else ()):
+        if n_read == BAG_MESSAGES:
             raise InputError(f"more than the {BAG_MESSAGES} messages that are allowed")
-        time = message.log_time * 1e-9
-        if channel.topic == names.commands:
-            _take_commands(series, time, schema.name, content, names)
-        elif channel.topic == pose:
-            _take_pose(series, time, schema.name, content)
-        else:
-            _take_joints(series, time, schema.name, content, names)
+        decode, take = takers[number]
+        take(time, decode(content))
     return series
 
 
-def _take_commands(series: Series, time: float, kind: str, content: Any, names: Topics) -> None:
-    columns = GROUPS["commands"]
-    if kind == NUMBERS:
-        values = [float(value) for value in content.data]
-        if not 4 <= len(values) <= len(columns):
-            raise InputError(
-                f"{names.commands} has {len(values)} numbers; allowed: four wheels, board and hinge"
-            )
-        given = dict(zip(columns, values, strict=False))
-    elif kind == JOINTS:
-        by_joint = dict(zip(content.name, content.velocity, strict=False))
-        joints = (names.joint_names[name] for name in (*WHEELS, "board", "hinge"))
-        given = {c: float(by_joint[j]) for c, j in zip(columns, joints, strict=True) if j in by_joint}
+def _pose_topic(channels: dict[int, Channel]) -> str | None:
+    """Return the one topic with poses, if any."""
+    found = sorted({channel.topic for channel in channels.values() if channel.type in (ODOMETRY, POSE)})
+    if len(found) > 1:
+        raise InputError(f"several topics hold poses: {', '.join(found)}; name one with --topics, key 'pose'")
+    return found[0] if found else None
+
+
+def _taker(channel: Channel, series: Series, names: Topics) -> Take:
+    """Return what takes the messages of a channel; raise InputError for one of another type than its topic's."""
+    takers: dict[str, Callable[[Series, float, Any, Topics], None]]
+    if channel.topic == names.commands:
+        takers = {JOINTS: _take_named_commands, NUMBERS: _take_numbers}
+    elif channel.topic == names.joints:
+        takers = {JOINTS: _take_joints}
     else:
-        raise InputError(f"{names.commands} holds {kind}; allowed: {JOINTS}, {NUMBERS}")
-    for column in columns:
-        series[column].append((time, given.get(column, 0.0)))
+        takers = {ODOMETRY: _take_odometry, POSE: _take_pose}
+    if channel.type not in takers:
+        raise InputError(f"{channel.topic} holds {channel.type}; allowed: {', '.join(takers)}")
+    take = takers[channel.type]
+    return lambda time, content: take(series, time, content, names)
 
 
-def _take_pose(series: Series, time: float, kind: str, content: Any) -> None:
-    if kind not in POSES:
-        raise InputError(f"the poses are {kind}; allowed: {', '.join(POSES)}")
-    pose = content.pose.pose if kind == POSES[0] else content.pose
-    q, p = pose.orientation, pose.position
+def _take_numbers(series: Series, time: float, content: Any, names: Topics) -> None:
+    values, columns = content.data, GROUPS["commands"]
+    if not 4 <= len(values) <= len(columns):
+        raise InputError(f"{names.commands} has {len(values)} numbers; allowed: four wheels, board and hinge")
+    _take_commands(series, time, dict(zip(columns, values, strict=False)))
+
+
+def _take_named_commands(series: Series, time: float, content: Any, names: Topics) -> None:
+    by_joint = dict(zip(content.name, content.velocity, strict=False))
+    joints = (names.joint_names[name] for name in (*WHEELS, "board", "hinge"))
+    columns = GROUPS["commands"]
+    _take_commands(
+        series, time, {c: by_joint[j] for c, j in zip(columns, joints, strict=True) if j in by_joint}
+    )
+
+
+def _take_commands(series: Series, time: float, given: dict[str, float]) -> None:
+    for column in GROUPS["commands"]:
+        series[column].extend((time, given.get(column, 0.0)))
+
+
+def _take_odometry(series: Series, time: float, content: Any, names: Topics) -> None:
+    _take_pose(series, time, content.pose, names)
+
+
+def _take_pose(series: Series, time: float, content: Any, names: Topics) -> None:
+    del names
+    q, p = content.pose.orientation, content.pose.position
     heading = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     pitch = -math.asin(max(-1.0, min(1.0, 2 * (q.w * q.y - q.z * q.x))))
     roll = math.atan2(2 * (q.w * q.x + q.y * q.z), 1 - 2 * (q.x**2 + q.y**2))
     columns = (*GROUPS["pose"], *GROUPS["tilt"])
     for column, value in zip(columns, (p.x, p.y, heading, pitch, roll), strict=True):
-        series[column].append((time, float(value)))
+        series[column].extend((time, value))
 
 
-def _take_joints(series: Series, time: float, kind: str, content: Any, names: Topics) -> None:
-    if kind != JOINTS:
-        raise InputError(f"{names.joints} holds {kind}; allowed: {JOINTS}")
+def _take_joints(series: Series, time: float, content: Any, names: Topics) -> None:
     place = {name: k for k, name in enumerate(content.name)}
 
     def take(column: str, joint: str, values: Any) -> None:
         k = place.get(names.joint_names[joint])
         if k is not None and k < len(values):
-            series[column].append((time, float(values[k])))
+            series[column].extend((time, values[k]))
 
     for column, wheel in zip(GROUPS["wheel_speeds"], WHEELS, strict=True):
         take(column, wheel, content.velocity)
@@ -189,7 +177,7 @@ def _take_joints(series: Series, time: float, kind: str, content: Any, names: To
 
 
 def _log(series: Series, names: Topics) -> Log:
-    commands = {name: np.array(series[name]).reshape(-1, 2) for name in GROUPS["commands"]}
+    commands = {name: np.frombuffer(series[name]).reshape(-1, 2) for name in GROUPS["commands"]}
     time = next(iter(commands.values()))[:, 0]
     if not len(time):
         raise InputError(
@@ -200,7 +188,10 @@ def _log(series: Series, names: Topics) -> Log:
     columns |= {name: values[first, 1] for name, values in commands.items()}
     for name, pairs in series.items():
         if name not in columns and pairs:
-            columns[name] = _at(time, np.array(pairs), turns=name == "heading_rad")
+            signal = np.frombuffer(pairs).reshape(-1, 2)
+            # Chunks, and messages within one, are in no certain order.
+            in_order = signal[np.argsort(signal[:, 0], kind="stable")]
+            columns[name] = _at(time, in_order, turns=name == "heading_rad")
     if len(columns) == 1 + len(commands):
         raise InputError(f"nothing was measured: no messages on {names.joints}, and no poses")
     return Log.of_columns(columns)

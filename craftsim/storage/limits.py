@@ -224,8 +224,14 @@ EXCITE_M: Final = Range(0.6, 20)
 """Length and width of its area."""
 IDENTIFIED_S: Final = 1800.0
 """Of a log that figures are identified from."""
-BAG_MESSAGES: Final = 2_000_000
-"""Of the topics that are read."""
+BAG_MESSAGES: Final = 1_200_000
+"""Of the topics that are read: half an hour of three topics at 200 Hz."""
+BAG_MESSAGE_BYTES: Final = 64 * KIB
+"""Of one of these."""
+BAG_CHUNK_BYTES: Final = 64 * MIB
+"""Of a chunk of messages, packed and unpacked, and of a message that is not read."""
+BAG_RECORDS: Final = 5_000_000
+"""Of all topics, with what describes and lists them."""
 
 
 def size_text(n_bytes: int) -> str:

@@ -4,7 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from bags import write_bag
+from bags import loose_bag, write_bag
 
 from craftsim.logs.files import read_log
 from craftsim.logs.log import GROUPS, Log
@@ -36,8 +36,9 @@ def table(rng: np.random.Generator, folder: Path) -> None:
 
 
 def bag(rng: np.random.Generator, folder: Path) -> None:
-    """Attack a bag: its bytes, within its packed chunks or around them."""
-    _read(folder / "log.mcap", mutated_bytes(_whole(".mcap"), rng))
+    """Attack a bag: its bytes, within its packed chunks or around them, or those of its messages without either."""
+    whole = _whole(".mcap")
+    _read(folder / "log.mcap", mutated_bytes(whole if rng.random() < 0.3 else loose_bag(whole), rng))
 
 
 def _read(path: Path, data: bytes) -> None:

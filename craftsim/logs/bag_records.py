@@ -1,0 +1,163 @@
+"""The records of a ROS 2 bag (MCAP, https://mcap.dev/spec): its channels, and the messages of some of them.
+
+Every length in a bag is a claim of whoever wrote it. What a record claims is compared with what is allowed before it is
+read, and a chunk is unpacked no further than the size that it claims. What is not needed is passed over: schemas,
+whose text would have to be parsed, and the index, which may name one chunk a thousand times.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import IO, Final
+
+from craftsim.errors import InputError
+from craftsim.storage.limits import BAG, BAG_CHUNK_BYTES, BAG_MESSAGE_BYTES, BAG_RECORDS, MIB, size_text
+
+_MAGIC: Final = b"\x89MCAP0\r\n"
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+_RECORD: Final = struct.Struct("<BQ")
+"""Before each record: what it is, and its length."""
+_FOOTER_HEAD: Final = _RECORD.pack(_FOOTER, 20)
+_FOOTER_BYTES: Final = len(_FOOTER_HEAD) + 20 + len(_MAGIC)
+"""Of what ends a bag."""
+_CHUNK_HEAD: Final = struct.Struct("<QQQI")
+"""Of a chunk: its first and last time, how long it is unpacked, and the checksum of that."""
+_MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
+"""Of a message: its channel and number, when the bag received it, and when it was sent."""
+_DESCRIPTION_BYTES: Final = MIB
+"""Of a schema or a channel."""
+_NAME_BYTES: Final = 256
+"""Of a topic, a type, an encoding."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What messages of one number are."""
+
+    topic: str
+    type: str
+    """Such as ``sensor_msgs/msg/JointState``."""
+    encoding: str
+    """Of its messages; ``cdr`` is that of ROS 2."""
+
+
+class BagFile:
+    """An open bag. What it raises is InputError, or what Python raises for damaged data."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        """Take a file; raise InputError for what is no bag, or was cut off."""
+        self._file, self._size = file, file.seek(0, io.SEEK_END)
+        file.seek(0)
+        if file.read(len(_MAGIC)) != _MAGIC:
+            raise InputError("damaged or no ROS 2 bag: it does not begin as one")
+        self._records = self._unpacked_bytes = 0
+
+    def channels(self) -> dict[int, Channel]:
+        """Return the channels that the summary at the end of the bag lists, by number."""
+        self._file.seek(max(0, self._size - _FOOTER_BYTES))
+        end = self._file.read(_FOOTER_BYTES)
+        start = int.from_bytes(end[len(_FOOTER_HEAD) :][:8], "little")
+        if not (end.startswith(_FOOTER_HEAD) and end.endswith(_MAGIC) and start):
+            raise InputError("the bag has no summary at its end; was it cut off? 'mcap recover' repairs it")
+        self._file.seek(start)
+        types: dict[int, str] = {0: ""}
+        channels: dict[int, Channel] = {}
+        for kind, data in self._walk(self._file, self._size, (_SCHEMA, _CHANNEL, _FOOTER)):
+            number = int.from_bytes(data[:2], "little")
+            if kind == _SCHEMA:
+                types[number] = _name(data, 2)[0]
+            elif kind == _CHANNEL:
+                topic, end_of_topic = _name(data, 4)
+                of = types.get(int.from_bytes(data[2:4], "little"), "")
+                channels[number] = Channel(topic, of, _name(data, end_of_topic)[0])
+        return channels
+
+    def messages(self, wanted: Collection[int]) -> Iterator[tuple[int, float, bytes]]:
+        """Yield the messages of some channels: its number, seconds and content of each; not in the order of time."""
+        self._file.seek(len(_MAGIC))
+        for kind, data in self._walk(self._file, self._size, (_MESSAGE, _CHUNK, _DATA_END)):
+            if kind == _CHUNK:
+                unpacked = self._unpack(data)
+                inner = self._walk(io.BytesIO(unpacked), len(unpacked), (_MESSAGE,))
+                yield from (message for _, one in inner for message in _message(one, wanted))
+            else:
+                yield from _message(data, wanted)
+
+    def _walk(self, file: IO[bytes], size: int, kinds: tuple[int, ...]) -> Iterator[tuple[int, bytes]]:
+        """Yield what the records of some kinds hold, from here on; end after the last, or one that ends a section."""
+        place = file.tell()
+        while place < size:
+            kind, length = _RECORD.unpack(file.read(_RECORD.size))
+            place += _RECORD.size + length
+            self._records += 1
+            if place > size:
+                raise InputError("damaged: a record is longer than what is left of the bag")
+            if self._records > BAG_RECORDS:
+                raise InputError(f"more than the {BAG_RECORDS} records that are allowed")
+            if kind not in kinds:
+                file.seek(place)
+                continue
+            allowed = BAG_CHUNK_BYTES if kind in (_CHUNK, _MESSAGE) else _DESCRIPTION_BYTES
+            if length > allowed:
+                raise InputError(f"a record of {size_text(length)}; allowed: {size_text(allowed)}")
+            data = file.read(length)
+            if kind in (_FOOTER, _DATA_END):
+                return
+            yield kind, data
+
+    def _unpack(self, chunk: bytes) -> bytes:
+        """Return what a chunk holds; raise InputError for one that is not what it claims."""
+        _, _, claimed, checksum = _CHUNK_HEAD.unpack_from(chunk)
+        packing, place = _name(chunk, _CHUNK_HEAD.size)
+        packed = memoryview(chunk)[place + 8 :][: int.from_bytes(chunk[place : place + 8], "little")]
+        self._unpacked_bytes += claimed
+        if claimed > BAG_CHUNK_BYTES or self._unpacked_bytes > BAG.content_bytes:
+            allowed = f"{size_text(BAG_CHUNK_BYTES)} a chunk, {size_text(BAG.content_bytes)} in all"
+            raise InputError(f"unpacks to {size_text(self._unpacked_bytes)}; allowed: {allowed}")
+        # One byte more shows that there is more.
+        data = _first_bytes(packing, packed, claimed + 1)
+        if len(data) != claimed or (checksum and zlib.crc32(data) != checksum):
+            raise InputError("damaged: a chunk does not hold what it claims")
+        return data
+
+
+def _first_bytes(packing: str, packed: memoryview, most: int) -> bytes:
+    """Return the first bytes of something packed; no more are unpacked."""
+    if packing == "zstd":
+        import zstandard
+
+        with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
+            return reader.read(most)
+    if packing == "lz4":
+        from lz4.frame import LZ4FrameDecompressor
+
+        unpacked: bytes = LZ4FrameDecompressor().decompress(packed, max_length=most)
+        return unpacked
+    if packing:
+        raise InputError(f"a chunk is packed by '{packing}'; allowed: zstd, lz4")
+    return bytes(packed[:most])
+
+
+def _message(data: bytes, wanted: Collection[int]) -> Iterator[tuple[int, float, bytes]]:
+    """Yield a message's channel, seconds and content if it is of a wanted channel."""
+    channel, _, received_ns, _ = _MESSAGE_HEAD.unpack_from(data)
+    if channel in wanted:
+        if len(data) > BAG_MESSAGE_BYTES:
+            raise InputError(
+                f"a message of {size_text(len(data))} on a topic that is read; "
+                f"allowed: {size_text(BAG_MESSAGE_BYTES)}"
+            )
+        yield channel, received_ns * 1e-9, data[_MESSAGE_HEAD.size :]
+
+
+def _name(data: bytes, place: int) -> tuple[str, int]:
+    """Return the text at a place of a record, and the place after it."""
+    length = int.from_bytes(data[place : place + 4], "little")
+    end = place + 4 + length
+    if length > _NAME_BYTES or end > len(data):
+        raise InputError(f"damaged: a name of {length} bytes; allowed: {_NAME_BYTES}, within its record")
+    return str(data[place + 4 : end], "utf-8"), end

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Final, get_args, get_type_hints
 from craftsim.commands.text import complain, drop_output, reader_is_gone, show_what_can_be_shown
 from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
 from craftsim.storage.limits import Range
+from craftsim.storage.paths import check_working_folder
 
 BROKEN_PIPE: Final = 141
 """What a shell says of a process that SIGPIPE ended."""
@@ -94,6 +95,7 @@ def _answer(words: list[str]) -> int:
             raise InputError(
                 f"no command '{name}'{suggestion(name, COMMANDS)} (commands: {', '.join(COMMANDS)})"
             )
+        check_working_folder()
         return _run(name, words[1:])
     except CraftsimError as error:
         complain(error)

@@ -16,6 +16,7 @@ from craftsim.commands.text import say
 from craftsim.errors import InputError
 from craftsim.report import versions, write_report
 from craftsim.storage.folders import owning
+from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
     from craftsim.checking.checked_site import CheckedSite
@@ -58,7 +59,7 @@ def replay(
     from craftsim.validation.replays.bundle import read_bundle
 
     recorded = read_bundle(bundle)
-    film = out / f"{bundle.resolve().name}.mp4"
+    film = out / f"{resolved(bundle).name}.mp4"
     watch = _viewer if view else again.unwatched
     result = film_bundle(recorded, film) if filming else again.replay(recorded, watch)
     report = write_report(

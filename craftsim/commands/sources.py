@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from craftsim.commands.text import say
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
+from craftsim.storage.paths import is_file, is_folder
 
 if TYPE_CHECKING:
     from craftsim.commands.options import PhysicsOptions
@@ -36,10 +37,10 @@ def find_trajectory(
     from craftsim.validation.runs.once import record_once
 
     path = Path(what)
-    recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or path.is_dir())
+    recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or is_folder(path))
     if recorded and (plan or policy):
         raise InputError(f"{what} is recorded already; leave --plan and --policy out")
-    if recorded and path.is_dir():
+    if recorded and is_folder(path):
         return _in_folder(path, run)
     if run is not None:
         raise InputError(f"--run chooses from a folder of a run, and {what} is none")
@@ -56,7 +57,7 @@ def _in_folder(folder: Path, run: str | None) -> Trajectory:
     from craftsim.validation.replays.bundle import TEXT, read_bundle
     from craftsim.validation.replays.recording import record_bundle
 
-    if (folder / TEXT).is_file() and run is None:
+    if is_file(folder / TEXT) and run is None:
         return record_bundle(read_bundle(folder))[1]
     first, *others = trajectory_files(folder, run)
     if others:

@@ -15,6 +15,7 @@ from craftsim.commands.text import say
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
 from craftsim.storage.limits import PORTS
+from craftsim.storage.paths import is_file, is_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,7 +50,7 @@ def view(
     from craftsim.validation.building import read_building
 
     path = Path(what)
-    recorded = what not in TASK_NAMES and (path.is_dir() or path.suffix == SUFFIX)
+    recorded = what not in TASK_NAMES and (is_folder(path) or path.suffix == SUFFIX)
     building = None if recorded else read_building(what)
     runs = _runs(path) if building is None else {}
     with LiveView(host, port, REAL_TIME) as live:
@@ -74,7 +75,7 @@ def _runs(path: Path) -> Runs:
     from craftsim.validation.replays.bundle import TEXT, read_bundle
     from craftsim.validation.replays.recording import record_bundle
 
-    if (path / TEXT).is_file():
+    if is_file(path / TEXT):
         return {path.name: lambda: record_bundle(read_bundle(path))[1]}
     return {name_of(file): partial(Trajectory.read, file) for file in trajectory_files(path)}
 

@@ -35,7 +35,7 @@ _NAME_BYTES: Final = 256
 
 
 @dataclass(frozen=True)
-class Channel:
+class BagChannel:
     """What messages of one number are."""
 
     topic: str
@@ -56,7 +56,7 @@ class BagFile:
             raise InputError("damaged or no ROS 2 bag: it does not begin as one")
         self._records = self._unpacked_bytes = 0
 
-    def channels(self) -> dict[int, Channel]:
+    def channels(self) -> dict[int, BagChannel]:
         """Return the channels that the summary at the end of the bag lists, by number."""
         self._file.seek(max(0, self._size - _FOOTER_BYTES))
         end = self._file.read(_FOOTER_BYTES)
@@ -65,7 +65,7 @@ class BagFile:
             raise InputError("the bag has no summary at its end; was it cut off? 'mcap recover' repairs it")
         self._file.seek(start)
         types: dict[int, str] = {0: ""}
-        channels: dict[int, Channel] = {}
+        channels: dict[int, BagChannel] = {}
         for kind, data in self._walk(self._file, self._size, (_SCHEMA, _CHANNEL, _FOOTER)):
             number = int.from_bytes(data[:2], "little")
             if kind == _SCHEMA:
@@ -73,7 +73,7 @@ class BagFile:
             elif kind == _CHANNEL:
                 topic, end_of_topic = _name(data, 4)
                 of = types.get(int.from_bytes(data[2:4], "little"), "")
-                channels[number] = Channel(topic, of, _name(data, end_of_topic)[0])
+                channels[number] = BagChannel(topic, of, _name(data, end_of_topic)[0])
         return channels
 
     def messages(self, wanted: Collection[int]) -> Iterator[tuple[int, float, bytes]]:

@@ -18,7 +18,7 @@ import numpy as np
 from craftsim.discrete.files.documents import Mapping, Scalar, Source, describe, parse_keys, read_text
 from craftsim.errors import InputError
 from craftsim.logs.bag_messages import JOINTS, NUMBERS, ODOMETRY, POSE, decoder
-from craftsim.logs.bag_records import BagFile, Channel
+from craftsim.logs.bag_records import BagChannel, BagFile
 from craftsim.logs.log import GROUPS, LONGEST_GAP, TIME, Floats, Log, interpolated
 from craftsim.models.parts import WHEELS
 from craftsim.storage.limits import BAG, BAG_MESSAGES
@@ -102,7 +102,7 @@ def _collect(bag: BagFile, names: Topics) -> Series:
     return series
 
 
-def _pose_topic(channels: dict[int, Channel]) -> str | None:
+def _pose_topic(channels: dict[int, BagChannel]) -> str | None:
     """Return the one topic with poses, if any."""
     found = sorted({channel.topic for channel in channels.values() if channel.type in (ODOMETRY, POSE)})
     if len(found) > 1:
@@ -110,7 +110,7 @@ def _pose_topic(channels: dict[int, Channel]) -> str | None:
     return found[0] if found else None
 
 
-def _taker(channel: Channel, series: Series, names: Topics) -> Take:
+def _taker(channel: BagChannel, series: Series, names: Topics) -> Take:
     """Return what takes the messages of a channel; raise InputError for one of another type than its topic's."""
     takers: dict[str, Callable[[Series, float, Any, Topics], None]]
     if channel.topic == names.commands:

@@ -12,6 +12,7 @@ from multiprocessing.synchronize import Event
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
+from craftsim.errors import CraftsimError
 from craftsim.interrupts import finishing_first
 from craftsim.processes import spawn_context
 from craftsim.rendering.frames import Frames, Look
@@ -27,6 +28,8 @@ _AHEAD: Final = 2
 
 _frames: Frames | None = None
 """Of a worker process."""
+_wrong: CraftsimError | None = None
+"""Of a worker process: why it has no frames. Raised while a process begins, it would be lost."""
 _over: Event | None = None
 """Of a worker process: set when nobody waits for its frames any more."""
 
@@ -112,15 +115,20 @@ def _share(threads: int) -> None:
 
 
 def _begin(threads: int, trajectory: Trajectory, look: Look, over: Event) -> None:
-    global _frames, _over
+    global _frames, _wrong, _over
     _share(threads)
     _over = over
     if not over.is_set():
-        _frames = Frames(trajectory, look)
+        try:
+            _frames = Frames(trajectory, look)
+        except CraftsimError as error:
+            _wrong = error
 
 
 def _render(numbers: list[int]) -> list[Frame]:
     assert _over is not None, "a worker begins first"
+    if _wrong is not None:
+        raise _wrong
     frames: list[Frame] = []
     for number in numbers:
         if _over.is_set():

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from craftsim.errors import InputError, suggestion
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES
+from craftsim.storage.paths import is_file, is_folder
 
 BUNDLE = "bundle.json"
 """What tells the folder of a replay bundle; other archives lie in it, too."""
@@ -13,7 +14,7 @@ BUNDLE = "bundle.json"
 
 def name_of(path: Path) -> str:
     """Return the name of a trajectory within its run: of its file, or of the bundle that it lies in."""
-    return path.parent.name if (path.parent / BUNDLE).is_file() else path.stem
+    return path.parent.name if is_file(path.parent / BUNDLE) else path.stem
 
 
 def trajectory_files(run: Path, name: str | None = None) -> list[Path]:
@@ -25,13 +26,13 @@ def trajectory_files(run: Path, name: str | None = None) -> list[Path]:
 
     Raises InputError where there is nothing of the kind.
     """
-    if not run.is_dir():
+    if not is_folder(run):
         if name is not None:
             raise InputError(f"{run} is no folder; a trajectory's name goes with a run's folder")
-        if not run.is_file():
+        if not is_file(run):
             raise InputError(f"{run}: no such file or folder; allowed: a run's folder or a trajectory file")
         return [run]
-    if (run / BUNDLE).is_file():
+    if is_file(run / BUNDLE):
         found = sorted(run.glob(f"trajectory{SUFFIX}"))
     else:
         # What begins with a dot is what a kill left of one.

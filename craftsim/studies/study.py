@@ -11,7 +11,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.discrete.files.documents import Node, Scalar, Sequence, exists, parse_keys, read_text
+from craftsim.discrete.files.documents import Node, Scalar, Sequence, parse_keys, read_text
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import (
@@ -23,6 +23,7 @@ from craftsim.storage.limits import (
     TRAIN_EPISODES,
     TRAIN_STEPS,
 )
+from craftsim.storage.paths import exists
 from craftsim.storage.schema import Schema
 from craftsim.training.config import PRESETS, AlgoName, PresetName, TrainConfig
 from craftsim.training.guidance import check_guidance

@@ -119,14 +119,6 @@ def describe(node: Node) -> str:
     return "a list" if isinstance(node, Sequence) else "a mapping"
 
 
-def exists(path: str | Path) -> bool:
-    """Return whether there is a file or folder; raise InputError for a path that cannot be, or not be looked at."""
-    try:
-        return Path(path).exists()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-
-
 def read_text(path: Path, limits: Limits = YAML) -> str:
     """Return a text file of bounded size; raise BlueprintError if it is missing, too large or not UTF-8."""
     try:

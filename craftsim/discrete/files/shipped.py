@@ -6,8 +6,8 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final, Literal
 
-from craftsim.discrete.files.documents import exists
 from craftsim.errors import BlueprintError, suggestion
+from craftsim.storage.paths import exists, is_file
 
 Shelf = Literal["blueprints", "goals", "plans"]
 
@@ -43,7 +43,7 @@ def find(path: str | Path, shelf: Shelf) -> Path:
     """
     found, names = Path(path), shipped_names(shelf)
     known = str(path) in names
-    if exists(found) and (found.is_file() or not known):
+    if exists(found) and (is_file(found) or not known):
         return found
     if known:
         return _path(str(path), shelf)

@@ -9,16 +9,15 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Final
 
-from craftsim.discrete.files.documents import exists
 from craftsim.discrete.tasks.random_tasks import RANDOM, RANDOM_NAMES, random_task
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
 from craftsim.discrete.tasks.task_files import read_task
 from craftsim.discrete.tasks.varied import DESIGNS
 from craftsim.errors import CraftsimError, InputError, suggestion
 from craftsim.modules import import_own, place_of
+from craftsim.storage.paths import is_file
 
 VARIED_NAMES: Final = (*RANDOM_NAMES, DESIGNS)
 """The tasks whose episodes differ."""
@@ -143,15 +142,11 @@ def known_task(
 
 
 def _is_code(text: str) -> bool:
-    return ":" in text and not _is_varied(text) and not _is_file(text)
+    return ":" in text and not _is_varied(text) and not is_file(text)
 
 
 def _is_varied(text: str) -> bool:
     return text.partition("@")[0] in VARIED_NAMES
-
-
-def _is_file(text: str) -> bool:
-    return exists(text) and Path(text).is_file()
 
 
 def _own_area(text: str) -> InputError:
@@ -184,7 +179,7 @@ def _known(
         if n_cars is not None or n_blocks is not None:
             raise _own_numbers(text)
         return _REGISTERED[text]
-    if _is_file(text) or text.endswith((".yaml", ".yml")):
+    if is_file(text) or text.endswith((".yaml", ".yml")):
         return read_task(text, reward, n_cars, n_blocks)
     names = task_names()
     raise InputError(

@@ -5,7 +5,6 @@ A task file is a small YAML file; docs/tasks.md shows one.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Final, get_args
 
@@ -15,6 +14,7 @@ from craftsim.discrete.files.documents import Node, Scalar, Sequence, Source, pa
 from craftsim.discrete.files.shipped import Shelf, find
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS, RewardName, Task, build_task, free_play
+from craftsim.storage.paths import is_file
 from craftsim.storage.writing import writable
 
 TASK_KEYS: Final = ["start", "goal", "reward", "max_steps", "cars", "blocks"]
@@ -38,7 +38,7 @@ def read_task(
     if "start" not in keys.items:
         start = parse_blueprint(text, path).with_counts(n_cars, n_blocks)
         beside = path.with_name(f"{path.stem}_goal{path.suffix}")
-        design = read_design(beside) if os.path.isfile(beside) else None
+        design = read_design(beside) if is_file(beside) else None
         return _task(path, (start,), design, reward, DEFAULT_MAX_STEPS)
     for key in keys.items:
         if key not in TASK_KEYS:
@@ -76,7 +76,7 @@ def _place(source: Source, node: Node, key: str, shelf: Shelf) -> Path:
     if not isinstance(node, Scalar) or not node.text:
         source.fail(node.line, f"key '{key}': must be a file beside this one, or the name of a shipped one")
     near = source.path.parent / node.text
-    return near if os.path.isfile(near) else find(node.text, shelf)
+    return near if is_file(near) else find(node.text, shelf)
 
 
 def _task(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 from craftsim.errors import InputError
 from craftsim.storage.limits import TRIALS as TRIALS_LIMITS
+from craftsim.storage.paths import exists
 from craftsim.storage.reading import read_lines
 from craftsim.validation.campaign.header import CAMPAIGN, read_header
 from craftsim.validation.campaign.records import Lines, Records
@@ -35,7 +35,7 @@ def read_finished(folder: Path, command: str, form: Form = ANY) -> FinishedCampa
         InputError: the folder holds no campaign, an unfinished one or another command's, or a line that is no record.
     """
     path = folder / CAMPAIGN
-    if not os.path.exists(path):
+    if not exists(path):
         raise InputError(f"{folder} holds no campaign; give the --out of an earlier 'craftsim {command}'")
     header = read_header(path)
     if header["command"] != command:
@@ -45,7 +45,7 @@ def read_finished(folder: Path, command: str, form: Form = ANY) -> FinishedCampa
         )
     lines, place = Lines(header["items"]), folder / TRIALS
     start = 0
-    for number, line in read_lines(place, TRIALS_LIMITS) if place.exists() else ():
+    for number, line in read_lines(place, TRIALS_LIMITS) if exists(place) else ():
         if not line.endswith(b"\n"):
             break
         record = read_record(form, line, f"{place}:{number}", "--resume runs its trial again")

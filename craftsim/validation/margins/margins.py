@@ -13,6 +13,7 @@ from craftsim.checking.settings import Setup
 from craftsim.errors import InputError
 from craftsim.report import write_report
 from craftsim.storage.folders import owning
+from craftsim.storage.paths import resolved
 from craftsim.validation.campaign import (
     Done,
     Engine,
@@ -198,7 +199,7 @@ def _margin(search: MarginSearch, record: TrialRecord, before: Limit | None) -> 
 
 def _earlier(folder: Path, out: Path) -> dict[str, Limit]:
     """Return the margins that an earlier search found, by the keys of their records."""
-    if folder.resolve() == out.resolve():
+    if resolved(folder) == resolved(out):
         raise InputError(f"--against {folder} is the folder of this run; choose another --out")
     records = read_finished(folder, COMMAND, MARGINS).records
     return {r["key"]: limit_of(r) for r in records if r["error"] is None and "margin" in r["extra"]}

@@ -17,7 +17,6 @@ import numpy as np
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe, check_recipe, do, run_up
-from craftsim.discrete.files.documents import exists
 from craftsim.errors import InputError
 from craftsim.models.randomization import Nominal
 from craftsim.models.scene import write_scene
@@ -25,6 +24,7 @@ from craftsim.models.site import Site
 from craftsim.report import versions
 from craftsim.storage import limits
 from craftsim.storage.folders import directory_within
+from craftsim.storage.paths import exists
 from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.schema import Schema
 from craftsim.storage.writing import write_whole

@@ -14,7 +14,6 @@ from craftsim.checking.recipe import Step
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import check_start
 from craftsim.discrete.files.blueprint import parse_blueprint
-from craftsim.discrete.files.documents import exists
 from craftsim.discrete.files.plan import Plan, read_actions, read_plan, shipped_plan
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
@@ -22,6 +21,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
 from craftsim.models.site import Site
+from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable
 from craftsim.training.policy import is_shipped_policy
 from craftsim.validation.campaign import Item
@@ -98,7 +98,7 @@ def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: 
         world = as_task(str(world), n_cars, n_blocks)
     if isinstance(world, Task):
         return Subject(world.name, world, world.digest, world.layout.n_cars)
-    name = str(Path(world).resolve()) if exists(world) and world not in TASK_NAMES else str(world)
+    name = str(resolved(world)) if exists(world) and world not in TASK_NAMES else str(world)
     task = as_task(name)
     digest = SHIPPED if name in TASK_NAMES else task.digest
     return Subject(task.name, name, digest, task.layout.n_cars)
@@ -150,7 +150,7 @@ def policy_pilot(
         return Pilot(PLAY, SHIPPED, play=order)
     if policy != PLANNER:
         own = exists(policy) and not is_shipped_policy(policy)
-        place = str(Path(policy).resolve()) if own else policy
+        place = str(resolved(policy)) if own else policy
         for subject in subjects:
             world = subject.world
             task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)

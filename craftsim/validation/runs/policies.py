@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.files.documents import exists
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import by_agent, checked
@@ -25,6 +24,7 @@ from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
 from craftsim.modules import import_own, place_of
 from craftsim.storage.limits import POLICY
+from craftsim.storage.paths import exists
 from craftsim.storage.reading import read_bytes
 from craftsim.training.policy import load_policy, policy_file, shipped_policies
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from craftsim.errors import InputError
+from craftsim.storage.paths import resolved
 from craftsim.validation.campaign import FinishedCampaign, Form, Item, read_finished
 from craftsim.validation.campaign.header import CAMPAIGN, differences, read_header
 from craftsim.validation.statistics.alike import Alike, alike
@@ -65,7 +66,7 @@ def read_earlier(
 
     Raises InputError where the folder holds none, or none that has pairs with the items to be tried.
     """
-    if out is not None and folder.resolve() == out.resolve():
+    if out is not None and resolved(folder) == resolved(out):
         raise InputError(f"--against {folder} is the folder of this run; choose another --out")
     found = read_finished(folder, command, form)
     if (other := found.header.get("seed")) != seed:

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from craftsim.errors import InputError
+from craftsim.storage.paths import exists
 from craftsim.validation.campaign import FinishedCampaign, read_finished
 from craftsim.validation.campaign.header import CAMPAIGN, differences, read_header
 from craftsim.validation.forms import RUNS, TRIALS
@@ -87,7 +88,7 @@ class RealityGap:
 def read_run(folder: Path) -> FinishedCampaign:
     """Return the finished run in a folder; raise InputError for a folder that holds none of validate or audit."""
     path = folder / CAMPAIGN
-    if not path.exists():
+    if not exists(path):
         raise InputError(f"{folder} holds no run; give the --out of 'craftsim validate' or 'craftsim audit'")
     command = read_header(path)["command"]
     if command not in FORMS:

@@ -287,6 +287,46 @@ def test_a_name_that_no_file_can_have_is_refused(words, capsys, tmp_path):
     assert "too long" in capsys.readouterr().err.lower()
 
 
+LONG = "x" * 300
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(
+            ["compare", LONG, LONG],
+            ["render", LONG],
+            ["render", f"{LONG}.npz"],
+            ["plot", LONG],
+            ["view", LONG],
+        ),
+        *(
+            ["compare", "loop", "loop"],
+            ["render", "loop"],
+            ["plot", "loop"],
+            ["view", "loop"],
+            ["replay", "loop"],
+        ),
+        *(["validate", "--against", "loop"], ["margins", "--against", "loop"]),
+    ],
+)
+def test_what_no_path_can_be_is_refused_with_its_reason(words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "loop").symlink_to("loop")
+    assert cli.main(words) == 2
+    error = capsys.readouterr().err
+    assert "File name too long" in error or "Too many levels of symbolic links" in error
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_a_folder_that_is_gone_is_named_as_the_reason(name, capsys, tmp_path, monkeypatch):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert cli.main([name]) == 2
+    assert "the current folder is gone" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("words", [["conformance", "missing.jsonl.gz"], ["bench", "rules"]])
 def test_a_folder_that_cannot_be_made_is_refused_before_the_work(words, capsys, tmp_path):
     (tmp_path / "file").touch()

@@ -12,6 +12,7 @@ import pytest
 
 from craftsim.errors import InputError
 from craftsim.storage.limits import ALL, Limits, size_text
+from craftsim.storage.paths import exists, is_file, is_folder, resolved
 from craftsim.storage.reading import open_file, parse_json, read_arrays, read_json, read_lines, read_text
 from craftsim.storage.writing import whole, write_whole
 
@@ -36,6 +37,26 @@ def test_only_a_regular_file_within_its_limit_is_opened(tmp_path):
             open_file(tmp_path / name, SMALL)
     with pytest.raises(InputError, match="not a regular file"):
         open_file(Path("/dev/zero"), SMALL)
+
+
+def test_a_path_leads_to_something_or_to_nothing_or_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to("file")
+    (tmp_path / "dangling").symlink_to("gone")
+    (tmp_path / "loop").symlink_to("loop")
+    for name in ("file", "link"):
+        assert (exists(tmp_path / name), is_file(tmp_path / name), is_folder(tmp_path / name)) == (1, 1, 0)
+        assert resolved(tmp_path / name) == tmp_path.resolve() / "file"
+    assert (exists(tmp_path), is_file(tmp_path), is_folder(tmp_path)) == (1, 0, 1)
+    for name in ("gone", "dangling", "file/below"):
+        assert not exists(tmp_path / name)
+        resolved(tmp_path / name)
+    for name in ("loop", "loop/below", "x" * 300, "a\0b"):
+        for ask in (exists, is_file, is_folder):
+            with pytest.raises(InputError, match="cannot be read"):
+                ask(tmp_path / name)
+    with pytest.raises(InputError, match="cannot be read"):
+        resolved(tmp_path / "a\0b")
 
 
 def test_text_that_is_not_utf_8_is_named_with_its_line(tmp_path):

@@ -10,12 +10,12 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from craftsim.errors import InputError
+from craftsim.extras import need
 
 ODOMETRY: Final = "nav_msgs/msg/Odometry"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 JOINTS: Final = "sensor_msgs/msg/JointState"
 NUMBERS: Final = "std_msgs/msg/Float64MultiArray"
-MISSING: Final = "reading ROS 2 bags needs the extra 'ros2': pip install 'craftsim[ros2]'"
 
 _FIELDS: Final = {
     ODOMETRY: """std_msgs/Header header
@@ -55,11 +55,10 @@ def definition(kind: str) -> str:
 
 def decoder(kind: str, encoding: str) -> Callable[[bytes], Any]:
     """Return what makes objects of messages' contents; raise InputError without the extra ``ros2``."""
-    try:
-        from mcap.records import Schema
-        from mcap_ros2.decoder import DecoderFactory
-    except ImportError as error:
-        raise InputError(MISSING) from error
+    need("ros2", "reading ROS 2 bags needs", "mcap", "mcap_ros2")
+    from mcap.records import Schema
+    from mcap_ros2.decoder import DecoderFactory
+
     made = DecoderFactory().decoder_for(encoding, Schema(1, definition(kind).encode(), "ros2msg", kind))
     if made is None:
         raise InputError(f"messages are encoded as '{encoding}'; allowed: cdr, as ROS 2 does")

@@ -44,8 +44,9 @@ def output_directory(out: Path) -> Path:
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the output directory {out}: {error.strerror}") from error
+    except (OSError, ValueError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or error
+        raise InputError(f"cannot make the output directory {out}: {reason}") from error
     if not os.access(out, os.W_OK | os.X_OK):
         raise InputError(f"cannot write into the output directory {out}")
     return out

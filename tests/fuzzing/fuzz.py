@@ -61,7 +61,7 @@ class Outcome:
 def targets() -> dict[str, Attack]:
     """Return all attacks by name."""
     modules = [importlib.import_module(f"fuzzing.{module.name}") for module in pkgutil.iter_modules(fuzzing.__path__)
-               if module.name not in ("fuzz", "mutations")]  # fmt: skip
+               if module.name not in ("fuzz", "mutations", "commands")]  # fmt: skip
     return {
         name: attack
         for module in modules
@@ -153,11 +153,30 @@ def main(total: int, seed: int, workers: int, parts: list[str]) -> int:
     return 1 if failures else 0
 
 
+def sweep(workers: int, parts: list[str]) -> int:
+    """Try what commands take in all hostile forms; return 1 if there was a failure."""
+    from fuzzing.commands import SLOTS, attack_slot, forms
+
+    slots = [slot for slot in SLOTS if not parts or any(part in slot for part in parts)]
+    found: list[str] = []
+    with ProcessPoolExecutor(workers) as pool:
+        for slot, wrong in zip(slots, pool.map(attack_slot, slots), strict=True):
+            print(f"{slot:<70}{len(wrong):>4} failures", *wrong, sep="\n", flush=True)
+            found += wrong
+    print(f"{len(slots) * len(forms())} cases, {len(found)} failures")
+    return 1 if found else 0
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="parts of names of formats; all unless given")
     parser.add_argument("--cases", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument(
+        "--commands", action="store_true", help="all that commands take, in all hostile forms"
+    )
     given = parser.parse_args()
+    if given.commands:
+        sys.exit(sweep(given.workers, given.names))
     sys.exit(main(given.cases, given.seed, given.workers, given.names))

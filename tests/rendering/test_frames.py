@@ -184,6 +184,15 @@ def test_two_processes_render_the_same_bytes(trajectory: Trajectory, film: Path,
     assert again.read_bytes() == film.read_bytes()
 
 
+def test_several_processes_say_of_a_wrong_camera_what_one_says(
+    trajectory: Trajectory, tmp_path: Path
+) -> None:
+    for workers in (1, 2):
+        with pytest.raises(InputError, match="unknown camera 'iso'"):
+            render(trajectory, tmp_path / "film.mp4", replace(SMALL, cameras=("iso",)), workers=workers)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("name", ["film.webm", "film.webp", "film.gif"])
 def test_other_formats_hold_as_many_frames(
     trajectory: Trajectory, name: str, tmp_path: Path, rendering: None

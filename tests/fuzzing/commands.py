@@ -1,0 +1,243 @@
+"""Every path and name that a command takes, in hostile forms: each ends in exit status 0, 1 or 2, without a traceback.
+
+Each case runs in this process. ``make fuzz ARGS=--commands`` tries all of them, the tests some.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import signal
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+from craftsim.cli import main
+
+ENOUGH_S = 10.0
+"""Of processor time, after which a case is interrupted: what was accepted may ask for long work."""
+
+PHYSICS = ("--randomize @.yaml", "--noise @.yaml", "--assume @.yaml", "--gains @.yaml", "--parameters @.yaml")
+_ENDING = {
+    "demo": "demo --blueprint gone.yaml",
+    "validate": "validate strip --against gone",
+    "build": "build strip --against gone",
+    "audit": "audit --quick --against gone",
+    "margins": "margins --against gone",
+    "tune": "tune --weights gone=1",
+    "render": "render gone.yaml --out film.png",
+    "robot": "robot --blueprint gone.yaml",
+}
+"""Commands that take physics, with something that ends them once its files are read."""
+
+SLOTS = (
+    *(f"{words} {option}" for words in _ENDING.values() for option in PHYSICS),
+    *(f"{words} --out @" for words in _ENDING.values() if "--out" not in words),
+    *("demo --task @", "demo --blueprint @.yaml --no-video", "demo --plan @.plan", "demo --goal @.yaml"),
+    *("demo --robot @",),
+    *("validate @.yaml --against gone", "validate @ --against gone", "validate strip --plan @.plan --against gone"),
+    *("validate strip --actions @.txt --against gone", "validate strip --policy @.pt --against gone"),
+    *("validate strip --policy @ --against gone", "validate strip --against @", "validate --against @{campaign.json}"),
+    *("plan @.yaml --time 1", "plan @ --time 1", "plan strip --goal @.yaml --time 1", "plan gone --out @"),
+    *("build @.yaml --against gone", "build strip --goal @.yaml --against gone", "build strip --against @"),
+    *("audit --contexts @", "audit --quick --against @", "audit --quick --against @{campaign.json}"),
+    *("tune --weights @", "margins --axes @", "margins --scenarios @", "margins --pair @ @", "margins --against @"),
+    *("margins --against @{campaign.json}",),
+    *("compare @ @", "compare @{campaign.json} gone", "compare @{trials.jsonl} gone", "compare gone gone --out @"),
+    *("clearance --parameters @.yaml --out /dev/null/x", "clearance --out @ --parameters gone.yaml"),
+    *("replay @", "replay @{bundle.json}", "replay --shrink @{bundle.json}", "replay gone --out @"),
+    *("render @.npz --out film.png", "render @ --out film.png", "render @{bundle.json} --out film.png"),
+    *("render @{trajectories/a.npz} --out film.png", "render gone.npz --out @.png", "render gone.npz --out @"),
+    *("render gone.npz --camera @", "render gone.npz --size @", "render . --run @ --out film.png"),
+    *("render strip --plan @.plan --out film.png --gains gone.yaml", "render gone.npz --title @"),
+    *("render strip --policy @.pt --out film.png --gains gone.yaml",),
+    *("plot @.npz", "plot @", "plot @{bundle.json}", "plot @{trajectories/a.npz}", "plot . --run @"),
+    *("plot gone --out @",),
+    *("view @.npz", "view @.yaml --host 256.1.1.1", "view @ --host 256.1.1.1", "view gone.npz --host @"),
+    *("excite --out @ --gains gone.yaml", *(f"excite --seed 1 {option}" for option in PHYSICS)),
+    *("identify @.csv", "identify @.mcap", "identify @", "identify gone.csv --held-out @.csv"),
+    *("identify run.mcap --topics @.yaml", "identify gone.csv --parameters @.yaml", "identify gone.csv --out @"),
+    *("robot --task @", "robot --blueprint @.yaml --host 256.1.1.1", "robot --host @"),
+    *("train --task @.yaml --settings gone.yaml", "train --task @ --settings gone.yaml"),
+    *("train --settings gone.yaml --out @", "train --settings @.yaml --task gone"),
+    *("train --pretrained @ --settings gone.yaml", "train --stages @ --settings gone.yaml"),
+    *("train --starts @.npz --settings gone.yaml", "train --randomize @", "train --out @ --task gone"),
+    *("study @.yaml", "study @", "study gone --out @"),
+    *("evaluate @.pt", "evaluate @", "evaluate gone --task @", "evaluate gone --out @"),
+    *("export @.yaml --policy gone", "export @ --policy gone", "export strip --policy @.pt", "export strip --policy @"),
+    *("export strip --plan @.plan --name x/y-v0", "export strip --policy gone --name @", "export gone --out @"),
+    *("conformance @.jsonl.gz", "conformance @", "conformance gone --out @", "bench @ --out out", "bench gone --out @"),
+    *("design @.png", "design @.stl", "design @.obj", "design @", "design letters --text @", "design gone --out @"),
+    *("show @.yaml", "show @", "show strip --goal @.yaml", "show strip --plan @.plan", "show gone --out @"),
+    *("doctor --out @",),
+)  # fmt: skip
+"""Words of commands with an ``@`` where the hostile thing stands: with the ending that its file should have, and in
+braces the name of the file that a folder should hold."""
+
+
+def _written(data: bytes) -> Callable[[Path], None]:
+    return lambda path: void(path.write_bytes(data))
+
+
+def void(result: object) -> None:
+    """Drop a result."""
+
+
+def _sparse(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(2**40)
+
+
+def _archive(path: Path) -> None:
+    with path.open("wb") as file:
+        np.savez(file, a=np.zeros(3))
+
+
+FORMS: dict[str, Callable[[Path], None]] = {
+    "missing": lambda path: None,
+    "folder": lambda path: path.mkdir(),
+    "pipe": lambda path: os.mkfifo(path),
+    "device": lambda path: path.symlink_to("/dev/zero"),
+    "loop": lambda path: path.symlink_to(path.name),
+    "dangling": lambda path: path.symlink_to("nowhere"),
+    "below a file": lambda path: void(path.parent.rmdir() or path.parent.touch()),
+    "empty": _written(b""),
+    "noise": lambda path: void(path.write_bytes(np.random.default_rng(0).bytes(5000))),
+    "not text": _written(b"start: \xff\xfe strip\n"),
+    "byte order mark": _written(b"\xef\xbb\xbfstart: strip\n"),
+    "other byte order": lambda path: void(path.write_text("start: strip\n", encoding="utf-16")),
+    "zeros": _written(bytes(5000)),
+    "sparse": _sparse,
+    "archive": _archive,
+    "json": _written(b'{"a": [1, 2, {"b": null}]}'),
+    "deep json": _written(b"[" * 10_000),
+    "numbers": _written(b"1,2,3\n4,5\n"),
+    "picture": _written(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\xff\xff\xff\xff\xff\xff\xff\xff\x08\x06\0\0\0"),
+    "packed": _written(b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + b"x" * 50),
+    "bag": _written(b"\x89MCAP0\r\n" + b"\xff" * 100),
+    "deep": _written(b"start: " + b"[" * 5000),
+    "anchors": _written(b"a: &a [1, 1]\nstart: [*a, *a]\n"),
+    "tag": _written(b"start: !!python/object/apply:os.getcwd []\n"),
+    "twice": _written(b"start: strip\nstart: strip\n"),
+    "not finite": _written(b"start: .nan\narea_length: .inf\ndrive: {max_speed: .inf}\nsteps: .nan\n"),
+    "texts for numbers": _written(
+        b"area_length: '3'\ndrive: {max_speed: yes}\nsteps: true\nposition_m: [1]\n"
+    ),
+    "a list": _written(b"- 1\n- [a]\n"),
+    "a word": _written(b"strip"),
+}
+"""What stands at the path."""
+NAMES: dict[str, str] = {
+    "long": "x" * 300,
+    "deep": "x/" * 3000,
+    "control": "a\x1b[31m\n\r\x07",
+    "no text": "caf\udce9",
+    "turned": "a\u202eb",
+    "null": "a\0b",
+    "up": "../" * 5 + "gone",
+    "slash": "gone/",
+    "dots": "..",
+    "nothing": "",
+    "space": " ",
+    "home": "~root",
+    "colon": "a:b:c",
+    "code": "own.code:make",
+    "pattern": "[!*",
+    "address": "http://127.0.0.1/x",
+    "number": "9" * 5000,
+    "formatting": "{0.__class__} %s %(x)s",
+}
+"""Words for something that is not there."""
+SAME = "//"
+"""After the name of what is there, as of a folder."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One command with one hostile thing."""
+
+    slot: str
+    form: str
+
+    def run(self, folder: Path) -> str:
+        """Run it; return what is wrong about its end, if anything."""
+        words = [self._word(word, folder) if "@" in word else word for word in shlex.split(self.slot)]
+        screen = io.StringIO()
+        with contextlib.redirect_stdout(screen), contextlib.redirect_stderr(screen), contextlib.chdir(folder):
+            try:
+                with _interrupted():
+                    status: object = main(words)
+            except SystemExit as error:  # a usage error
+                status = error.code
+            except BaseException:
+                return f"{self}:\n{traceback.format_exc(limit=-6)}"
+        if status not in (0, 1, 2, 130) or "Traceback" in screen.getvalue():
+            return f"{self}: exit status {status}: {screen.getvalue()[-2000:]}"
+        return ""
+
+    def _word(self, word: str, folder: Path) -> str:
+        found = re.fullmatch(r"@([.\w]*)(?:\{(.+)\})?", word)
+        assert found is not None, word
+        ending, inner = found[1], found[2]
+        if self.form.startswith("name "):
+            return NAMES[self.form[5:]] + ending
+        outer = folder / f"hostile{ending}"
+        name = self.form.removesuffix(SAME)
+        path = outer / inner if inner else outer / "x" if name == "below a file" else outer
+        if not os.path.lexists(outer):  # or once more the same
+            if path.parent != folder:
+                path.parent.mkdir(parents=True)
+            FORMS[name](path)
+        place = path if name == "below a file" and not inner else outer
+        return f"{place.relative_to(folder)}{'/' if self.form.endswith(SAME) else ''}"
+
+
+@contextlib.contextmanager
+def _interrupted() -> Iterator[None]:
+    """Interrupt after some time, as Ctrl-C does."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, ENOUGH_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def forms() -> list[str]:
+    """Return the names of all forms."""
+    return [
+        *FORMS,
+        *(f"{name}{SAME}" for name in ("empty", "loop", "pipe")),
+        *(f"name {name}" for name in NAMES),
+    ]
+
+
+def some_cases(step: int) -> list[Case]:
+    """Return a case of every so many slots, each with another form."""
+    every = forms()
+    # An audit begins with rules to compile and contexts to find, which takes long.
+    slots = [slot for slot in SLOTS if not slot.startswith("audit")][::step]
+    return [Case(slot, every[(7 * number) % len(every)]) for number, slot in enumerate(slots)]
+
+
+def attack_slot(slot: str) -> list[str]:
+    """Try one slot in all forms; return what went wrong."""
+    wrong = []
+    for form in forms():
+        with tempfile.TemporaryDirectory() as folder:
+            if problem := Case(slot, form).run(Path(folder)):
+                wrong.append(problem)
+    return wrong

@@ -99,6 +99,28 @@ class Attempt:
     """Physics steps meanwhile in which the solver gave up, at ``SimulationConfig.solver_iterations``."""
     tries: int = 1
     """How often the car tried: a failed try may have been made up for by another one."""
+    tilt_error_rad: float | None = None
+    """How far the car leans away from level or from the incline. This and what follows are None in older records."""
+    seat_error_m: float | None = None
+    """Distance of what it carries at the end from its seat on the board; None where it carries nothing."""
+    thing_heading_rad: float | None = None
+    """Of what the action handled: against the grid where that was set down, folded or unfolded, and against the car
+    where it is carried; None where it handled nothing."""
+    thing_tilt_rad: float | None = None
+    """Lean of the same, or by how much its hinge is short of its end where that is more."""
+    thing_height_m: float | None = None
+    """Height of the same above its floor or its seat."""
+    reach_m: float | None = None
+    """How much nearer the same comes to a neighbouring cell than it should."""
+    bystander_reach_m: float | None = None
+    """The same of what stands and no action of that time concerns, as far as an action before has not left it so."""
+    bystander_turn_rad: float | None = None
+    """The largest turn, about any axis, of anything that no action of that time concerns."""
+    drift_m: float | None = None
+    """The furthest, at any time since the action began, that such a thing was from where what last handled it left
+    it."""
+    drift_rad: float | None = None
+    """The same of its turn, or of its hinge."""
 
     @classmethod
     def of(cls, fields: Mapping[str, Any]) -> Attempt:
@@ -131,6 +153,39 @@ class Attempt:
 
 
 @dataclass(frozen=True)
+class Measure:
+    """An error of an action, and the limit that it is held against."""
+
+    field: str
+    """Of :class:`Attempt`; its unit is the end of its name."""
+    limit: str
+    """Of :class:`~craftsim.checking.settings.Thresholds`."""
+    words: str
+    of_bystanders: bool = False
+    """Whether it is about what the action does not concern."""
+
+
+MEASURES: Final = (
+    Measure("car_error_m", "car_m", "the car is {} off"),
+    Measure("heading_error_rad", "heading_rad", "the car is turned by {}"),
+    Measure("height_error_m", "height_m", "the car's height is {} off"),
+    Measure("tilt_error_rad", "tilt_rad", "the car leans by {}"),
+    Measure("placed_error_m", "placed_m", "the thing is set down {} off"),
+    Measure("seat_error_m", "placed_m", "the load is {} off its seat"),
+    Measure("thing_heading_rad", "placed_heading_rad", "the thing is turned by {}"),
+    Measure("thing_tilt_rad", "tilt_rad", "the thing leans, or its hinge stands, {} off"),
+    Measure("thing_height_m", "height_m", "the thing's height is {} off"),
+    Measure("reach_m", "placed_m", "the thing is {} too near to a neighbouring cell"),
+    Measure("bystander_displacement_m", "bystander_m", "{name} was moved by {}", True),
+    Measure("bystander_turn_rad", "bystander_rad", "{name} was turned by {}", True),
+    Measure("drift_m", "bystander_m", "{name} was {} away from where it was left", True),
+    Measure("drift_rad", "bystander_rad", "{name} was turned {} away from how it was left", True),
+    Measure("bystander_reach_m", "placed_m", "{name} is {} too near to a neighbouring cell", True),
+)
+"""All errors with their limits, in the order in which reasons name them: those of the car first."""
+
+
+@dataclass(frozen=True)
 class Evidence:
     """What was measured of one action at its end, before it is judged."""
 
@@ -146,13 +201,25 @@ class Evidence:
     car_error_m: float
     heading_error_rad: float
     height_error_m: float
+    tilt_error_rad: float
     placed_error_m: float | None
+    seat_error_m: float | None
+    thing_heading_rad: float | None
+    thing_tilt_rad: float | None
+    thing_height_m: float | None
+    reach_m: float | None
     bystander_displacement_m: float
-    bystander: str
-    """Name of what moved furthest; empty where there is nothing else."""
+    bystander_turn_rad: float
+    drift_m: float
+    drift_rad: float
+    bystander_reach_m: float
+    bystanders: Mapping[str, str]
+    """Names of what each of the last five is about; empty ones where there is nothing else."""
+    strayed_m: float | None
+    """The furthest that the car was beside its path; None on an even floor."""
     start_s: float
     contacts: tuple[Contact, ...]
-    """Unexpected ones, hardest first."""
+    """Unexpected ones of the car and what it handles, hardest first."""
     hazards: tuple[Hazard, ...]
     peak_force_n: float
     capped_steps: int
@@ -186,11 +253,7 @@ def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:
         differences=verdict.differences,
         predicted=describe_car(step.after, step.car),
         read=evidence.read,
-        car_error_m=evidence.car_error_m,
-        heading_error_rad=evidence.heading_error_rad,
-        height_error_m=evidence.height_error_m,
-        placed_error_m=evidence.placed_error_m,
-        bystander_displacement_m=evidence.bystander_displacement_m,
+        **{measure.field: getattr(evidence, measure.field) for measure in MEASURES},
         start_s=evidence.start_s,
         duration_s=0.0 if outcome is None else round(outcome.duration_s, 6),
         peak_force_n=evidence.peak_force_n,
@@ -212,9 +275,9 @@ def result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Resul
 def _result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Result:
     if verdict.finding is Finding.UNSAFE:
         return Result.UNSAFE
-    if not evidence.applied or any(name != "bystander" for name, _ in _excesses(evidence, limits)):
+    if not evidence.applied or any(_excesses(evidence, limits, of_bystanders=False)):
         return Result.FAILED
-    if verdict.agrees and evidence.bystander_displacement_m <= limits.bystander_m:
+    if verdict.agrees and not any(_excesses(evidence, limits, of_bystanders=True)):
         return Result.AS_PREDICTED
     spoilt = verdict.finding in (
         Finding.NOT_EXECUTED,
@@ -228,21 +291,30 @@ def _result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Resu
 
 
 def reason_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> str:
-    """Return what happened physically: hazards, contacts, the skill's own reason; what is off only without these."""
-    if evidence.outcome is None:
+    """Return what went wrong: first what was broken and by how much, then what the car and its load touched.
+
+    What was broken are hazards, limits of errors, what the skill reports, or what reads otherwise than predicted.
+    """
+    outcome = evidence.outcome
+    if outcome is None:
         return verdict.differences[0]
     parts = [verdict.differences[0]] if verdict.finding in (Finding.NUMERICS, Finding.DIVERGED) else []
     if evidence.capped_steps and not parts:
         parts = [capped_text(evidence.capped_steps)]
     parts += [hazard.text for hazard in evidence.hazards[:_SHOWN]]
+    if not outcome.succeeded:
+        parts.append(str(outcome))
+    elif not evidence.differences:
+        parts += list(_excesses(evidence, limits, of_bystanders=False))[:_SHOWN]
+    parts += list(_excesses(evidence, limits, of_bystanders=True))[:_SHOWN]
+    if not parts:
+        parts += verdict.differences[:1]
+    if evidence.strayed_m is not None:
+        parts.append(f"the car strayed {1e3 * evidence.strayed_m:.1f} mm from its path")
     known = {hazard.machines for hazard in evidence.hazards}
     contacts = [c for c in evidence.contacts if (c.first, c.second) not in known]
-    contacts.sort(key=lambda c: c.first not in evidence.own and c.second not in evidence.own)
     parts += [f"{c.first} touched {c.second} ({c.peak_n:.0f} N)" for c in contacts[:_SHOWN]]
-    if not evidence.outcome.succeeded:
-        parts.append(str(evidence.outcome))
-    parts += [text for name, text in _excesses(evidence, limits) if name == "bystander" or not parts]
-    return "; ".join(parts or verdict.differences[:1])
+    return "; ".join(parts)
 
 
 def capped_text(steps: int) -> str:
@@ -250,21 +322,19 @@ def capped_text(steps: int) -> str:
     return f"the solver gave up in {steps} physics step{'s' * (steps != 1)}"
 
 
-def _excesses(evidence: Evidence, limits: Thresholds) -> Iterator[tuple[str, str]]:
-    """Yield the name of each error that is over its limit, or that is no number, with a description."""
-    measured = (
-        ("car", "the car is", evidence.car_error_m, limits.car_m, "mm off"),
-        ("heading", "the car is turned by", evidence.heading_error_rad, limits.heading_rad, "mrad"),
-        ("height", "the car's height is", evidence.height_error_m, limits.height_m, "mm off"),
-        ("placed", "the thing is set down", evidence.placed_error_m, limits.placed_m, "mm off"),
-        (
-            "bystander",
-            f"{evidence.bystander} was moved by",
-            evidence.bystander_displacement_m,
-            limits.bystander_m,
-            "mm",
-        ),
-    )
-    for name, what, value, limit, unit in measured:
-        if value is not None and not value <= limit:
-            yield name, f"{what} {1e3 * value:.1f} {unit} (allowed {1e3 * limit:.1f})"
+def _excesses(evidence: Evidence, limits: Thresholds, of_bystanders: bool) -> Iterator[str]:
+    """Describe each error that is over its limit, or no number; of each bystander one distance and one angle."""
+    described = set()
+    for measure in MEASURES:
+        value, limit = getattr(evidence, measure.field), getattr(limits, measure.limit)
+        if measure.of_bystanders is not of_bystanders or value is None or value <= limit:
+            continue
+        name, unit = (
+            evidence.bystanders.get(measure.field, ""),
+            "mm" if measure.field.endswith("_m") else "mrad",
+        )
+        if name and (name, unit) in described:
+            continue
+        described.add((name, unit))
+        what = measure.words.format(f"{1e3 * value:.2f} {unit}", name=name)
+        yield f"{what} (allowed {1e3 * limit:.2f})"

@@ -8,11 +8,14 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt, Evidence, capped_text, judge
 from craftsim.checking.contact_log import ContactLog, speed_m_s
 from craftsim.checking.safety import hazards, is_unsafe
 from craftsim.checking.settings import Thresholds
+from craftsim.checking.standing import Standing, turns
+from craftsim.checking.straying import Straying
 from craftsim.checking.unexpected import handled, under, unexpected_contacts
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
@@ -21,6 +24,7 @@ from craftsim.discrete.reading import PLACE_TOLERANCE_M
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Constraints, Order, Schedule, ScheduledAction, make_schedule
 from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, own_differences
+from craftsim.models.placement import lift_m
 from craftsim.models.sensing import PoseReader
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
@@ -62,8 +66,14 @@ class _Running:
     def expect_rest(self, other: _Running, now: Poses) -> None:
         """From here on hold it against this action if what another one was about moves: that one has ended."""
         car, things = other.step.car, other.about
-        self.poses.car_positions[car] = now.car_positions[car]
-        self.poses.positions[things] = now.positions[things]
+        for mine, theirs, rows in (
+            (self.poses.car_positions, now.car_positions, car),
+            (self.poses.car_quaternions, now.car_quaternions, car),
+            (self.poses.positions, now.positions, things),
+            (self.poses.quaternions, now.quaternions, things),
+            (self.poses.hinges, now.hinges, things),
+        ):
+            mine[rows] = theirs[rows]
         self.meant.difference_update(things)
 
 
@@ -92,15 +102,21 @@ class CheckedSite:
         self.executor, self.site, self.rules = executor, executor.site, rules
         self.thresholds = thresholds or Thresholds()
         self.on_change: OnChange = lambda running: None
-        self.log = ContactLog(self.site) if watch_contacts else None
-        """Since an action last began while no other ran."""
+        self.log = ContactLog(self.site, self.thresholds.force) if watch_contacts else None
+        """Since an action last began while no other ran; of a car and its things since its own last action began."""
         if self.log is not None:
             executor.observers.append(self.log.sample)
             executor.step_observer = self.log.look
             # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
             executor.guard = partial(is_unsafe, self.log)
         self._poses = PoseReader(self.site)
+        self._standing = Standing(self.site, self._poses)
+        executor.observers.append(self._standing.look)
+        self._straying = Straying(executor, self._poses) if self.site.uneven else None
+        if self._straying is not None:
+            executor.observers.append(self._straying.look)
         self._look()
+        self._out = self._reaching_out()
 
     @property
     def grid(self) -> Grid:
@@ -148,6 +164,8 @@ class CheckedSite:
         running: dict[int, _Running] = {}
         evidence: dict[int, Evidence] = {}
         settled = True
+        if steps:
+            self._standing.begin()
         if self.log is not None and steps:
             self.log.begin()
         while True:
@@ -166,10 +184,13 @@ class CheckedSite:
             acting = set(running)
             over = [running.pop(car) for car in ended]
             swaying = {index for one in running.values() for index in one.below}
+            # What swayed under a car has its place again once that has come to its end.
+            self._standing.settle([len(self.site.cars) + index for one in over for index in one.below])
             for one in over:
                 evidence[one.index] = self._measure(one, ended[one.step.car], legal, acting, swaying)
                 for other in running.values():
                     other.expect_rest(one, self.poses)
+            self._leave(over, swaying)
         world = self._world_verdict(before, schedule.final, settled, capped)
         found = [evidence[index] for index in sorted(evidence)]
         found += [self._measure(self._now(step), None, True, set(), set()) for step in waiting.values()]
@@ -198,6 +219,10 @@ class CheckedSite:
             other.meant.update(one.about)
             one.meant.update(other.about)
         one.cars.update(running)
+        if self.log is not None and running:
+            self.log.begin_with(self._own(one))
+        if self._straying is not None:
+            self._straying.begin(step.car)
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         return one
 
@@ -225,56 +250,98 @@ class CheckedSite:
             self.executor.advance()
         return speed_m_s(self.site) <= SETTLED_M_S
 
+    def _leave(self, over: Sequence[_Running], swaying: set[int]) -> None:
+        """Hold what ended actions handled against where it is now, and what is too far from its place as well.
+
+        The latter has been reported, and is held against no later action again.
+        """
+        n_cars, limits = len(self.site.cars), self.thresholds
+        drifted = (self._standing.furthest() > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
+        drifted[[n_cars + index for index in swaying]] = False
+        handled = {one.step.car for one in over} | {n_cars + index for one in over for index in one.about}
+        self._standing.leave(sorted(handled.union(np.flatnonzero(drifted).tolist())))
+        self._out = self._reaching_out()
+
+    def _reaching_out(self) -> set[int]:
+        """Return the objects, by their index, that come nearer to a neighbouring cell than allowed."""
+        limit_m = self.thresholds.placed_m
+        return {i for i, thing in enumerate(self.reading.objects) if not thing.reach_m <= limit_m}
+
+    def _own(self, one: _Running) -> tuple[str, ...]:
+        """Return the names of the car and of what it handles."""
+        return (f"car {one.step.car}", *(one.poses.name(index) for index in one.about))
+
     def _measure(
         self, one: _Running, outcome: Outcome | None, legal: bool, acting: set[int], swaying: set[int]
     ) -> Evidence:
         step, car, log = one.step, one.step.car, self.log
-        placed, about = self.reading.cars[car], one.about
+        placed, about, own = self.reading.cars[car], one.about, self._own(one)
         # What the car should not carry afterwards is set down, folded, unfolded or shoved.
         set_down = about[0] if about and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
-        moved_m, moved = self._furthest_moved(one, acting, swaying)
+        things = [self.reading.objects[index] for index in about]
+        loads = [thing.offset_m for thing in things if thing.carrier is not None]
+        others = self._bystanders(one, acting, swaying)
         contacts = () if log is None else log.contacts
         return Evidence(
             step=step,
             legal=legal,
             outcome=outcome,
             differences=tuple(own_differences(step.before, step.after, self.grid, car)),
-            own=(f"car {car}", *(one.poses.name(i) for i in about)),
+            own=own,
             read=describe_car(self.grid, car),
             car_error_m=placed.offset_m,
             heading_error_rad=abs(placed.heading_rad),
             height_error_m=abs(placed.height_m),
+            tilt_error_rad=placed.tilt_rad,
             placed_error_m=None if set_down is None else self.reading.objects[set_down].offset_m,
-            bystander_displacement_m=moved_m,
-            bystander=moved,
+            seat_error_m=max(loads, default=None),
+            thing_heading_rad=max((abs(thing.heading_rad) for thing in things), default=None),
+            thing_tilt_rad=max((max(thing.tilt_rad, thing.hinge_rad) for thing in things), default=None),
+            thing_height_m=max((abs(self._too_high_m(index)) for index in about), default=None),
+            reach_m=max((thing.reach_m for thing in things), default=None),
+            **{field: value for field, (value, _) in others.items()},
+            bystanders={field: name for field, (_, name) in others.items()},
+            strayed_m=None if self._straying is None else self._straying.furthest_m(car),
             start_s=one.start_s,
-            contacts=unexpected_contacts(contacts, one.poses, one.reading, step.after, one.cars),
+            contacts=unexpected_contacts(contacts, one.poses, one.reading, step.after, own, one.cars),
             hazards=() if log is None else hazards(log),
             peak_force_n=0.0 if log is None else log.peak_n,
             capped_steps=self.site.capped_steps - one.capped_steps,
         )
 
-    def _furthest_moved(self, one: _Running, acting: set[int], swaying: set[int]) -> tuple[float, str]:
-        """Return how far in metres a bystander of an action moved at most, from where it should rest, and its name.
+    def _too_high_m(self, index: int) -> float:
+        """Return how much higher a thing stands than the floor of its cell, or is carried than on its seat."""
+        thing = self.reading.objects[index]
+        if thing.carrier is None:
+            return thing.height_m
+        machines = self.site.machines
+        return thing.height_m - lift_m(self.poses.kinds[index], machines.car(thing.carrier), machines)
+
+    def _bystanders(self, one: _Running, acting: set[int], swaying: set[int]) -> dict[str, tuple[float, str]]:
+        """Return the largest of each error of what an action does not concern, by field, with the name of what has it.
 
         What sways under a car that still drives is not looked at now, but held against that car's action at its end.
         """
-        then, now = one.poses, self.poses
-        way = now.car_positions - then.car_positions
-        ways = np.sqrt((way * way).sum(axis=1)).tolist()
-        moved = [(way, f"car {car}") for car, way in enumerate(ways) if car not in acting]
+        then, now, n_cars = one.poses, self.poses, len(one.poses.car_positions)
         excused = one.meant | swaying
+        pairs = enumerate(zip(one.reading.objects, self.reading.objects, strict=True))
         things = [
             index
-            for index, (was, reads) in enumerate(zip(one.reading.objects, self.reading.objects, strict=True))
+            for index, (was, reads) in pairs
             if not (index in excused or was.carrier in acting or reads.carrier in acting)
         ]
-        if things:
-            way = now.positions - then.positions
-            ways = np.sqrt((way * way).sum(axis=1)).tolist()
-            furthest = max(things, key=ways.__getitem__)
-            moved.append((ways[furthest], then.name(furthest)))
-        return max(moved, default=(0.0, ""))
+        rows = np.array(
+            [*(car for car in range(n_cars) if car not in acting), *(n_cars + i for i in things)], int
+        )
+        drift = self._standing.furthest()
+        ways = np.concatenate((now.car_positions - then.car_positions, now.positions - then.positions))
+        moved = np.column_stack((np.sqrt((ways * ways).sum(axis=1)), turns(then, now), drift))[rows]
+        fields = ("bystander_displacement_m", "bystander_turn_rad", "drift_m", "drift_rad")
+        names = [f"car {row}" if row < n_cars else then.name(row - n_cars) for row in rows.tolist()]
+        found = {field: _largest(column, names) for field, column in zip(fields, moved.T, strict=True)}
+        near = [index for index in things if index not in self._out]
+        reach = np.array([self.reading.objects[index].reach_m for index in near])
+        return found | {"bystander_reach_m": _largest(reach, [then.name(index) for index in near])}
 
     def _world_verdict(self, before: Grid, predicted: Grid, settled: bool, capped: int) -> Verdict:
         """Compare the reading with the prediction; what is worse than a difference comes first.
@@ -318,6 +385,14 @@ class CheckedSite:
         if nobodys or world.finding in (Finding.UNSAFE, Finding.NUMERICS, Finding.DIVERGED):
             return world
         return Verdict(Finding.WRONG_PLACE, one.differences or (str(one.outcome),))
+
+
+def _largest(values: NDArray[np.float64], names: Sequence[str]) -> tuple[float, str]:
+    """Return the largest of some values with its name; 0 and no name of none."""
+    if not len(values):
+        return 0.0, ""
+    at = int(values.argmax())
+    return float(values[at]), names[at]
 
 
 def _is_wrong(found: Evidence) -> bool:

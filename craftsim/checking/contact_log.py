@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Collection
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
@@ -41,15 +42,15 @@ class ContactLog:
     Contacts inside one machine, such as of a slope's flap with its base, are left out.
     """
 
-    def __init__(self, site: Site) -> None:
-        """Prepare for a Site, and begin."""
+    def __init__(self, site: Site, force: float = 1.0) -> None:
+        """Prepare for a Site, and begin; ``force`` is the share of :func:`impact_limit_n` that is no blow yet."""
         self.site = site
         model = site.model
         machines = site.machine_names
         self.names, self._machine = machines.names, machines.of_geom
         """Of all machines: what is fixed first, then those that move in the order of their bodies."""
         self._possible = PossibleForce(site, machines.roots)
-        self.limit_n = impact_limit_n(site.machines)
+        self.limit_n = force * impact_limit_n(site.machines)
         """What counts as a blow."""
         joints = [int(model.body_jntadr[body]) for body in machines.roots]
         self._pose_address = np.array([model.jnt_qposadr[j] for j in joints], np.intp)
@@ -74,6 +75,18 @@ class ContactLog:
         self._note(self.site.awake_copy())
         self._looked_s = math.nan
         self._at_start = np.isfinite(self._since)
+
+    def begin_with(self, machines: Collection[str]) -> None:
+        """Forget what these touched, and note what they touch now: an action with them begins while others run."""
+        n = len(self.names)
+        rows = [self.names.index(name) for name in machines]
+        for pairs, nothing in ((self._since, math.inf), (self._peak, 0.0)):
+            square = pairs.reshape(n, n)
+            square[rows], square[:, rows] = nothing, nothing
+        self._note(self.site.awake_copy())
+        touching = self._at_start.reshape(n, n)
+        for own in (np.s_[rows], np.s_[:, rows]):
+            touching[own] = np.isfinite(self._since.reshape(n, n)[own])
 
     def look(self) -> None:
         """Note what touches and how hard; call it after each physics step, such as by being an executor's observer."""

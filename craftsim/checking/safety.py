@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from craftsim.checking.contact_log import ContactLog
+from craftsim.discrete.geometry import INCLINE_RAD
+from craftsim.discrete.reading import TILT_TOLERANCE_RAD
 
-TIPPED_RAD: Final = 0.5
-"""How far anything may lean: the incline is 0.28 rad, and a car on it slides before it leans further."""
+TIPPED_RAD: Final = INCLINE_RAD + TILT_TOLERANCE_RAD
+"""How far anything may lean, 0.33 rad: the incline, and as much more as still counts as standing on it. What should
+stand still is held against narrower limits (:mod:`craftsim.checking.standing`)."""
 FALL_M_S: Final = 0.5
 """How fast anything may move down: a drop of 13 mm. Descents and boards stay below 0.14 m/s."""
 
@@ -28,12 +31,19 @@ def is_unsafe(log: ContactLog) -> bool:
 
 
 def hazards(log: ContactLog) -> tuple[Hazard, ...]:
-    """Return all that was unsafe since the log began."""
+    """Return all that was unsafe since the log began, each with what was allowed."""
     tipped = {name: tilt for name, tilt in log.tilts_rad.items() if tilt > TIPPED_RAD}
     fallen = {name: speed for name, speed in log.falls_m_s.items() if speed > FALL_M_S}
     hits = [(c.first, c.second, c.peak_n) for c in log.contacts if c.peak_n > log.limit_n]
+    limit = f"allowed {log.limit_n:.0f}"
     return (
-        *(Hazard((name,), f"{name} tipped ({tilt:.1f} rad)") for name, tilt in tipped.items()),
-        *(Hazard((name,), f"{name} fell ({speed:.1f} m/s)") for name, speed in fallen.items()),
-        *(Hazard((a, b), f"{a} and {b} hit each other ({force:.0f} N)") for a, b, force in hits),
+        *(
+            Hazard((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})")
+            for name, tilt in tipped.items()
+        ),
+        *(
+            Hazard((name,), f"{name} fell ({v:.1f} m/s, allowed {FALL_M_S:.1f})")
+            for name, v in fallen.items()
+        ),
+        *(Hazard((a, b), f"{a} and {b} hit each other ({force:.0f} N, {limit})") for a, b, force in hits),
     )

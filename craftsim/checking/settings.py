@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final, Literal, cast
 
+from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, suggestion
 from craftsim.models.config import SimulationConfig
@@ -23,10 +24,19 @@ from craftsim.skills.planted import Disturbance
 
 nominal_gains = cache(load_gains)
 
+_BASE_M: Final = 0.2
+"""How far apart a car's axles, or the feet of what stands, are at least."""
+
 
 @dataclass(frozen=True)
 class Thresholds:
     """The largest errors with which an action still agrees with its prediction; set before anything is run.
+
+    Things in neighbouring cells stand 2.5 mm apart: a cell is 322.5 mm wide, a block or slope 320. So each may come
+    nearer to the other by half of that, 1.25 mm, all taken together: place, heading times half a cell, and lean times
+    a level (:attr:`craftsim.discrete.readback.Placed.reach_m`). That is ``placed_m``, for what is set down, what is
+    carried and what stands; a car alone is far narrower than its cell. A heading off by ``placed_heading_rad`` takes
+    0.8 mm of the 1.25, and leaning by ``tilt_rad`` more than all of it.
 
     Raises InputError for what is no finite number.
     """
@@ -34,11 +44,25 @@ class Thresholds:
     car_m: float = 0.001
     """Distance of the car from its cell's centre."""
     heading_rad: float = 0.003
-    placed_m: float = 0.002
-    """Distance of what was set down, folded or unfolded from its cell's centre."""
+    placed_m: float = 0.00125
+    """Of what was set down, folded or unfolded its distance from its cell's centre, and of what is carried that from
+    its seat; of these, and of all that stands, how much nearer it comes to a neighbouring cell."""
     bystander_m: float = 0.001
-    """Displacement of anything that the action does not concern."""
+    """Displacement of anything that the action does not concern, from the action's start to its end; and from where it
+    was left by what last handled it, at any time since the action began."""
     height_m: float = 0.002
+    """Of the car above the ground, of what was set down above the floor, of a load above its seat."""
+    tilt_rad: float = 0.010
+    """Lean of the car, of what was set down and of what is carried, away from level or from the incline; and by how
+    much a slope's hinge is short of its end. Over the 0.2 m between a car's axles it is ``height_m``."""
+    placed_heading_rad: float = 0.005
+    """Of what was set down, folded or unfolded against the grid, and of what is carried against its car."""
+    bystander_rad: float = 0.004
+    """Turn about any axis, the hinge's included, of the same over the same times: a corner, 0.23 m from the middle,
+    then moves by 0.9 mm."""
+    force: float = 1.0
+    """The hardest that two machines may press on each other, as a share of what weights and motors of the nominal
+    machines can do (:func:`craftsim.checking.forces.impact_limit_n`)."""
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -138,32 +162,49 @@ _WORKSHOP_FLOOR: Final = replace(
 )
 """A tiled workshop and machines as they are made: mild, and all else that is imperfect with it."""
 
+# A car that knows its place to 1 mm and 3 mrad is allowed three times that, and with mild noise half of it. Two things
+# at these limits can meet in the gap between their cells; they then displace each other, which bystander_m bounds.
+_MILD_LIMITS: Final = Thresholds(0.0015, 0.0045, 0.002, 0.001, 0.002, placed_heading_rad=0.0075)
+_STRONG_LIMITS: Final = Thresholds(
+    *(0.003, 0.009, 0.004, 0.002, 0.003), placed_heading_rad=0.015, bystander_rad=0.008
+)
+
 RANDOMIZE: Final[Mapping[Randomize, tuple[Thresholds, DomainRandomization]]] = {
     "none": (Thresholds(), NONE),
-    "mild": (Thresholds(0.0015, 0.0045, 0.0025, 0.001, 0.002), _MILD),
-    # A car that knows its place to 1 mm and 3 mrad is allowed three times that.
-    "strong": (Thresholds(0.003, 0.009, 0.005, 0.002, 0.003), _STRONG),
+    "mild": (_MILD_LIMITS, _MILD),
+    "strong": (_STRONG_LIMITS, _STRONG),
     "lab_floor": (Thresholds(), _LAB_FLOOR),
-    "workshop_floor": (Thresholds(0.0015, 0.0045, 0.0025, 0.001, 0.002), _WORKSHOP_FLOOR),
+    "workshop_floor": (_MILD_LIMITS, _WORKSHOP_FLOOR),
 }
 """What the option ``--randomize`` stands for: limits of the errors, before they are widened, and what is drawn."""
 
 
 def widened(limits: Thresholds, randomization: DomainRandomization) -> Thresholds:
-    """Return limits that hold what no car can know: its localisation's bias, and the height of the floor below it."""
+    """Return limits that hold what no car can know: its localisation's bias, the height of the floor below it, and by
+    how much machines are drawn heavier or stronger.
+
+    What stands on a floor that is lower by its relief at one axle, or at one foot, leans.
+    """
     sensors, relief_m = randomization.sensors, randomization.floor.relief_m
+    lean = relief_m / _BASE_M
     return replace(
         limits,
         car_m=limits.car_m + sensors.position_bias_m,
         heading_rad=limits.heading_rad + sensors.heading_bias_rad,
-        placed_m=limits.placed_m + sensors.position_bias_m,
+        placed_m=limits.placed_m
+        + sensors.position_bias_m
+        + CELL_PITCH_M / 2 * sensors.heading_bias_rad
+        + LEVEL_HEIGHT_M * lean,
         height_m=limits.height_m + relief_m,
+        tilt_rad=limits.tilt_rad + lean,
+        placed_heading_rad=limits.placed_heading_rad + sensors.heading_bias_rad,
+        force=limits.force + max(randomization.mass, randomization.motor),
     )
 
 
 def imperfect(setup: Setup, randomization: DomainRandomization) -> Setup:
     """Return the same in a world that is imperfect otherwise: with limits widened for that, as much as they were."""
-    nothing = Thresholds(0.0, 0.0, 0.0, 0.0, 0.0)
+    nothing = Thresholds(**dict.fromkeys(asdict(setup.thresholds), 0.0))
     before, after = (asdict(widened(nothing, drawn)) for drawn in (setup.randomization, randomization))
     limits = {name: limit - before[name] + after[name] for name, limit in asdict(setup.thresholds).items()}
     return replace(setup, thresholds=Thresholds(**limits), randomization=randomization)

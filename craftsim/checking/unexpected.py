@@ -13,9 +13,15 @@ from craftsim.models.overlaps import GROUND, WALL
 
 
 def unexpected_contacts(
-    contacts: Collection[Contact], poses: Poses, before: Reading, predicted: Grid, cars: Collection[int]
+    contacts: Collection[Contact],
+    poses: Poses,
+    before: Reading,
+    predicted: Grid,
+    own: Collection[str],
+    cars: Collection[int],
 ) -> tuple[Contact, ...]:
-    """Return the contacts that were not there at the start and that the prediction does not explain, hardest first.
+    """Return the contacts of a car and its things that were not there at the start and that the prediction does not
+    explain, hardest first.
 
     A car and what it handles may touch each other, and what bears them where they are and where they should be.
 
@@ -24,8 +30,10 @@ def unexpected_contacts(
         poses: of the start, for the names of the objects.
         before: the start as it was read.
         predicted: the world that the rules predict.
-        cars: those that act.
+        own: the car that is asked about, and what it handles, by name.
+        cars: those that act, itself included.
     """
+    contacts = [c for c in contacts if not c.at_start and (c.first in own or c.second in own)]
     if not contacts:
         return ()
     bearers = _bearers(poses, before)
@@ -33,17 +41,17 @@ def unexpected_contacts(
     for car in cars:
         name = f"car {car}"
         way = [_cell(before.grid, car), _cell(predicted, car)]
-        own = {name: way}
+        places = {name: way}
         for index in handled(before, predicted, car):
-            own[poses.name(index)] = [part for cell in way for part in _parts(predicted, cell)]
-            own[poses.name(index)] += _parts(before.grid, way[0])
-        known |= {frozenset((a, b)) for a in own for b in own}
-        for thing, cells in own.items():
+            places[poses.name(index)] = [part for cell in way for part in _parts(predicted, cell)]
+            places[poses.name(index)] += _parts(before.grid, way[0])
+        known |= {frozenset((a, b)) for a in places for b in places}
+        for thing, cells in places.items():
             below = [(x, y, z - 1) for x, y, z in cells]
             known |= {frozenset((thing, bearers[cell])) for cell in below if cell in bearers}
         ramps = [cell for cell in way if before.grid.kind_at(cell) in (Kind.FOOT, Kind.BODY)]
         known |= {frozenset((name, bearers[cell])) for cell in ramps}
-    strange = [c for c in contacts if not c.at_start and frozenset((c.first, c.second)) not in known]
+    strange = [c for c in contacts if frozenset((c.first, c.second)) not in known]
     return tuple(sorted(strange, key=lambda contact: -contact.peak_n))
 
 

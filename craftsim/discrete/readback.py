@@ -54,9 +54,10 @@ class Poses:
     """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
 
     def copy(self) -> Poses:
-        """Return a copy whose positions may be written to."""
+        """Return a copy whose poses may be written to."""
         cars, things = self.car_positions.copy(), self.positions.copy()
-        return Poses(cars, self.car_quaternions, self.kinds, things, self.quaternions, self.hinges)
+        turned = self.car_quaternions.copy(), self.quaternions.copy()
+        return Poses(cars, turned[0], self.kinds, things, turned[1], self.hinges.copy())
 
     def name(self, index: int) -> str:
         """Return the name of an object for people, counted by kind: ``block 0``, ``flag 0``, ``slope 1``."""
@@ -73,11 +74,19 @@ class Placed(NamedTuple):
     offset_m: float
     """Horizontal distance from the cell's centre; of a carried object from its car's centre line."""
     heading_rad: float
-    """Heading minus the nearest grid yaw's, in (-pi/4, pi/4]."""
+    """Heading minus the nearest grid yaw's, in (-pi/4, pi/4]; of a carried object in its car's frame."""
     carrier: int | None = None
     """The car that carries it, if any."""
     height_m: float = 0.0
-    """Height above the floor of the cell, or above the middle of the incline there; 0 for a carried object."""
+    """Height above the floor of the cell, or above the middle of the incline there; of a carried object above its car's
+    origin, square to the car's deck."""
+    tilt_rad: float = 0.0
+    """How far it leans away from level, or a car on a slope from the incline; of a carried object from its car."""
+    hinge_rad: float = 0.0
+    """How far the hinge of a slope is from fully open or closed, whichever is nearer."""
+    reach_m: float = 0.0
+    """By how much an object comes nearer to any neighbouring cell than where it should stand or be carried: place,
+    heading and lean together. 0 for a car."""
 
 
 @dataclass(frozen=True)
@@ -120,10 +129,11 @@ def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.intege
 
 
 def _placed(
-    x: int, y: int, z: int, carrier: int, ahead_m: float, aside_m: float, heading_rad: float, height_m: float
+    x: int, y: int, z: int, carrier: int, ahead_m: float, aside_m: float, heading_rad: float, *others: float
 ) -> Placed:
+    """Return what a READ record says; ``others`` are height, tilt, hinge and reach."""
     offset_m = math.hypot(ahead_m, aside_m)
-    return Placed((x, y, z), offset_m, heading_rad, carrier if carrier >= 0 else None, height_m)
+    return Placed((x, y, z), offset_m, heading_rad, carrier if carrier >= 0 else None, *others)
 
 
 def _in_words(poses: Poses, what: int, thing: int, details: NDArray[np.float64]) -> str:

@@ -50,10 +50,12 @@ READ: Final = np.dtype(
     [
         *((name, "i8") for name in ("x", "y", "z", "carrier")),
         *((name, "f8") for name in ("ahead_m", "aside_m", "heading_rad", "height_m")),
+        *((name, "f8") for name in ("tilt_rad", "hinge_rad", "reach_m")),
     ],
     align=True,
 )
-"""Where a thing was read to be: its cell, its carrier or -1, its place there, heading and height."""
+"""Where a thing was read to be: its cell, its carrier or -1, its place there, heading, height, tilt, hinge, and how far
+it reaches out of its cell."""
 
 (
     OFF_CENTRE,
@@ -118,6 +120,11 @@ def read_things(
 @compiled
 def _axes(quaternion: Floats) -> tuple[Axis, Axis, Axis]:
     return body_axes(quaternion[0], quaternion[1], quaternion[2], quaternion[3])
+
+
+@compiled
+def _dot(a: Axis, b: Axis) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled
@@ -192,6 +199,8 @@ def _read_car(
     roll = abs(math.asin(max(-1.0, min(1.0, left[2]))))
     on_slope = abs(pitch) > INCLINE_RAD / 2
     incline = INCLINE_RAD if on_slope else 0.0
+    read.tilt_rad = math.sqrt((abs(pitch) - incline) ** 2 + roll * roll)
+    read.hinge_rad = read.reach_m = 0.0
     if roll > TILT_TOLERANCE_RAD or abs(abs(pitch) - incline) > TILT_TOLERANCE_RAD or up[2] < 0:
         found = _note(problems, found, CAR_LEANS, car, pitch, roll)
     slope, height = 0, position[2]
@@ -209,7 +218,7 @@ def _read_car(
 
 @compiled
 def _find_carrier(positions: Floats, quaternions: Floats, n_cars: int, thing: int, read: Record) -> None:
-    """Find the car that carries a thing, if any, and how far that is from the car's centre line."""
+    """Find the car that carries a thing, if any, how far that is from the car's centre line, and how high above it."""
     read.carrier = -1
     at = positions[thing]
     for car in range(n_cars):
@@ -222,7 +231,7 @@ def _find_carrier(positions: Floats, quaternions: Floats, n_cars: int, thing: in
         ahead = forward[0] * x + forward[1] * y + forward[2] * z
         aside = left[0] * x + left[1] * y + left[2] * z
         if math.sqrt(ahead * ahead + aside * aside) < CELL_PITCH_M / 4:
-            read.carrier, read.ahead_m, read.aside_m = car, ahead, aside
+            read.carrier, read.ahead_m, read.aside_m, read.height_m = car, ahead, aside, above
             return
 
 
@@ -241,20 +250,35 @@ def _read_object(
     read = reads[thing]
     forward, _, up = _axes(quaternions[thing])
     yaw, excess = nearest_yaw(math.atan2(forward[1], forward[0]))
-    read.heading_rad = excess
     folded = kind != FSLOPE or hinge > math.pi / 2
-    if kind == FSLOPE and abs(hinge - (math.pi if folded else 0.0)) > HINGE_TOLERANCE_RAD:
+    read.hinge_rad = abs(hinge - (math.pi if folded else 0.0)) if kind == FSLOPE else 0.0
+    if read.hinge_rad > HINGE_TOLERANCE_RAD:
         found = _note(problems, found, HALF_OPEN, thing, hinge)
     _find_carrier(positions, quaternions, len(w.cars), thing, read)
     if read.carrier >= 0:
-        return _read_load(w, thing, kind, yaw, read, problems, found)
+        car_forward, car_left, car_up = _axes(quaternions[read.carrier])
+        ahead, aside = _dot(car_forward, forward), _dot(car_left, forward)
+        _, read.heading_rad = nearest_yaw(math.atan2(aside, ahead))
+        read.tilt_rad = math.acos(max(-1.0, min(1.0, _dot(car_up, up))))
+        found = _read_load(w, thing, kind, yaw, excess, read, problems, found)
+        nose = (
+            INCLINE_RAD * ((car_forward[2] > 0.0) - (car_forward[2] < 0.0))
+            if w.cars[read.carrier, F_SLOPE]
+            else 0.0
+        )
+        yaw = w.cars[read.carrier, F_YAW]
+        lean_x, lean_y = -math.sin(nose) * dir_x(yaw), -math.sin(nose) * dir_y(yaw)
+        read.reach_m = _reach(positions[thing], excess, up, read, lean_x, lean_y)
+        return found
+    read.heading_rad = excess
     found = _place(w, thing, positions[thing], read, problems, found)
     found = _level(thing, positions[thing, 2], w.kind.shape[2] - 1, read, problems, found)
-    tilt = math.acos(max(-1.0, min(1.0, up[2])))
-    if tilt > TILT_TOLERANCE_RAD:
-        found = _note(problems, found, LEANS, thing, tilt)
+    read.tilt_rad = math.acos(max(-1.0, min(1.0, up[2])))
+    if read.tilt_rad > TILT_TOLERANCE_RAD:
+        found = _note(problems, found, LEANS, thing, read.tilt_rad)
     if abs(excess) > HEADING_TOLERANCE_RAD:
         found = _note(problems, found, TURNED, thing, excess)
+    read.reach_m = _reach(positions[thing], excess, up, read, 0.0, 0.0)
     x, y, z = read.x, read.y, read.z
     if kind != FSLOPE:
         return _put(w, thing, x, y, z, kind, 0, problems, found)
@@ -264,8 +288,24 @@ def _read_object(
 
 
 @compiled
-def _read_load(w: World, thing: int, kind: int, yaw: int, read: Record, problems: Records, found: int) -> int:
-    car, excess = read.carrier, read.heading_rad
+def _reach(position: Floats, excess: float, up: Axis, read: Record, lean_x: float, lean_y: float) -> float:
+    """Return how much nearer to a neighbouring cell a thing comes than where it should stand or be carried, at most.
+
+    Its box is taken to be a cell long and wide and a level high, and its axis to lean by ``lean`` where all is right.
+    Of an unfolded slope this is the box over its body.
+    """
+    lifted = read.height_m if read.carrier >= 0 else 0.0
+    x = position[0] - (read.x + 0.5) * CELL_PITCH_M - lifted * lean_x
+    y = position[1] - (read.y + 0.5) * CELL_PITCH_M - lifted * lean_y
+    above_x, above_y = x + LEVEL_HEIGHT_M * (up[0] - lean_x), y + LEVEL_HEIGHT_M * (up[1] - lean_y)
+    return CELL_PITCH_M / 2 * abs(excess) + max(abs(x), abs(y), abs(above_x), abs(above_y))
+
+
+@compiled
+def _read_load(
+    w: World, thing: int, kind: int, yaw: int, excess: float, read: Record, problems: Records, found: int
+) -> int:
+    car = read.carrier
     row = w.cars[car]
     if row[F_LOAD] != AIR:
         found = _note(problems, found, SECOND_LOAD, thing, car)
@@ -275,7 +315,7 @@ def _read_load(w: World, thing: int, kind: int, yaw: int, read: Record, problems
         found = _note(problems, found, OFF_SEAT, thing, offset * 1e3, car)
     if abs(excess) > HEADING_TOLERANCE_RAD:
         found = _note(problems, found, LOAD_TURNED, thing, excess, car)
-    read.x, read.y, read.z, read.height_m = row[F_X], row[F_Y], row[F_Z], 0.0
+    read.x, read.y, read.z = row[F_X], row[F_Y], row[F_Z]
     return found
 
 

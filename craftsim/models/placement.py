@@ -55,11 +55,16 @@ def _car(grid: Grid, row: NDArray[np.int64], machine: SmartcarParameters) -> Pla
     )
 
 
+def lift_m(load: Kind, car: SmartcarParameters, machines: Machines) -> float:
+    """Return how high above its car's origin a load of a kind is carried."""
+    underside_m = (machines.slope if load == Kind.FSLOPE else machines.block).underside_m
+    return car.board_rest_m + car.board_travel_m - underside_m
+
+
 def _load(
     grid: Grid, row: NDArray[np.int64], car: Placement, machine: SmartcarParameters, machines: Machines
 ) -> Placement:
-    load = machines.slope if row[CarField.LOAD] == Kind.FSLOPE else machines.block
-    lift = machine.board_rest_m + machine.board_travel_m - load.underside_m
+    lift = lift_m(Kind(row[CarField.LOAD]), machine, machines)
     pitch, heading = incline_under(grid, row), yaw_angle(int(row[CarField.YAW]))
     up = np.array(
         [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]

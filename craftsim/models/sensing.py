@@ -148,20 +148,24 @@ class PoseReader:
         self._kinds += (Kind.FSLOPE,) * len(site.slopes)
         self._n_cars, self._qpos = len(site.cars), site.data.qpos
         starts = [*(car.base.qpos for car in site.cars), *(body.qpos for body in loose)]
-        self._places = np.array(starts, np.intp)[:, None] + np.arange(7)
-        self._hinges = np.array([slope.hinge.qpos for slope in site.slopes], np.intp)
+        self.places = np.array(starts, np.intp)[:, None] + np.arange(7)
+        """(n, 7): of each one's pose in qpos."""
+        self.hinges = np.full(len(starts), -1, np.intp)
+        """(n,): of each one's hinge in qpos, -1 without one."""
+        self.hinges[self._n_cars + n_still :] = [slope.hinge.qpos for slope in site.slopes]
+        self._slopes = self.hinges[self._n_cars + n_still :]
         self._without_hinge = np.full(n_still, math.nan)
 
     def read(self) -> Poses:
         """Return the poses of this moment."""
-        poses, n = self._qpos[self._places], self._n_cars
+        poses, n = self._qpos[self.places], self._n_cars
         return Poses(
             car_positions=poses[:n, :3],
             car_quaternions=poses[:n, 3:],
             kinds=self._kinds,
             positions=poses[n:, :3],
             quaternions=poses[n:, 3:],
-            hinges=np.concatenate((self._without_hinge, self._qpos[self._hinges])),
+            hinges=np.concatenate((self._without_hinge, self._qpos[self._slopes])),
         )
 
 

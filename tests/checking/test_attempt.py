@@ -1,13 +1,13 @@
 """An attempt is judged by limits set beforehand, and says in one line what went wrong physically."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
 
 from craftsim.checking import checked_site
-from craftsim.checking.attempt import Attempt, Result, judge, result_of
+from craftsim.checking.attempt import MEASURES, Attempt, Result, judge, result_of
 from craftsim.checking.contact_log import Contact
 from craftsim.checking.forces import impact_limit_n
 from craftsim.checking.safety import Hazard
@@ -96,7 +96,18 @@ def _spoilt(good, verdict=None, **changes):
         ({"car_error_m": 0.0011}, Result.FAILED),
         ({"heading_error_rad": 0.0031}, Result.FAILED),
         ({"height_error_m": 0.0021}, Result.FAILED),
-        ({"placed_error_m": 0.0021}, Result.FAILED),
+        ({"placed_error_m": 0.0013}, Result.FAILED),
+        ({"tilt_error_rad": 0.011}, Result.FAILED),
+        ({"seat_error_m": 0.0013}, Result.FAILED),
+        ({"thing_heading_rad": 0.0051}, Result.FAILED),
+        ({"thing_tilt_rad": 0.011}, Result.FAILED),
+        ({"thing_height_m": 0.0021}, Result.FAILED),
+        ({"reach_m": 0.0013}, Result.FAILED),
+        ({"bystander_turn_rad": 0.0041}, Result.SIDE_EFFECT),
+        ({"drift_m": 0.0011}, Result.SIDE_EFFECT),
+        ({"drift_rad": 0.0041}, Result.SIDE_EFFECT),
+        ({"bystander_reach_m": 0.0013}, Result.SIDE_EFFECT),
+        ({"drift_rad": float("nan")}, Result.SIDE_EFFECT),
         ({"bystander_displacement_m": 0.0011}, Result.SIDE_EFFECT),
         ({"bystander_displacement_m": 0.0009}, Result.AS_PREDICTED),
         ({"bystander_displacement_m": 0.0011, "car_error_m": 0.0011}, Result.FAILED),
@@ -121,22 +132,34 @@ def test_the_result_follows_from_effect_errors_and_verdict(good, changes, result
     assert _spoilt(good, **changes) is result
 
 
-def test_hazards_come_first_then_contacts_of_its_own_then_what_the_skill_says(good):
-    contact = Contact("block 1", "block 2", 1.0, 90.0, False), Contact("car 0", "block 1", 1.0, 20.0, False)
+def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):
+    contact = Contact("car 0", "block 1", 1.0, 20.0, False)
     evidence, verdict, _ = good
     other = replace(
         evidence,
         hazards=(Hazard(("block 1",), "block 1 fell (0.8 m/s)"),),
-        contacts=contact,
+        contacts=(contact,),
         outcome=Outcome(Reason.BLOCKED, 1.0, "41 mm behind the path"),
     )
     unsafe = Verdict(Finding.UNSAFE, ("block 1 fell (0.8 m/s)",))
     assert judge(other, unsafe, LIMITS).reason == (
-        "block 1 fell (0.8 m/s); car 0 touched block 1 (20 N); block 1 touched block 2 (90 N); "
-        "blocked: 41 mm behind the path"
+        "block 1 fell (0.8 m/s); blocked: 41 mm behind the path; car 0 touched block 1 (20 N)"
     )
-    alone = replace(evidence, car_error_m=0.0034)
-    assert judge(alone, verdict, LIMITS).reason == "the car is 3.4 mm off (allowed 1.0)"
+    turned = replace(evidence, heading_error_rad=0.00301, contacts=(contact,))
+    assert judge(turned, verdict, LIMITS).reason == (
+        "the car is turned by 3.01 mrad (allowed 3.00); car 0 touched block 1 (20 N)"
+    )
+    strayed = replace(evidence, car_error_m=0.0034, strayed_m=0.0052)
+    assert judge(strayed, verdict, LIMITS).reason == (
+        "the car is 3.40 mm off (allowed 1.00); the car strayed 5.2 mm from its path"
+    )
+
+
+def test_every_limit_is_that_of_an_error_and_every_error_is_held_against_one():
+    limits = {measure.limit for measure in MEASURES} | {"force"}  # which the contact log holds
+    assert limits == {f.name for f in fields(Thresholds)}
+    errors = {f.name for f in fields(Attempt) if f.name.endswith(("_m", "_rad"))}
+    assert errors == {measure.field for measure in MEASURES}
 
 
 def test_what_the_rules_forbid_is_not_performed_and_says_which_rule():
@@ -202,7 +225,7 @@ def test_what_still_moves_when_all_motors_rest_is_unsettled():
 
 
 def test_the_impact_limit_is_above_what_a_loaded_car_and_its_motors_do():
-    assert 400 < impact_limit_n() < 700
+    assert 420 < impact_limit_n() < 500
 
 
 def test_verbs_forget_the_direction():

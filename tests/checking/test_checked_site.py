@@ -96,7 +96,7 @@ def test_an_error_over_its_limit_disagrees_though_the_grid_that_is_read_is_the_p
     attempt = checked.perform(0, action)
     assert attempt.finding == Finding.AGREES
     assert (attempt.result, attempt.agrees) == ("failed", False)
-    assert "(allowed 0.0)" in attempt.reason
+    assert "(allowed 0.00)" in attempt.reason
 
 
 def test_what_a_car_carries_is_no_bystander_and_what_it_drops_is_measured():
@@ -176,7 +176,7 @@ def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
     assert (attempt.finding, attempt.result) == (Finding.UNSAFE, "unsafe")
     assert attempt.skill.startswith(Reason.STOPPED)
     assert attempt.duration_s == pytest.approx(site.time_s - site.config.settle_s)
-    assert 0.45 < checked.log.tilt_rad < 0.8 or 0.45 < checked.log.fall_m_s < 0.9
+    assert 0.33 < checked.log.tilt_rad < 0.6 or 0.45 < checked.log.fall_m_s < 0.9
     assert not site.data.ctrl.any()
     assert not checked.executor.busy
 

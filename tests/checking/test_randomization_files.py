@@ -1,5 +1,7 @@
 """What ``--randomize`` stands for: presets, and files that start from one."""
 
+from dataclasses import asdict, replace
+
 import pytest
 
 from craftsim.checking.settings import RANDOMIZE, Thresholds, setup_of, widened
@@ -33,13 +35,17 @@ def test_limits_are_widened_by_what_no_car_can_know_and_by_nothing_else(tmp_path
         "floor: {lippage_m: 0.001, unevenness_m: 0.002}\nsensors: {position_bias_m: 0.004, heading_bias_rad: 0.25}"
         "\nlimits: {bystander_m: 0.0015}",
     )
-    assert setup.thresholds == Thresholds(0.005, 0.253, 0.006, 0.0015, 0.005)
+    # Half a cell times the heading's bias, and a level times the lean of 3 mm over 0.2 m, add to what may be set down.
+    placed_m = 0.00125 + 0.004 + 0.16125 * 0.25 + 0.185 * 0.015
+    assert asdict(setup.thresholds) == pytest.approx(
+        asdict(Thresholds(0.005, 0.253, placed_m, 0.0015, 0.005, 0.025, 0.255, 0.004, 1.0))
+    )
     assert widened(Thresholds(), NONE) == Thresholds()
 
 
-@pytest.mark.parametrize("name", ["none", "mild", "strong"])
-def test_without_bias_and_relief_limits_are_those_of_the_preset(name):
-    assert setup_of(name).thresholds == RANDOMIZE[name][0]
+@pytest.mark.parametrize(("name", "force"), [("none", 1.0), ("mild", 1.1), ("strong", 1.2)])
+def test_without_bias_and_relief_limits_are_those_of_the_preset_and_forces_follow_the_masses(name, force):
+    assert setup_of(name).thresholds == replace(RANDOMIZE[name][0], force=force)
 
 
 def test_noise_takes_the_place_of_the_presets_and_the_assumption_stays():

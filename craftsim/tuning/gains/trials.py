@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -12,7 +12,7 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from craftsim.checking.attempt import Attempt
+from craftsim.checking.attempt import MEASURES, Attempt
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.actions import Action
@@ -127,17 +127,19 @@ def _world(
 
 def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
     """Return the largest share of a limit that an action's own errors took, and that they or a bystander took."""
-    own = _worst(
-        (attempt.car_error_m, limits.car_m),
-        (attempt.heading_error_rad, limits.heading_rad),
-        (attempt.height_error_m, limits.height_m),
-        (attempt.placed_error_m or 0.0, limits.placed_m),
+    own, of_it_all = (
+        _worst(
+            (getattr(attempt, measure.field) or 0.0, getattr(limits, measure.limit))
+            for measure in MEASURES
+            if of_bystanders or not measure.of_bystanders
+        )
+        for of_bystanders in (False, True)
     )
-    return own, max(own, _worst((attempt.bystander_displacement_m, limits.bystander_m)))
+    return own, of_it_all
 
 
-def _worst(*measured: tuple[float, float]) -> float:
-    found: Sequence[float] = [value / limit for value, limit in measured]
+def _worst(measured: Iterable[tuple[float, float]]) -> float:
+    found = [value / limit for value, limit in measured]
     return max(min(share, WORST) if math.isfinite(share) else WORST for share in found)
 
 

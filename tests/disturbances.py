@@ -1,8 +1,13 @@
 """Declared disturbances: what somebody does to a world in physics that no motor command does."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Final
 
+import mujoco
+import numpy as np
+
+from craftsim.models.parts import FreeBody
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor, Observer
 
@@ -33,3 +38,41 @@ def pushed(block: int, by_m: float) -> Callable[..., Executor]:
         return executor
 
     return make
+
+
+_HAND_HZ: Final = 15.0
+"""How fast what a hand holds would swing."""
+
+
+def twist(executor: Executor, body: FreeBody, way: Callable[[float], Sequence[float] | None]) -> None:
+    """Let a hand turn a free body from now on, by a torque alone that changes with each physics step.
+
+    ``way`` says by what rotation vector in radians it should be turned by so many seconds of simulated time, from how
+    it is when it is first held; with None the hand lets go.
+    """
+    site, before = executor.site, executor.step_observer
+    mass = float(site.model.body_subtreemass[body.body])
+    inertia = float(site.model.body_inertia[body.body].max()) + mass * 0.1**2
+    rate = 2 * math.pi * _HAND_HZ
+    start: list[np.ndarray] = []
+
+    def turn() -> None:
+        data = site.data
+        aim, torque = way(data.time), data.xfrc_applied[body.body, 3:]
+        if aim is None:
+            torque[:] = 0.0
+            return
+        quaternion = site.free_body_state(body)[1]
+        start.append(quaternion)
+        (w0, *v0), (w, *v) = start[0], quaternion
+        turned = 2 * (w0 * np.array(v) - w * np.array(v0) - np.cross(v, v0))
+        spin = np.zeros(3)
+        mujoco.mju_rotVecQuat(spin, data.qvel[body.dof + 3 : body.dof + 6], quaternion)
+        torque[:] = inertia * (rate**2 * (np.array(aim) - turned) - 2 * rate * spin)
+
+    def step() -> None:
+        turn()
+        if before is not None:
+            before()
+
+    executor.step_observer = step

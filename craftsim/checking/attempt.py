@@ -302,14 +302,12 @@ def reason_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> str:
     if evidence.capped_steps and not parts:
         parts = [capped_text(evidence.capped_steps)]
     parts += [hazard.text for hazard in evidence.hazards[:_SHOWN]]
-    if not outcome.succeeded:
-        parts.append(str(outcome))
-    elif not evidence.differences:
-        parts += list(_excesses(evidence, limits, of_bystanders=False))[:_SHOWN]
+    own = list(_excesses(evidence, limits, of_bystanders=False)) if evidence.applied else []
+    parts += own[:_SHOWN] if outcome.succeeded else [str(outcome)]
     parts += list(_excesses(evidence, limits, of_bystanders=True))[:_SHOWN]
     if not parts:
         parts += verdict.differences[:1]
-    if evidence.strayed_m is not None:
+    if evidence.strayed_m and (own or not evidence.applied):
         parts.append(f"the car strayed {1e3 * evidence.strayed_m:.1f} mm from its path")
     known = {hazard.machines for hazard in evidence.hazards}
     contacts = [c for c in evidence.contacts if (c.first, c.second) not in known]

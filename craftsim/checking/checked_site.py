@@ -257,9 +257,10 @@ class CheckedSite:
         """
         n_cars, limits = len(self.site.cars), self.thresholds
         drifted = (self._standing.furthest() > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
-        drifted[[n_cars + index for index in swaying]] = False
-        handled = {one.step.car for one in over} | {n_cars + index for one in over for index in one.about}
-        self._standing.leave(sorted(handled.union(np.flatnonzero(drifted).tolist())))
+        left = set(np.flatnonzero(drifted).tolist()) - {n_cars + index for index in swaying}
+        left.update(one.step.car for one in over)
+        left.update(n_cars + index for one in over for index in one.about)
+        self._standing.leave(sorted(left))
         self._out = self._reaching_out()
 
     def _reaching_out(self) -> set[int]:

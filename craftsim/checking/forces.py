@@ -20,11 +20,11 @@ _REACH_M: Final = 1.5 * CELL_PITCH_M
 
 @lru_cache(maxsize=16)
 def impact_limit_n(machines: Machines = NOMINAL) -> float:
-    """Return how hard two machines may press on each other, in newtons; 462 N for the nominal ones.
+    """Return how hard two machines may press on each other, in newtons; 461 N for the nominal ones.
 
     The heaviest loaded car weighs W = 112 N, and its wheel motors push with F = 202 N at most. The weight acts down and
     the wheels push along the ground, so both together are sqrt(W^2 + F^2) = 231 N. What is put on at once loads a stiff
-    contact up to twice as much as it does at rest: 462 N. More can only come from the motion of something that is
+    contact up to twice as much as it does at rest: 461 N. More can only come from the motion of something that is
     stopped: a blow.
     """
     load = max(machines.block.mass_kg, machines.slope.mass_kg)

@@ -183,7 +183,7 @@ def widened(limits: Thresholds, randomization: DomainRandomization) -> Threshold
     """Return limits that hold what no car can know: its localisation's bias, the height of the floor below it, and by
     how much machines are drawn heavier or stronger.
 
-    What stands on a floor that is lower by its relief at one axle, or at one foot, leans.
+    What stands on a floor that is lower by its relief at one axle, or at one foot, leans, or rocks by as much.
     """
     sensors, relief_m = randomization.sensors, randomization.floor.relief_m
     lean = relief_m / _BASE_M
@@ -198,6 +198,7 @@ def widened(limits: Thresholds, randomization: DomainRandomization) -> Threshold
         height_m=limits.height_m + relief_m,
         tilt_rad=limits.tilt_rad + lean,
         placed_heading_rad=limits.placed_heading_rad + sensors.heading_bias_rad,
+        bystander_rad=limits.bystander_rad + lean,
         force=limits.force + max(randomization.mass, randomization.motor),
     )
 

@@ -38,7 +38,7 @@ def test_limits_are_widened_by_what_no_car_can_know_and_by_nothing_else(tmp_path
     # Half a cell times the heading's bias, and a level times the lean of 3 mm over 0.2 m, add to what may be set down.
     placed_m = 0.00125 + 0.004 + 0.16125 * 0.25 + 0.185 * 0.015
     assert asdict(setup.thresholds) == pytest.approx(
-        asdict(Thresholds(0.005, 0.253, placed_m, 0.0015, 0.005, 0.025, 0.255, 0.004, 1.0))
+        asdict(Thresholds(0.005, 0.253, placed_m, 0.0015, 0.005, 0.025, 0.255, 0.019, 1.0))
     )
     assert widened(Thresholds(), NONE) == Thresholds()
 

@@ -114,13 +114,15 @@ class Attempt:
     """How much nearer the same comes to a neighbouring cell than it should."""
     bystander_reach_m: float | None = None
     """The same of what stands and no action of that time concerns, as far as an action before has not left it so."""
+    bystander_tilt_rad: float | None = None
+    """The same of the lean, or of the hinge, of such a thing."""
     bystander_turn_rad: float | None = None
     """The largest turn, about any axis, of anything that no action of that time concerns."""
     drift_m: float | None = None
     """The furthest, at any time since the action began, that such a thing was from where what last handled it left
     it."""
     drift_rad: float | None = None
-    """The same of its turn, or of its hinge."""
+    """The same of its turn."""
 
     @classmethod
     def of(cls, fields: Mapping[str, Any]) -> Attempt:
@@ -181,6 +183,7 @@ MEASURES: Final = (
     Measure("drift_m", "bystander_m", "{name} was {} away from where it was left", True),
     Measure("drift_rad", "bystander_rad", "{name} was turned {} away from how it was left", True),
     Measure("bystander_reach_m", "placed_m", "{name} is {} too near to a neighbouring cell", True),
+    Measure("bystander_tilt_rad", "tilt_rad", "{name} leans, or its hinge stands, {} off", True),
 )
 """All errors with their limits, in the order in which reasons name them: those of the car first."""
 
@@ -213,8 +216,9 @@ class Evidence:
     drift_m: float
     drift_rad: float
     bystander_reach_m: float
+    bystander_tilt_rad: float
     bystanders: Mapping[str, str]
-    """Names of what each of the last five is about; empty ones where there is nothing else."""
+    """Names of what each of the last six is about; empty ones where there is nothing else."""
     strayed_m: float | None
     """The furthest that the car was beside its path; None on an even floor."""
     start_s: float

@@ -19,7 +19,7 @@ from craftsim.checking.straying import Straying
 from craftsim.checking.unexpected import handled, under, unexpected_contacts
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.readback import Poses, Reading, read_grid
+from craftsim.discrete.readback import Placed, Poses, Reading, read_grid
 from craftsim.discrete.reading import PLACE_TOLERANCE_M
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Constraints, Order, Schedule, ScheduledAction, make_schedule
@@ -116,7 +116,7 @@ class CheckedSite:
         if self._straying is not None:
             executor.observers.append(self._straying.look)
         self._look()
-        self._out = self._reaching_out()
+        self._told = self._beyond()
 
     @property
     def grid(self) -> Grid:
@@ -261,12 +261,23 @@ class CheckedSite:
         left.update(one.step.car for one in over)
         left.update(n_cars + index for one in over for index in one.about)
         self._standing.leave(sorted(left))
-        self._out = self._reaching_out()
+        self._told = self._beyond()
 
-    def _reaching_out(self) -> set[int]:
-        """Return the objects, by their index, that come nearer to a neighbouring cell than allowed."""
-        limit_m = self.thresholds.placed_m
-        return {i for i, thing in enumerate(self.reading.objects) if not thing.reach_m <= limit_m}
+    def _beyond(self) -> dict[str, set[int]]:
+        """Return the objects, by their index, that are not as they should stand or be carried, by field."""
+        limits = {
+            "bystander_reach_m": self.thresholds.placed_m,
+            "bystander_tilt_rad": self.thresholds.tilt_rad,
+        }
+        return {
+            field: {i for i, value in enumerate(self._standing_errors(field)) if not value <= limit}
+            for field, limit in limits.items()
+        }
+
+    def _standing_errors(self, field: str) -> list[float]:
+        if field == "bystander_reach_m":
+            return [thing.reach_m for thing in self.reading.objects]
+        return [_lean(thing) for thing in self.reading.objects]
 
     def _own(self, one: _Running) -> tuple[str, ...]:
         """Return the names of the car and of what it handles."""
@@ -297,7 +308,7 @@ class CheckedSite:
             placed_error_m=None if set_down is None else self.reading.objects[set_down].offset_m,
             seat_error_m=max(loads, default=None),
             thing_heading_rad=max((abs(thing.heading_rad) for thing in things), default=None),
-            thing_tilt_rad=max((max(thing.tilt_rad, thing.hinge_rad) for thing in things), default=None),
+            thing_tilt_rad=max(map(_lean, things), default=None),
             thing_height_m=max((abs(self._too_high_m(index)) for index in about), default=None),
             reach_m=max((thing.reach_m for thing in things), default=None),
             **{field: value for field, (value, _) in others.items()},
@@ -340,9 +351,11 @@ class CheckedSite:
         fields = ("bystander_displacement_m", "bystander_turn_rad", "drift_m", "drift_rad")
         names = [f"car {row}" if row < n_cars else then.name(row - n_cars) for row in rows.tolist()]
         found = {field: _largest(column, names) for field, column in zip(fields, moved.T, strict=True)}
-        near = [index for index in things if index not in self._out]
-        reach = np.array([self.reading.objects[index].reach_m for index in near])
-        return found | {"bystander_reach_m": _largest(reach, [then.name(index) for index in near])}
+        for field, told in self._told.items():
+            errors = self._standing_errors(field)
+            news = [index for index in things if index not in told]
+            found[field] = _largest(np.array([errors[i] for i in news]), [then.name(i) for i in news])
+        return found
 
     def _world_verdict(self, before: Grid, predicted: Grid, settled: bool, capped: int) -> Verdict:
         """Compare the reading with the prediction; what is worse than a difference comes first.
@@ -386,6 +399,11 @@ class CheckedSite:
         if nobodys or world.finding in (Finding.UNSAFE, Finding.NUMERICS, Finding.DIVERGED):
             return world
         return Verdict(Finding.WRONG_PLACE, one.differences or (str(one.outcome),))
+
+
+def _lean(thing: Placed) -> float:
+    """Return how far a thing leans, or how far its hinge is short of its end where that is more."""
+    return max(thing.tilt_rad, thing.hinge_rad)
 
 
 def _largest(values: NDArray[np.float64], names: Sequence[str]) -> tuple[float, str]:

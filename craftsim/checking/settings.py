@@ -53,13 +53,12 @@ class Thresholds:
     height_m: float = 0.002
     """Of the car above the ground, of what was set down above the floor, of a load above its seat."""
     tilt_rad: float = 0.010
-    """Lean of the car, of what was set down and of what is carried, away from level or from the incline; and by how
-    much a slope's hinge is short of its end. Over the 0.2 m between a car's axles it is ``height_m``."""
+    """Lean of the car, and of all that stands or is carried, away from level or from the incline; and by how much a
+    slope's hinge is short of its end. Over the 0.2 m between a car's axles it is ``height_m``."""
     placed_heading_rad: float = 0.005
     """Of what was set down, folded or unfolded against the grid, and of what is carried against its car."""
     bystander_rad: float = 0.004
-    """Turn about any axis, the hinge's included, of the same over the same times: a corner, 0.23 m from the middle,
-    then moves by 0.9 mm."""
+    """Turn about any axis of the same over the same times: a corner, 0.23 m from the middle, then moves by 0.9 mm."""
     force: float = 1.0
     """The hardest that two machines may press on each other, as a share of what weights and motors of the nominal
     machines can do (:func:`craftsim.checking.forces.impact_limit_n`)."""

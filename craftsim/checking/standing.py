@@ -28,9 +28,9 @@ class Standing:
     def __init__(self, site: Site, poses: PoseReader) -> None:
         """Take the places where everything is now; the reader is one of this Site."""
         self._qpos = site.data.qpos
-        self._places, self._hinges = poses.places, poses.hinges
+        self._places = poses.places
         n = len(self._places)
-        self._left = np.zeros((n, 8))
+        self._left = np.zeros((n, 7))
         self._furthest = np.zeros((n, 2))
         self.leave(range(n))
 
@@ -38,7 +38,7 @@ class Standing:
         """From here on hold these against where they are now."""
         rows = list(machines)
         if rows:
-            self._left[rows] = self._now()[rows]
+            self._left[rows] = self._qpos[self._places[rows]]
             self._furthest[rows] = 0.0
 
     def begin(self) -> None:
@@ -52,29 +52,24 @@ class Standing:
 
     def look(self, _: Site | None = None) -> None:
         """Note how far everything is from its place; call it after each control period."""
-        _note_away(self._qpos, self._places[:, 0], self._hinges, self._left, self._furthest)
+        _note_away(self._qpos, self._places[:, 0], self._left, self._furthest)
 
     def furthest(self) -> Floats:
         """Return, (n, 2): by how many metres, and by what angle in radians, each has been away since the last begin.
 
-        The angle is that of the one rotation that leads there, or that of the hinge where that is more.
+        The angle is that of the one rotation that leads there.
         """
         return self._furthest.copy()
 
-    def _now(self) -> Floats:
-        hinges = np.where(self._hinges >= 0, self._qpos[self._hinges], 0.0)
-        return np.column_stack((self._qpos[self._places], hinges))
-
 
 @compiled
-def _note_away(qpos: Floats, places: Numbers, hinges: Numbers, left: Floats, furthest: Floats) -> None:
+def _note_away(qpos: Floats, places: Numbers, left: Floats, furthest: Floats) -> None:
     """Note how far each machine is from its place.
 
     Args:
         qpos: MjData.qpos.
         places: (n,) of each machine's free joint in qpos.
-        hinges: (n,) of its hinge in qpos, -1 without one.
-        left: (n, 8) position, quaternion and hinge of its place.
+        left: (n, 7) position and quaternion of its place.
         furthest: (n, 2) metres and radians so far.
     """
     for i in range(len(places)):
@@ -82,17 +77,13 @@ def _note_away(qpos: Floats, places: Numbers, hinges: Numbers, left: Floats, fur
         x, y, z = qpos[at] - left[i, 0], qpos[at + 1] - left[i, 1], qpos[at + 2] - left[i, 2]
         furthest[i, 0] = max(furthest[i, 0], math.sqrt(x * x + y * y + z * z))
         furthest[i, 1] = max(furthest[i, 1], angle_between(qpos[at + 3 : at + 7], left[i, 3:7]))
-        if hinges[i] >= 0:
-            furthest[i, 1] = max(furthest[i, 1], abs(qpos[hinges[i]] - left[i, 7]))
 
 
 def turns(then: Poses, now: Poses) -> Floats:
-    """Return, (n,), by what angle in radians each machine turned between two poses, or its hinge where that is more."""
+    """Return, (n,), by what angle in radians each machine turned between two poses."""
     before, after = (np.concatenate((poses.car_quaternions, poses.quaternions)) for poses in (then, now))
     angles = np.zeros(len(before))
     _note_turns(before, after, angles)
-    hinges = angles[len(then.car_positions) :]
-    hinges[:] = np.fmax(hinges, abs(now.hinges - then.hinges))
     return angles
 
 

@@ -150,10 +150,7 @@ class PoseReader:
         starts = [*(car.base.qpos for car in site.cars), *(body.qpos for body in loose)]
         self.places = np.array(starts, np.intp)[:, None] + np.arange(7)
         """(n, 7): of each one's pose in qpos."""
-        self.hinges = np.full(len(starts), -1, np.intp)
-        """(n,): of each one's hinge in qpos, -1 without one."""
-        self.hinges[self._n_cars + n_still :] = [slope.hinge.qpos for slope in site.slopes]
-        self._slopes = self.hinges[self._n_cars + n_still :]
+        self._hinges = np.array([slope.hinge.qpos for slope in site.slopes], np.intp)
         self._without_hinge = np.full(n_still, math.nan)
 
     def read(self) -> Poses:
@@ -165,7 +162,7 @@ class PoseReader:
             kinds=self._kinds,
             positions=poses[n:, :3],
             quaternions=poses[n:, 3:],
-            hinges=np.concatenate((self._without_hinge, self._qpos[self._slopes])),
+            hinges=np.concatenate((self._without_hinge, self._qpos[self._hinges])),
         )
 
 

@@ -107,6 +107,7 @@ def _spoilt(good, verdict=None, **changes):
         ({"drift_m": 0.0011}, Result.SIDE_EFFECT),
         ({"drift_rad": 0.0041}, Result.SIDE_EFFECT),
         ({"bystander_reach_m": 0.0013}, Result.SIDE_EFFECT),
+        ({"bystander_tilt_rad": 0.011}, Result.SIDE_EFFECT),
         ({"drift_rad": float("nan")}, Result.SIDE_EFFECT),
         ({"bystander_displacement_m": 0.0011}, Result.SIDE_EFFECT),
         ({"bystander_displacement_m": 0.0009}, Result.AS_PREDICTED),

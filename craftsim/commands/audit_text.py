@@ -50,10 +50,16 @@ def conclude(audit: Audit) -> int:
     if note := provisional_note(audit.results.rows):
         say(note)
     if car := audit.figures.precision.car_error_mm:
-        heading, placed = audit.figures.precision.heading_error_mrad, audit.figures.precision.placed_error_mm
+        found = audit.figures.precision
+        heading, placed, reach, drift = (
+            *(found.heading_error_mrad, found.placed_error_mm),
+            *(found.reach_mm, found.drift_mm),
+        )
         say(
             f"Of what the rules allow and did as predicted, 99th percentiles: cars {car.p99:.2f} mm"
             + (f" and {heading.p99:.2f} mrad" if heading else "")
             + (f", set down {placed.p99:.2f} mm" if placed else "")
+            + (f", reaching out of a cell {reach.p99:.2f} mm" if reach else "")
+            + (f", others {drift.p99:.2f} mm from their places" if drift else "")
         )
     return 1 if n[Judgement.UNSOUND] or errors else 0

@@ -17,6 +17,10 @@ _ERRORS = {
     "height_error_m": "car's height, mm",
     "placed_error_m": "place set down, mm",
     "bystander_displacement_m": "others moved, mm",
+    "thing_heading_rad": "heading of what is handled, mrad",
+    "reach_m": "its reach out of its cell, mm",
+    "bystander_turn_rad": "others turned, mrad",
+    "drift_m": "others from where they were left, mm",
 }
 
 

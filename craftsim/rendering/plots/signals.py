@@ -67,7 +67,7 @@ class Signals:
             tuple(_car(trajectory, car) for car in range(len(site.cars))),
             tuple(trajectory.qpos[:, slope.hinge.qpos] for slope in site.slopes),
             _finite(trajectory.contact),
-            impact_limit_n(story.recipe.setup.machines),
+            story.recipe.setup.thresholds.force * impact_limit_n(story.recipe.setup.machines),
             trajectory.wanted,
         )
 

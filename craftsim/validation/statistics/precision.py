@@ -18,8 +18,12 @@ ERRORS: Final = (
     "height_error_m",
     "placed_error_m",
     "bystander_displacement_m",
+    "thing_heading_rad",
+    "reach_m",
+    "bystander_turn_rad",
+    "drift_m",
 )
-"""Fields of an attempt that say how far physics was from the prediction."""
+"""Fields of an attempt that say how far physics was from the prediction; older records lack the last four."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,13 @@ class Precision:
     errs by that takes durations from the table."""
     peak_force_n: Distribution | None
     """Of all attempts, also those that did not do as predicted."""
+    thing_heading_mrad: Distribution | None = None
+    """Of what was set down, folded or unfolded, and of what is carried against its car."""
+    reach_mm: Distribution | None = None
+    """How much nearer the same comes to a neighbouring cell than it should."""
+    bystander_turn_mrad: Distribution | None = None
+    drift_mm: Distribution | None = None
+    """The furthest that anything which the action does not concern was from where it was left, at any time."""
 
 
 def drift(records: Iterable[Record]) -> dict[str, Distribution | None]:
@@ -90,6 +101,10 @@ def precision(attempts: Iterable[AttemptRecord]) -> Precision:
         bystander_displacement_mm=Distribution.of(found["bystander_displacement_m"]),
         duration_error_s=Distribution.of(durations.deviations()),
         peak_force_n=Distribution.of(forces),
+        thing_heading_mrad=Distribution.of(found["thing_heading_rad"]),
+        reach_mm=Distribution.of(found["reach_m"]),
+        bystander_turn_mrad=Distribution.of(found["bystander_turn_rad"]),
+        drift_mm=Distribution.of(found["drift_m"]),
     )
 
 
@@ -98,6 +113,6 @@ def errors(attempts: Iterable[AttemptRecord]) -> dict[str, array[float]]:
     found = {name: array("d") for name in ERRORS}
     for attempt in filter(as_predicted, attempts):
         for name, values in found.items():
-            if attempt[name] is not None:
-                values.append(1e3 * abs(attempt[name]))
+            if (error := attempt.get(name)) is not None:
+                values.append(1e3 * abs(error))
     return found

@@ -165,7 +165,7 @@ _WORKSHOP_FLOOR: Final = replace(
 # at these limits can meet in the gap between their cells; they then displace each other, which bystander_m bounds.
 _MILD_LIMITS: Final = Thresholds(0.0015, 0.0045, 0.002, 0.001, 0.002, placed_heading_rad=0.0075)
 _STRONG_LIMITS: Final = Thresholds(
-    *(0.003, 0.009, 0.004, 0.002, 0.003), placed_heading_rad=0.015, bystander_rad=0.008
+    *(0.003, 0.009, 0.004, 0.002, 0.003), tilt_rad=0.015, placed_heading_rad=0.015, bystander_rad=0.008
 )
 
 RANDOMIZE: Final[Mapping[Randomize, tuple[Thresholds, DomainRandomization]]] = {

@@ -1,7 +1,7 @@
 """An attempt is judged by limits set beforehand, and says in one line what went wrong physically."""
 
 import json
-from dataclasses import asdict, fields, replace
+from dataclasses import MISSING, asdict, fields, replace
 
 import numpy as np
 import pytest
@@ -80,6 +80,13 @@ def test_an_attempt_is_json(shoved):
     attempt = shoved[2]
     fields = json.loads(json.dumps(asdict(attempt), allow_nan=False))
     assert Attempt.of(fields) == attempt
+
+
+def test_an_older_record_without_the_newer_errors_is_read(shoved):
+    known = {field.name for field in fields(Attempt) if field.default is MISSING}
+    old = {name: value for name, value in asdict(shoved[2]).items() if name in known}
+    read = Attempt.of(old)
+    assert (read.result, read.reach_m, read.drift_m) == (shoved[2].result, None, None)
 
 
 def _spoilt(good, verdict=None, **changes):

@@ -77,7 +77,9 @@ class Executor:
         self._localiser = (
             None
             if assumed.exact_pose
-            else Localiser(assumed, period, [car.parameters for car in site.cars], self.gains.localisation)
+            else Localiser(
+                assumed, period, [car.parameters for car in site.cars], self.gains.localisation, site.size
+            )
         )
         n = len(site.cars)
         self._constants = records(n, CONSTANTS)

@@ -27,13 +27,15 @@ FILTER: Final = np.dtype(
 
 
 @compiled
-def correct(known: Record, off: float, variance: float) -> bool:
+def correct(known: Record, off: float, variance: float, first_held: int = _N, n_held: int = 0) -> bool:
     """Take a measurement into a FILTER; return False for an outlier.
 
     Args:
         known: the filter, with the slopes of the measurement; they are zero afterwards.
         off: by how much the measurement is above what was expected.
         variance: of the measurement.
+        first_held: the first of ``n_held`` figures that the measurement leaves as they are, however unsure they are: it
+            says nothing of them by itself (a Schmidt-Kalman filter).
     """
     state, covariance, slopes, shares = known.state, known.covariance, known.slopes, known.shares
     expected = variance
@@ -44,11 +46,15 @@ def correct(known: Record, off: float, variance: float) -> bool:
         expected += slopes[i] * shares[i]
     most = _OUTLIER * math.sqrt(expected)
     pull = max(-most, min(most, off)) / expected
+    last_held = first_held + n_held
     for i in range(_N):
         slopes[i] = 0.0
-        state[i] += shares[i] * pull
+        held = first_held <= i < last_held
+        if not held:
+            state[i] += shares[i] * pull
         for j in range(_N):
-            covariance[i, j] -= shares[i] * shares[j] / expected
+            if not (held and first_held <= j < last_held):
+                covariance[i, j] -= shares[i] * shares[j] / expected
     return abs(off) <= most
 
 

@@ -9,7 +9,8 @@ place. Uncertainty grows with the way travelled, for wheels slip.
   car moves, and all that it can say once the car has rested for long enough: a delay that is not known yet cannot make
   a car swing. How noisy localisations are is found from how they scatter at rest.
 - Below a block or a slope, which stands in the middle of its cell, line sensors say where the car is, at once and
-  without bias (:mod:`craftsim.skills.sighting`). Nothing else can tell a bias; what is learnt of it there stays known.
+  without bias (:mod:`craftsim.skills.sighting`), unless a car has set it down there. Nothing else can tell a bias: it
+  is changed only while such a cross is seen, and what is learnt of it there stays known.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from craftsim.skills.ages import WINDOW, assume_age, likeliest_age, weigh_ages
 from craftsim.skills.filtering import FILTER, correct
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import body_twist
-from craftsim.skills.sighting import CROSS, CROSS_X, sight
+from craftsim.skills.sighting import CROSS, CROSS_X, Flags, sight
 
 _OLDEST_S: Final = 0.3
 """The greatest age that is looked for, unless more is assumed."""
@@ -79,8 +80,12 @@ class Localiser:
         period_s: float,
         cars: Sequence[SmartcarParameters],
         gains: LocalisationGains,
+        size: Sequence[int],
     ) -> None:
-        """Expect readings with this noise at this period, of cars with these figures; they may come otherwise."""
+        """Expect readings with this noise at this period, of cars with these figures; they may come otherwise.
+
+        ``size`` is that of the world in cells, of which length and width count.
+        """
         n = len(cars)
         self.readings = records(n, READING)
         """(n,) READING: the newest, with the estimated poses in place of the localised ones."""
@@ -114,16 +119,28 @@ class Localiser:
         """x, y and heading by odometry alone at the end of each period; the newest first."""
         self._located = np.zeros((n, 3, WINDOW + 1))
         """The localisations; the newest first."""
+        self._moved = np.zeros(tuple(size[:2]), np.bool_)
+        """(length, width): whether a car has set something down in a column of cells."""
 
     def update(self, readings: Records) -> Records:
         """Take in the readings of all cars, shape (n,), and return :attr:`readings`."""
-        _update(readings, self._estimates, self._ages, self._odometry, self._located, self.readings)
+        _update(
+            readings,
+            *(self._estimates, self._ages, self._odometry, self._located, self._moved),
+            self.readings,
+        )
         return self.readings
 
 
 @compiled
 def _update(
-    readings: Records, estimates: Records, ages: Floats, odometry: Floats, located: Floats, out: Records
+    readings: Records,
+    estimates: Records,
+    ages: Floats,
+    odometry: Floats,
+    located: Floats,
+    moved: Flags,
+    out: Records,
 ) -> None:
     for i in range(len(readings)):
         out[i] = readings[i]
@@ -138,7 +155,7 @@ def _update(
             _start(estimate, rolled, seen, now)
         now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
         now.heading = rolled[_HEADING, 0] + state[_HEADING]
-        sight(now, estimate.known, estimate.cross)
+        sight(now, estimate.known, estimate.cross, moved)
         now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
         now.heading = wrap(rolled[_HEADING, 0] + state[_HEADING])
         now.position_std_m = math.sqrt(max(_variance(covariance, _X), _variance(covariance, _Y)))
@@ -187,7 +204,8 @@ def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats,
         off = located[k] - _at(rolled[k], age) - state[k] - state[_BIAS + k]
         # A localisation of unknown age says little of a car that moved.
         spread = _ALIKE * _spread(rolled[k], age, std) + _spread(rolled[k], age, estimate.jitter) + _LEAST
-        if not correct(known, off, estimate.noise[k] + spread):
+        # Without such a cross nothing tells a bias from slip, which is one-sided while a car turns one way.
+        if not correct(known, off, estimate.noise[k] + spread, _BIAS, 0 if estimate.cross.seen else 3):
             straight = False
             known.covariance[k, k] += (_DOUBT * off) ** 2
     if straight:

@@ -2,6 +2,10 @@
 
 By how much it is beside that is estimated, too, as long as its cross is seen: however often a car looks at one cross,
 it knows its place no better than that cross has been put there. Over several crosses this averages out.
+
+That holds for crosses that have been there from the start. What a car sets down stands where that car believed to be: a
+car that took it for the middle would pass its own error, or another car's, on to itself, with all that came to it in
+between, and so would the next one, without end. Below it a car knows only how it moves.
 """
 
 from __future__ import annotations
@@ -10,10 +14,13 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.compiled import Record, compiled
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.skills.filtering import correct, forget
+
+Flags = NDArray[np.bool_]
 
 _LOWERED_M: Final = 0.003
 """Below this height the board touches nothing: what is above stands where the map says."""
@@ -25,16 +32,16 @@ CROSS_X: Final = 6
 CROSS: Final = np.dtype(
     [
         *((name, "f8") for name in ("along_m", "across_m", "variance", "placed", "turned")),
-        *((name, "i8") for name in ("seen", "x", "y")),
+        *((name, "i8") for name in ("seen", "x", "y", "raised")),
     ],
     align=True,
 )
 """How far a car's line sensors are from its middle, before and behind, and beside; the variances of where a line is
-seen, and of where and how a cross stands; whether one is seen, and its cell."""
+seen, and of where and how a cross stands; whether one is seen, and its cell; whether the board was raised last."""
 
 
 @compiled
-def sight(now: Record, known: Record, cross: Record) -> None:
+def sight(now: Record, known: Record, cross: Record, moved: Flags) -> None:
     """Correct a pose by the lines that are seen of the cross above.
 
     A car that passes from below one cross to the next looks at the one until it has lost it.
@@ -43,8 +50,15 @@ def sight(now: Record, known: Record, cross: Record) -> None:
         now: the reading, with the pose as estimated so far.
         known: the FILTER of the estimate; its first figures are of x, y and heading.
         cross: the CROSS that the car looks at.
+        moved: (length, width), whether a car has set something down in a column of cells.
     """
-    if now.board_m > _LOWERED_M or abs(now.pitch) > _LEVEL_RAD or abs(now.roll) > _LEVEL_RAD:
+    if now.board_m > _LOWERED_M:
+        cross.raised, cross.seen = 1, 0
+        return
+    if cross.raised:
+        cross.raised = 0
+        _mark(moved, math.floor(now.x / CELL_PITCH_M), math.floor(now.y / CELL_PITCH_M))
+    if abs(now.pitch) > _LEVEL_RAD or abs(now.roll) > _LEVEL_RAD:
         cross.seen = 0
         return
     x, y, c, s = now.x, now.y, math.cos(now.heading), math.sin(now.heading)
@@ -58,6 +72,8 @@ def sight(now: Record, known: Record, cross: Record) -> None:
         place, axis = _sensor(cross, k, c, s)
         cell_x = math.floor((x + place[0]) / CELL_PITCH_M)
         cell_y = math.floor((y + place[1]) / CELL_PITCH_M)
+        if _is_marked(moved, cell_x, cell_y):
+            continue
         if not cross.seen:
             cross.seen, cross.x, cross.y = 1, cell_x, cell_y
             forget(known, CROSS_X, cross.placed)
@@ -81,6 +97,18 @@ def sight(now: Record, known: Record, cross: Record) -> None:
         for j in range(3):
             off -= slopes[j] * (state[j] - before[j]) + slopes[CROSS_X + j] * state[CROSS_X + j]
         correct(known, off, cross.variance)
+
+
+@compiled
+def _mark(moved: Flags, x: int, y: int) -> None:
+    """Remember that a car has set something down in a column; one that believes to be outside has no column."""
+    if 0 <= x < moved.shape[0] and 0 <= y < moved.shape[1]:
+        moved[x, y] = True
+
+
+@compiled
+def _is_marked(moved: Flags, x: int, y: int) -> bool:
+    return 0 <= x < moved.shape[0] and 0 <= y < moved.shape[1] and bool(moved[x, y])
 
 
 @compiled

@@ -7,7 +7,7 @@ from craftsim.models.measuring import Floats, Records
 from craftsim.models.motors import drive_wheels
 from craftsim.skills.driving_law import drive_law, path_pose
 from craftsim.skills.folding import hinge_law
-from craftsim.skills.ground import feel_ground
+from craftsim.skills.ground import feel_ground, is_sloping
 from craftsim.skills.health import check_health
 from craftsim.skills.holding import hold_law
 from craftsim.skills.leading import find_lag, lead_wheels
@@ -62,8 +62,11 @@ def step_cars(
         elif task.law != OWN:
             _step(readings, tasks, past, constants, commands, car)
             ended += task.status != RUNNING
-        find_lag(leads[car], readings[car].wheel_speeds)
         known = constants[car]
+        # On a slope wheels follow their servos only as far as they have grip.
+        if not is_sloping(readings[car], task, known):
+            most_behind = known.car.wheel_torque_nm / known.car.wheel_gain_nms_rad
+            find_lag(leads[car], readings[car].wheel_speeds, most_behind)
         lead_wheels(leads[car], commands[car].wheels, known.car.wheel_speed_rad_s, known.period_s)
         drive_wheels(commands[car].wheels, wheel_speeds[car], wheel_share, cars[car], ctrl)
         ctrl[cars[car].board_motor] = commands[car].board

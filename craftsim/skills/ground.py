@@ -36,9 +36,16 @@ is too large, but may be noise; whether it ever was too large beyond doubt."""
 
 
 @compiled
+def is_sloping(now: Record, task: Record, known: Record) -> bool:
+    """Return whether a car stands on a slope, or drives from or onto one."""
+    leans = max(abs(now.pitch), abs(now.roll)) > known.hold.level
+    return bool(leans or (task.law == DRIVE and task.drive.sloping))
+
+
+@compiled
 def feel_ground(ground: Record, now: Record, task: Record, known: Record) -> None:
     """Take a car's reading into its GROUND, unless it stands on a slope or drives from or onto one."""
-    if max(abs(now.pitch), abs(now.roll)) > known.hold.level or (task.law == DRIVE and task.drive.sloping):
+    if is_sloping(now, task, known):
         return
     ground.n_read += 1
     share = 1 / min(float(ground.n_read), max(1.0, known.uneven.tilt_time / known.period_s))

@@ -42,10 +42,21 @@ def leads(n_cars: int, period_s: float) -> Records:
 
 
 @compiled
-def find_lag(lead: Record, wheel_speeds: Floats) -> None:
-    """Take in how fast the wheels turn, a control period after a command."""
+def find_lag(lead: Record, wheel_speeds: Floats, most_behind: float) -> None:
+    """Take in how fast the wheels turn, a control period after a command.
+
+    Args:
+        lead: of the car.
+        wheel_speeds: (4,) rad/s, measured.
+        most_behind: rad/s, by how much a servo that gives all its torque differs from its wheel. A wheel that is
+            further off lacks torque or grip, which says nothing of the lag.
+    """
+    steps, _ = likeliest_age(lead.mismatches)
+    below = min(int(steps), _N - 2)
+    part = steps - below
     for wheel in range(4):
-        if lead.sent[wheel] != 0.0:
+        servo = lead.servos[below, wheel] * (1 - part) + lead.servos[below + 1, wheel] * part
+        if lead.sent[wheel] != 0.0 and abs(servo - wheel_speeds[wheel]) < most_behind:
             for k in range(_N):
                 off = wheel_speeds[wheel] - lead.servos[k, wheel]
                 lead.mismatches[k] += (off / _UNSURE_RAD_S) ** 2

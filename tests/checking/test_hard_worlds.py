@@ -24,11 +24,15 @@ FORBIDDEN = {
 }
 """By world, the rule flag that forbids its action."""
 WORKS = ("climb_above_top_H1", "climb_above_top_H2")
+TURNS = {"rollers": "turn_walk.actions", "reduced": "turn_walk_reduced.actions"}
+"""By drive, the actions of a car that lifts, turns and sets down one block again and again in the world turn_walk."""
+SLOPES = ("climb_foot", "descend_top")
+"""Worlds whose only action ends on a slope."""
 
 
 def test_every_world_is_decided():
     names = {path.stem for path in WORLDS.glob("*.yaml")}
-    assert names == {*FORBIDDEN, *WORKS, "solver_1007"}
+    assert names == {*FORBIDDEN, *WORKS, *SLOPES, "turn_walk", "solver_1007"}
 
 
 @pytest.mark.parametrize("name", FORBIDDEN)
@@ -49,6 +53,21 @@ def test_physics_refuses_it(name):
 def test_a_car_drives_up_to_the_level_above_the_top(name):
     result = validate(WORLDS / f"{name}.yaml", actions=WORLDS / f"{name}.actions")
     assert len(result.attempts) == 3
+    assert result.agrees, [attempt.reason for attempt in result.attempts]
+
+
+@pytest.mark.parametrize("drive", TURNS)
+def test_headings_do_not_walk_while_a_car_lifts_turns_and_sets_down_one_block(drive):
+    result = validate(WORLDS / "turn_walk.yaml", actions=WORLDS / TURNS[drive], drive=drive)
+    assert len(result.attempts) == 24
+    assert result.agrees, [attempt.reason for attempt in result.attempts]
+
+
+@pytest.mark.parametrize("name", SLOPES)
+def test_the_first_action_of_a_car_may_end_on_a_slope(name):
+    world, actions = WORLDS / f"{name}.yaml", WORLDS / f"{name}.actions"
+    result = validate(world, actions=actions, drive="reduced", randomize="mild", trials=8)
+    assert len(result.attempts) == 8
     assert result.agrees, [attempt.reason for attempt in result.attempts]
 
 

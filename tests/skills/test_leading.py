@@ -10,10 +10,12 @@ from craftsim.checking.world import set_up
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
 from craftsim.models.noise import SensorNoise
+from craftsim.models.parameters import NOMINAL
 from craftsim.skills.ages import likeliest_age
 from craftsim.skills.leading import find_lag, lead_wheels, leads
 
 PERIOD_S = 0.02
+MOST_BEHIND = NOMINAL.cars[0].wheel_torque_nm / NOMINAL.cars[0].wheel_gain_nms_rad
 
 
 def _turn(lag_s, n=60):
@@ -21,7 +23,7 @@ def _turn(lag_s, n=60):
     lead, speeds = leads(1, PERIOD_S)[0], np.zeros(4)
     share = 1 - math.exp(-PERIOD_S / lag_s) if lag_s else 1.0
     for k in range(n):
-        find_lag(lead, speeds)
+        find_lag(lead, speeds, MOST_BEHIND)
         wanted = np.full(4, 0.2 * (k + 1))
         told = wanted.copy()
         lead_wheels(lead, told, 20.0, PERIOD_S)
@@ -35,6 +37,17 @@ def test_wheels_keep_up_with_what_is_wanted_however_much_motors_lag(lag_s):
     assert found_s == pytest.approx(lag_s, abs=0.006)
     # Without a lead a ramp of 10 rad/s^2 would be behind by the lag.
     assert abs(behind) < 0.03
+
+
+def test_wheels_that_lack_grip_are_not_taken_to_lag():
+    lead, speeds = leads(1, PERIOD_S)[0], np.zeros(4)
+    for k in range(30):
+        find_lag(lead, speeds, MOST_BEHIND)
+        told = np.full(4, 0.8 * (k + 1))
+        lead_wheels(lead, told, 20.0, PERIOD_S)
+        # Prompt motors, whose wheels speed up by no more than this.
+        speeds += np.minimum(told - speeds, 0.4)
+    assert 0.01 * likeliest_age(lead["mismatches"])[0] < 0.025
 
 
 def test_four_zeros_stop_at_once():

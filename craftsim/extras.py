@@ -31,4 +31,5 @@ def install(extra: str) -> str:
     """
     mark = re.compile(rf"(.*?)\s*;\s*extra == ['\"]{extra}['\"]")
     wanted = [found[1] for line in requires("craftsim") or [] if (found := mark.fullmatch(line))]
-    return " ".join([sys.executable, "-m pip install", *(f"'{requirement}'" for requirement in wanted)])
+    named = " ".join(f"'{requirement}'" for requirement in wanted)
+    return f"{sys.executable} -m pip install {named}"

@@ -16,10 +16,21 @@ from craftsim.processes import spawn_context
 
 PACKAGE = Path(craftsim.__file__).parent
 CRAFTSIM = [str(Path(sys.executable).with_name("craftsim"))]
+
+
+def _python(code):
+    """Return what a fresh interpreter prints, as words: what this one has imported may have changed its path."""
+    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.split("\n")[:-1]
+
+
+PLACES = _python("import sys; print(*sys.path, sep='\\n')")
 MODULES = {
     name
     for name in {*sys.stdlib_module_names, *packages_distributions()} - {"craftsim"}
-    if name.isidentifier() and (spec := PathFinder.find_spec(name)) is not None and spec.origin is not None
+    if name.isidentifier()
+    and (spec := PathFinder.find_spec(name, PLACES)) is not None
+    and spec.origin is not None
 }
 """Those that are there; a folder without an __init__.py comes after all else, wherever it lies."""
 PLANTED = "import sys\nwith open({!r}, 'a') as file:\n    print(__name__, sys.argv, file=file)\nraise SystemExit(9)\n"
@@ -85,9 +96,9 @@ def test_a_command_runs_nothing_that_lies_in_the_working_folder(folder, words):
 
 
 def test_started_with_m_it_looks_there_for_nothing_either(folder):
-    # What craftsim's first line imports, Python has looked up before anything of ours runs.
-    for name in ("ast", "inspect", "lazy_loader"):
-        (folder / f"{name}.py").unlink()
+    # What Python and the first lines of ours import has been looked up before the folder is left out.
+    for name in _python("import __future__, runpy, sys, craftsim.modules; print(*sys.modules, sep='\\n')"):
+        (folder / f"{name}.py").unlink(missing_ok=True)
     words = (sys.executable, "-m", "craftsim", *VALIDATE, "--workers", "2", "--video", "none", "--out", "out")
     done = _run(folder, *words)
     assert done.returncode == 0, done.stderr

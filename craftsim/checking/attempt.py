@@ -155,7 +155,7 @@ class Attempt:
 
 
 @dataclass(frozen=True)
-class Measure:
+class BoundedError:
     """An error of an action, and the limit that it is held against."""
 
     field: str
@@ -167,23 +167,23 @@ class Measure:
     """Whether it is about what the action does not concern."""
 
 
-MEASURES: Final = (
-    Measure("car_error_m", "car_m", "the car is {} off"),
-    Measure("heading_error_rad", "heading_rad", "the car is turned by {}"),
-    Measure("height_error_m", "height_m", "the car's height is {} off"),
-    Measure("tilt_error_rad", "tilt_rad", "the car leans by {}"),
-    Measure("placed_error_m", "placed_m", "the thing is set down {} off"),
-    Measure("seat_error_m", "placed_m", "the load is {} off its seat"),
-    Measure("thing_heading_rad", "placed_heading_rad", "the thing is turned by {}"),
-    Measure("thing_tilt_rad", "tilt_rad", "the thing leans, or its hinge stands, {} off"),
-    Measure("thing_height_m", "height_m", "the thing's height is {} off"),
-    Measure("reach_m", "placed_m", "the thing is {} too near to a neighbouring cell"),
-    Measure("bystander_displacement_m", "bystander_m", "{name} was moved by {}", True),
-    Measure("bystander_turn_rad", "bystander_rad", "{name} was turned by {}", True),
-    Measure("drift_m", "bystander_m", "{name} was {} away from where it was left", True),
-    Measure("drift_rad", "bystander_rad", "{name} was turned {} away from how it was left", True),
-    Measure("bystander_reach_m", "placed_m", "{name} is {} too near to a neighbouring cell", True),
-    Measure("bystander_tilt_rad", "tilt_rad", "{name} leans, or its hinge stands, {} off", True),
+BOUNDED_ERRORS: Final = (
+    BoundedError("car_error_m", "car_m", "the car is {} off"),
+    BoundedError("heading_error_rad", "heading_rad", "the car is turned by {}"),
+    BoundedError("height_error_m", "height_m", "the car's height is {} off"),
+    BoundedError("tilt_error_rad", "tilt_rad", "the car leans by {}"),
+    BoundedError("placed_error_m", "placed_m", "the thing is set down {} off"),
+    BoundedError("seat_error_m", "placed_m", "the load is {} off its seat"),
+    BoundedError("thing_heading_rad", "placed_heading_rad", "the thing is turned by {}"),
+    BoundedError("thing_tilt_rad", "tilt_rad", "the thing leans, or its hinge stands, {} off"),
+    BoundedError("thing_height_m", "height_m", "the thing's height is {} off"),
+    BoundedError("reach_m", "placed_m", "the thing is {} too near to a neighbouring cell"),
+    BoundedError("bystander_displacement_m", "bystander_m", "{name} was moved by {}", True),
+    BoundedError("bystander_turn_rad", "bystander_rad", "{name} was turned by {}", True),
+    BoundedError("drift_m", "bystander_m", "{name} was {} away from where it was left", True),
+    BoundedError("drift_rad", "bystander_rad", "{name} was turned {} away from how it was left", True),
+    BoundedError("bystander_reach_m", "placed_m", "{name} is {} too near to a neighbouring cell", True),
+    BoundedError("bystander_tilt_rad", "tilt_rad", "{name} leans, or its hinge stands, {} off", True),
 )
 """All errors with their limits, in the order in which reasons name them: those of the car first."""
 
@@ -257,7 +257,7 @@ def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:
         differences=verdict.differences,
         predicted=describe_car(step.after, step.car),
         read=evidence.read,
-        **{measure.field: getattr(evidence, measure.field) for measure in MEASURES},
+        **{measure.field: getattr(evidence, measure.field) for measure in BOUNDED_ERRORS},
         start_s=evidence.start_s,
         duration_s=0.0 if outcome is None else round(outcome.duration_s, 6),
         peak_force_n=evidence.peak_force_n,
@@ -327,7 +327,7 @@ def capped_text(steps: int) -> str:
 def _excesses(evidence: Evidence, limits: Thresholds, of_bystanders: bool) -> Iterator[str]:
     """Describe each error that is over its limit, or no number; of each bystander one distance and one angle."""
     described = set()
-    for measure in MEASURES:
+    for measure in BOUNDED_ERRORS:
         value, limit = getattr(evidence, measure.field), getattr(limits, measure.limit)
         if measure.of_bystanders is not of_bystanders or value is None or value <= limit:
             continue

@@ -13,10 +13,10 @@ from craftsim.errors import InputError
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import Machines
 from craftsim.models.site import Site
-from craftsim.robots.area import Area
 from craftsim.robots.link import TIMEOUT_S, Link
 from craftsim.robots.mirror import Mirror
 from craftsim.robots.sockets import Caller
+from craftsim.robots.surroundings import Surroundings
 
 
 def world_digest(grid: Grid) -> str:
@@ -53,7 +53,9 @@ class Connection:
             digest = world_digest(grid)
             self.site = Site(grid, config, goals, reset=False, machines=machines)
             n_slopes, period_s = len(self.site.slopes), self.site.config.control_period_s
-            self.link = Link(self._callers[0], grid.n_cars, machines, digest, timeout_s, Area(grid.size))
+            self.link = Link(
+                self._callers[0], grid.n_cars, machines, digest, timeout_s, Surroundings(grid.size)
+            )
             welcome = self.link.welcome
             if welcome.slopes != n_slopes:
                 raise InputError(f"the robots know of {welcome.slopes} slopes, and there are {n_slopes}")

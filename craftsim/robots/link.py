@@ -16,7 +16,6 @@ from typing import Final, Protocol
 from craftsim.errors import InputError
 from craftsim.models.measuring import Records
 from craftsim.models.parameters import Machines
-from craftsim.robots.area import Area
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.messages import (
     COPIES,
@@ -32,6 +31,7 @@ from craftsim.robots.messages import (
     pack,
     unpack,
 )
+from craftsim.robots.surroundings import Surroundings
 from craftsim.robots.wires import Harness
 from craftsim.skills.skill import Command
 
@@ -85,7 +85,7 @@ class Link:
         machines: Machines,
         world: str = "",
         timeout_s: float = TIMEOUT_S,
-        area: Area | None = None,
+        surroundings: Surroundings | None = None,
     ) -> None:
         """Say hello to the robots, and listen for half a second how long messages take.
 
@@ -95,7 +95,7 @@ class Link:
             machines: their figures.
             world: digest of the world in which they should stand.
             timeout_s: without a message of use for so long they count as lost.
-            area: where they can be, if that is known.
+            surroundings: where they can be, if that is known.
 
         Raises InputError where nobody answers, or they refuse.
         """
@@ -106,7 +106,7 @@ class Link:
         """Messages that were none, or said what cannot be."""
         self._why_dropped = ""
         """Of the last of these, in brackets."""
-        self._area = area
+        self._surroundings = surroundings
         self.welcome = self._greet(n_cars, world)
         period_s = self.period_s = self.welcome.period_s
         self._harness = Harness(n_cars, self.welcome.slopes)
@@ -273,7 +273,7 @@ class Link:
         for car, now in enumerate(message.cars):
             if now.slope is not None and now.slope >= self.welcome.slopes:
                 why = f"car {car} docked to slope {now.slope}; there are {self.welcome.slopes}"
-            elif self._area is not None and not self._area.holds(now.x, now.y, now.z):
+            elif self._surroundings is not None and not self._surroundings.holds(now.x, now.y, now.z):
                 why = f"car {car} at ({now.x:g}, {now.y:g}, {now.z:g}) m, outside the world"
         if why:
             self._drop(why)

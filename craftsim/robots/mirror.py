@@ -10,9 +10,9 @@ import numpy as np
 
 from craftsim.models.parts import FreeBody
 from craftsim.models.site import Site
-from craftsim.robots.area import Area
 from craftsim.robots.link import Messenger
 from craftsim.robots.messages import Follow, Measurements, MessageError, TruePoses, pack, unpack
+from craftsim.robots.surroundings import Surroundings
 
 _KEPT: Final = 64
 """TruePoses that are kept: those of a measurement are there before it has come."""
@@ -31,7 +31,7 @@ class Mirror:
         """Show on a Site, which is never stepped, what a referee publishes; ``ticket`` is that of the driver."""
         self.site, self._referee = site, referee
         referee.send(pack(Follow(ticket)))
-        self._area = Area(site.size)
+        self._surroundings = Surroundings(site.size)
         self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
         handles = [*(car.base for car in site.cars), *site.blocks, *site.flags]
         self._bodies: tuple[FreeBody, ...] = (*handles, *(slope.base for slope in site.slopes))
@@ -71,7 +71,7 @@ class Mirror:
             return " (dropped: {} cars, {} things and {} hinges; there are {}, {} and {})".format(
                 *came, *there
             )
-        if not all(self._area.holds(*pose[:3]) for pose in (*poses.cars, *poses.things)):
+        if not all(self._surroundings.holds(*pose[:3]) for pose in (*poses.cars, *poses.things)):
             return " (dropped: poses outside the world)"
         if not self._seen or poses.time_s > self._seen[-1].time_s + _EPSILON_S:
             self._seen.append(poses)

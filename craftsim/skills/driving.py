@@ -102,6 +102,8 @@ class Move(DrivingSkill):
         if self.terrain.tight:
             speed = min(speed, gains.max_tight_speed)
             acceleration = min(acceleration, gains.max_tight_acceleration)
+            if self.terrain.sloping:
+                acceleration = min(acceleration, gains.max_tight_slope_acceleration)
         steepest = max(abs(self.terrain.start_rad), abs(self.terrain.end_rad))
         top_speed, force = self._motor_limits(steepest)
         most = force / (self._mass_kg + self._load_kg + self._spin_mass_kg)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from craftsim.checking import checked_site
-from craftsim.checking.attempt import MEASURES, Attempt, Result, judge, result_of
+from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Result, judge, result_of
 from craftsim.checking.contact_log import Contact
 from craftsim.checking.forces import impact_limit_n
 from craftsim.checking.safety import Hazard
@@ -164,10 +164,10 @@ def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):
 
 
 def test_every_limit_is_that_of_an_error_and_every_error_is_held_against_one():
-    limits = {measure.limit for measure in MEASURES} | {"force"}  # which the contact log holds
+    limits = {measure.limit for measure in BOUNDED_ERRORS} | {"force"}  # which the contact log holds
     assert limits == {f.name for f in fields(Thresholds)}
     errors = {f.name for f in fields(Attempt) if f.name.endswith(("_m", "_rad"))}
-    assert errors == {measure.field for measure in MEASURES}
+    assert errors == {measure.field for measure in BOUNDED_ERRORS}
 
 
 def test_what_the_rules_forbid_is_not_performed_and_says_which_rule():

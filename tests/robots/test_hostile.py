@@ -18,7 +18,6 @@ from craftsim.cli import main
 from craftsim.discrete.actions import Action
 from craftsim.errors import InputError
 from craftsim.models.sensing import CarMeasurement
-from craftsim.robots.area import Area
 from craftsim.robots.channel import Channel, Network
 from craftsim.robots.link import Link
 from craftsim.robots.messages import Ack, Bye, Commands, Follow, Hello, Measurements, Welcome, pack, unpack
@@ -27,6 +26,7 @@ from craftsim.robots.serving import Server
 from craftsim.robots.simulated import SimulatedClock, SimulatedReferee, simulated_robots
 from craftsim.robots.sockets import Host
 from craftsim.robots.station import Station
+from craftsim.robots.surroundings import Surroundings
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
 
@@ -109,7 +109,7 @@ def test_robots_that_say_what_cannot_be_are_lost_in_words(make_robots, clock, li
     robots = make_robots(SIZE, CARS)
     robots.checked.executor.begin(0, Action.MOVE_RIGHT)
     robots.checked.executor.advance()
-    robots.link._area = Area(SIZE)
+    robots.link._surroundings = Surroundings(SIZE)
     robots.link._transport = Lying(robots.driver, lie, clock)
     ended = {}
     for _ in range(3000):

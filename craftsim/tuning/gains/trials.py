@@ -12,7 +12,7 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from craftsim.checking.attempt import MEASURES, Attempt
+from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.actions import Action
@@ -130,7 +130,7 @@ def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
     own, of_it_all = (
         _worst(
             (getattr(attempt, measure.field) or 0.0, getattr(limits, measure.limit))
-            for measure in MEASURES
+            for measure in BOUNDED_ERRORS
             if of_bystanders or not measure.of_bystanders
         )
         for of_bystanders in (False, True)

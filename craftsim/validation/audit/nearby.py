@@ -4,6 +4,8 @@ Merged are neighbours that physics cannot tell apart: of one kind, whichever way
 action by the same solids to a tenth of a millimetre, and the rules alike. One stands for all of them; mirror images,
 and flags for blocks, are left out from the start. Neighbours of a kind that are in the way, or
 forbidden and close, are one row, and so are all out of reach; what is allowed although it is close is a row each.
+Left out of what the physical rules allow are starts to which no play of theirs leads, for a load has no room there: in
+three a block that leans on a ramp stands 0.8 mm deep in the gear of a slope that another car carries.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind
-from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.discrete.rules import RULE_FLAGS, Rules, RuleSet
+from craftsim.discrete.rules.sets import world_of
 from craftsim.discrete.rules.table import ACTIONS
 from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.contexts.context import DIRECTION_NAMES
@@ -24,6 +27,7 @@ from craftsim.validation.neighbourhoods.occupants import occupants
 from craftsim.validation.neighbourhoods.scenery import draw, without
 from craftsim.validation.neighbourhoods.situations import LEVEL, situations
 from craftsim.validation.neighbourhoods.table import Entry, read_entries
+from craftsim.validation.play.cars import has_room
 
 _MARGIN: Final = 3
 """Free columns round all, since what is beside the map counts as wall."""
@@ -74,6 +78,8 @@ def nearby(rule_set: RuleSet, verbs: Collection[str] = ()) -> list[tuple[Nearby,
         legal = rules.legal(grid, 0, situation.action)
         if not legal and not rules.legal(without(grid, here), 0, situation.action):
             continue
+        if legal and rule_set == "physical" and not _has_room(grid):
+            continue
         key = (entry.situation, _TURNS.sub("", entry.occupant), legal, *_met(entry))
         if key not in found:
             clearance = float(entry.clearance_mm) if entry.clearance_mm else None
@@ -81,6 +87,12 @@ def nearby(rule_set: RuleSet, verbs: Collection[str] = ()) -> list[tuple[Nearby,
             size, things, cars = _cropped(grid)
             found[key] = Nearby(name, things, cars, (situation.action,), None, size, clearance), legal
     return list(found.values())
+
+
+def _has_room(grid: Grid) -> bool:
+    """Return whether the physical rules can have led here: with each load clear of all else."""
+    world = world_of(grid, RULE_FLAGS["physical"])
+    return all(has_room(world, grid, car) for car in range(grid.n_cars))
 
 
 def _met(entry: Entry) -> tuple[object, ...]:

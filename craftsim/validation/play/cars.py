@@ -63,7 +63,7 @@ def put_load(grid: Grid, car: int, place: Place, rng: np.random.Generator) -> No
     back = (int(row[CarField.YAW]) + 2) % 4
     row[CarField.LOAD], row[CarField.LOAD_YAW] = load, back if load == Kind.FSLOPE else 0
     world = world_of(grid, RULE_FLAGS["physical"])
-    if not all(_has_room(world, grid, other) for other in range(grid.n_cars)):
+    if not all(has_room(world, grid, other) for other in range(grid.n_cars)):
         row[CarField.LOAD], row[CarField.LOAD_YAW] = Kind.AIR, 0
 
 
@@ -122,8 +122,8 @@ def _free(grid: Grid, cell: Cell) -> bool:
     return grid.kind_at((x, y, z - 1)) in (Kind.GROUND, Kind.BLOCK)
 
 
-def _has_room(w: World, grid: Grid, me: int) -> bool:
-    """Return whether what a car carries is clear of all else by the rules."""
+def has_room(w: World, grid: Grid, me: int) -> bool:
+    """Return whether what a car carries is clear of all else by the rules: else no play of them leads there."""
     car: Pose = pose_of(w, me)
     if car.load == Kind.AIR:
         return True

@@ -13,7 +13,7 @@ _AROUND_M: Final = 10.0
 
 
 @dataclass(frozen=True)
-class Area:
+class Surroundings:
     """The surroundings of a world."""
 
     size: Cell
@@ -23,7 +23,7 @@ class Area:
         """Return whether something can be at this position, in metres.
 
         Example:
-            >>> Area((3, 1, 1)).holds(0.2, -5.0, 0.1), Area((3, 1, 1)).holds(40.0, 0.0, 0.1)
+            >>> Surroundings((3, 1, 1)).holds(0.2, -5.0, 0.1), Surroundings((3, 1, 1)).holds(40.0, 0.0, 0.1)
             (True, False)
         """
         nx, ny, nz = self.size

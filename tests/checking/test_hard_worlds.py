@@ -5,9 +5,12 @@ They came from random play and from looking where no context of the audit looks;
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from craftsim import SimulationConfig, validate
+from craftsim import Action, SimulationConfig, read_blueprint, validate
+from craftsim.checking.settings import setup_of
+from craftsim.checking.world import Seed, set_up
 
 WORLDS = Path(__file__).parents[1] / "data" / "worlds"
 FORBIDDEN = {
@@ -32,7 +35,7 @@ SLOPES = ("climb_foot", "descend_top")
 
 def test_every_world_is_decided():
     names = {path.stem for path in WORLDS.glob("*.yaml")}
-    assert names == {*FORBIDDEN, *WORKS, *SLOPES, "turn_walk", "solver_1007"}
+    assert names == {*FORBIDDEN, *WORKS, *SLOPES, "tight_climb", "turn_walk", "solver_1007"}
 
 
 @pytest.mark.parametrize("name", FORBIDDEN)
@@ -69,6 +72,13 @@ def test_the_first_action_of_a_car_may_end_on_a_slope(name):
     result = validate(world, actions=actions, drive="reduced", randomize="mild", trials=8)
     assert len(result.attempts) == 8
     assert result.agrees, [attempt.reason for attempt in result.attempts]
+
+
+@pytest.mark.parametrize("seed", [46, 119])
+def test_a_load_passes_stacks_up_a_slippery_ramp(seed):
+    start = read_blueprint(WORLDS / "tight_climb.yaml").grid(np.random.default_rng(0))
+    attempt = set_up(start, setup_of("mild", drive="reduced"), Seed((77, seed))).perform(0, Action.MOVE_BACK)
+    assert attempt.agrees, attempt.reason
 
 
 def test_the_solver_copes_with_six_cars_among_stacks_and_says_how_often_it_did_not():

@@ -58,6 +58,11 @@ def test_physical_allows_nothing_that_published_forbids():
     assert allowed["physical"] < allowed["published"]
 
 
+def test_what_the_physical_rules_allow_begins_where_their_play_can_lead():
+    close = [near.clearance_mm for near, legal in nearby("physical") if legal and near.clearance_mm is not None]
+    assert min(close, default=1) > 0
+
+
 @BOTH
 def test_a_full_audit_tries_each_row_often_and_each_context_and_stays_within_its_time(rules):
     items = items_of(audit_plan(rules), 20, 0, setup_of("none", rules))

@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint compiled format docs hooks importtime mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest recipes packages libraries clean
+.PHONY: help demo test lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest recipes packages libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -50,6 +50,9 @@ hooks: $(VENV)/installed-dev  ## Run linter, formatter and type checker before e
 
 importtime: $(VENV)/installed  ## Time "import craftsim" in fresh interpreters (the bar is 0.15 s)
 	$(BIN)/python scripts/import_time.py
+
+golden: $(VENV)/installed-dev  ## Compare what craftsim does with its golden records (ten minutes; ARGS=--write stores them, ARGS='--base REVISION' compares here)
+	PYTHONPATH=tests $(BIN)/python -m golden $(ARGS)
 
 mutants: $(VENV)/installed-dev  ## Mutation testing: break one grid rule at a time, list the tests that fail
 	$(BIN)/python tests/discrete/mutants.py

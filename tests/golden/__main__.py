@@ -1,0 +1,7 @@
+"""``python -m golden``, with ``tests`` on the path."""
+
+import sys
+
+from .golden import main
+
+sys.exit(main())

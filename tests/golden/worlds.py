@@ -1,0 +1,159 @@
+"""Golden records of what Python calls: rules, plans, worlds in physics, policies, names, machines and files."""
+
+from __future__ import annotations
+
+import inspect
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from discrete.worldgen import play, random_world
+
+import craftsim
+from craftsim import Action, Rules, make_task
+from craftsim.checking.settings import RANDOMIZE, nominal_gains, setup_of
+from craftsim.checking.world import Seed, set_up
+from craftsim.designs.drawn import random_start
+from craftsim.discrete.files.plan import shipped_plan
+from craftsim.discrete.files.saving import blueprint_text, design_text
+from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.models.parameters import NOMINAL
+from craftsim.skills.gains import load_gains
+from craftsim.training.policy import load_policy, shipped_policies
+from craftsim.validation.play.worlds import RandomWorlds
+
+from .golden import digest, record, text
+
+RULE_SETS = ("published", "physical")
+DRIVES = ("rollers", "reduced")
+
+
+@record("python", fast=True)
+def public_names() -> Any:
+    """Names of ``import craftsim`` with what they are and how they are called."""
+    found = {name: getattr(craftsim, name) for name in craftsim.__all__}
+    return {name: _signature(thing) for name, thing in found.items() if name != "__version__"}
+
+
+def _signature(thing: Any) -> str:
+    kind = "class" if inspect.isclass(thing) else "function" if callable(thing) else type(thing).__name__
+    try:
+        return f"{kind}{inspect.signature(thing)}"
+    except (TypeError, ValueError):
+        return kind
+
+
+@record("everywhere", fast=True)
+def digests() -> Any:
+    """Digests of gains and machines, and bytes of written blueprints and designs."""
+    rng = np.random.default_rng(11)
+    starts = {name: make_task(name).draw(np.random.default_rng(0)) for name in TASK_NAMES}
+    drawn = [random_start(rng) for _ in range(10)]
+    return {
+        "machines": NOMINAL.digest,
+        "gains": {name: load_gains(name).digest for name in ("robust", "fast")},
+        "nominal gains": nominal_gains().digest,
+        "starts": {name: digest(blueprint_text(grid)) for name, grid in starts.items()},
+        "random worlds": [digest(blueprint_text(RandomWorlds().grid(rng))) for _ in range(20)],
+        "random designs": [
+            [digest(blueprint_text(one.grid)), digest(design_text(one.design))] for one in drawn
+        ],
+    }
+
+
+@record("everywhere")
+def explanations() -> Any:
+    """The explanation of every action in 2,000 random worlds, most of them in the middle of a play."""
+    return {rules: _explained(Rules(rules), 500, 3) for rules in RULE_SETS}
+
+
+@record("everywhere", fast=True)
+def explanations_of_some() -> Any:
+    """The same in a few of these worlds."""
+    return {rules: _explained(Rules(rules), 12, 3) for rules in RULE_SETS}
+
+
+def _explained(rules: Rules, n: int, ticks: int) -> dict[str, Any]:
+    worlds: list[str] = []
+    kinds: Counter[str] = Counter()
+    for i in range(n):
+        rng = np.random.default_rng([7, i])
+        grids = [random_world(rng) if i % 4 else RandomWorlds().grid(rng)]
+        grids += [grid for _, grid in play(rules, grids[0], rng, ticks)]
+        said = []
+        for grid in grids:
+            for car in range(grid.n_cars):
+                for action in Action:
+                    why = rules.explain(grid, car, action)
+                    said.append(f"{car} {why}")
+                    kinds["legal" if why.legal else str(why.flag or "the published rules")] += 1
+        worlds.append(digest("\n".join(said)))
+    return {
+        "by correction": dict(kinds),
+        "by ten worlds": [digest("".join(worlds[i : i + 10])) for i in range(0, n, 10)],
+    }
+
+
+@record("everywhere")
+def plans() -> Any:
+    """Plans of the six tasks and of 30 random designs, by a fixed number of rounds."""
+    found = {}
+    for name in TASK_NAMES:
+        task = make_task(name)
+        found[name] = _planned(task.draw(np.random.default_rng(0)), task)
+    for seed in range(30):
+        drawn = random_start(np.random.default_rng([3, seed]), 0.4)
+        found[f"design {seed}"] = _planned(drawn.grid, drawn.design)
+    return found
+
+
+def _planned(start: Any, goal: Any) -> Any:
+    try:
+        planned = craftsim.plan(start, goal, rounds=3, time_s=600.0, seed=1)
+    except craftsim.errors.CraftsimError as error:
+        return str(error)
+    acts = [[[car, Action(action).name] for car, action in tick] for tick in planned.ticks]
+    return {
+        "ticks": len(acts),
+        "actions": sum(map(len, acts)),
+        "makespan_s": round(planned.makespan_s, 6),
+        "plan": digest(text(acts)),
+    }
+
+
+@record()
+def motion() -> Any:
+    """Positions after 5 s of the shipped plan of each task on each drive under each preset."""
+    found = {}
+    for name in TASK_NAMES:
+        task = make_task(name)
+        start = task.draw(np.random.default_rng(0))
+        actions = craftsim.read_plan(shipped_plan(name), start.n_cars).ticks
+        for drive in DRIVES:
+            for preset in RANDOMIZE:
+                judge = set_up(start, setup_of(preset, drive=drive), Seed((5,)))
+                for tick in actions:
+                    if judge.site.time_s > 5.0:
+                        break
+                    judge.perform_tick(tick)
+                data = judge.site.data
+                found[f"{name} {drive} {preset}"] = [
+                    round(data.time, 3),
+                    digest(data.qpos.tobytes() + data.qvel.tobytes()),
+                ]
+    return found
+
+
+@record()
+def policies() -> Any:
+    """Actions of the shipped policies on 50 starts each."""
+    found = {}
+    for name in shipped_policies():
+        policy = load_policy(name, seed=3)
+        env = craftsim.parallel_env(name, "grid")
+        chosen = []
+        for seed in range(50):
+            observations, _ = env.reset(seed=seed)
+            chosen.append([policy(observations)[agent] for agent in sorted(observations)])
+        found[name] = [digest(text(chosen[i : i + 10])) for i in range(0, 50, 10)]
+    return found

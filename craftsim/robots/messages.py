@@ -11,6 +11,7 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    FailFast,
     Field,
     GetPydanticSchema,
     TypeAdapter,
@@ -29,6 +30,10 @@ COPIES: Final = 2
 """Of all commands and measurements, so that few are lost: the first that comes counts."""
 _MOST_TEXT: Final = 1000
 
+_MOST_THINGS: Final = max(PHYSICS_CARS, PHYSICS_PARTS)
+"""In a list. What is too much is not looked at, and no list after its first mistake: else 64 KiB take seconds."""
+_MOST_FIELDS: Final = 32
+"""In a map; no message has as many."""
 _UNIT: Final = 1e-3
 """By how much the length of a quaternion may be off."""
 _Line = Annotated[float, Field(strict=True, ge=-1.0)]
@@ -175,7 +180,7 @@ class Measurements(Message):
     """By how much that came after the time for which it was meant; negative where it was early."""
     stops: Number
     """How often they have stopped because no command came."""
-    cars: Annotated[tuple[SentMeasurement, ...], Field(max_length=PHYSICS_CARS)]
+    cars: Annotated[tuple[SentMeasurement, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
 
 
 @dataclass(frozen=True)
@@ -187,7 +192,7 @@ class Commands(Message):
     """Counts up from 1 after each hello."""
     at_s: Seconds
     """When they are to begin with it; what comes too late is begun with at once."""
-    cars: Annotated[tuple[SentCommand, ...], Field(max_length=PHYSICS_CARS)]
+    cars: Annotated[tuple[SentCommand, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
 
 
 @dataclass(frozen=True)
@@ -223,10 +228,10 @@ class TruePoses(Message):
     number: Number
     """Of the measurements of the same time."""
     time_s: Seconds
-    cars: Annotated[tuple[Pose, ...], Field(max_length=PHYSICS_CARS)]
-    things: Annotated[tuple[Pose, ...], Field(max_length=PHYSICS_PARTS)]
+    cars: Annotated[tuple[Pose, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
+    things: Annotated[tuple[Pose, ...], FailFast(), Field(max_length=PHYSICS_PARTS)]
     """Blocks, flags, then slopes, each in the order of their cells."""
-    hinges: Annotated[tuple[Hinge, ...], Field(max_length=PHYSICS_PARTS)]
+    hinges: Annotated[tuple[Hinge, ...], FailFast(), Field(max_length=PHYSICS_PARTS)]
     """Of the slopes, in radians: 0 unfolded, pi folded."""
     capped_steps: Number = 0
     """Of a simulation: physics steps in which the solver gave up."""
@@ -259,7 +264,14 @@ def unpack(data: bytes) -> Message:
     if len(data) > MESSAGE_BYTES:
         raise MessageError(f"{len(data)} bytes; allowed: at most {MESSAGE_BYTES}")
     try:
-        content = msgpack.unpackb(data, max_str_len=_MOST_TEXT * 4, max_bin_len=0, max_ext_len=0)
+        content = msgpack.unpackb(
+            data,
+            max_str_len=_MOST_TEXT * 4,
+            max_bin_len=0,
+            max_ext_len=0,
+            max_array_len=_MOST_THINGS,
+            max_map_len=_MOST_FIELDS,
+        )
     except (ValueError, msgpack.UnpackException) as error:
         raise MessageError(f"no MessagePack: {error or type(error).__name__}") from None
     if not isinstance(content, dict) or "v" not in content or "kind" not in content:

@@ -16,7 +16,6 @@ from craftsim.robots.messages import (
     Measurements,
     Message,
     MessageError,
-    Refused,
     TruePoses,
     Welcome,
     pack,
@@ -30,7 +29,9 @@ Send = Callable[[bytes, bytes], None]
 _WATCHERS: Final = 8
 """Who look on at most; one more takes the place of the first."""
 _TOLD: Final = 10
-"""Of the messages that are dropped and of those that are refused, so many are said."""
+"""Of what becomes of messages, so much is said within _LATELY_S: whoever sends them, they fill no disk."""
+_LATELY_S: Final = 60.0
+"""By the robots' clock."""
 
 
 class Service:
@@ -63,7 +64,8 @@ class Service:
         self.periods = 0
         self._measured = False
         """Whether that has been done in this period."""
-        self._complaints = 0
+        self._told: deque[float] = deque(maxlen=_TOLD)
+        """When that was."""
         self.malformed = 0
         """Messages that were none, or out of place."""
         self._watchers: deque[bytes] = deque(maxlen=_WATCHERS)
@@ -104,7 +106,7 @@ class Service:
                 self._receive(sender, message, now_s)
         except (MessageError, ValueError) as error:
             self.malformed += 1
-            self._complain(f"dropped a message: {error}")
+            self._mention(f"dropped a message: {error}")
 
     def depart(self, sender: bytes) -> None:
         """Go on without somebody whose connection is closed."""
@@ -159,8 +161,7 @@ class Service:
         answer = self.station.receive(sender, message, now_s)
         if answer is not None:
             self._send(sender, pack(answer))
-            say = self._complain if isinstance(answer, Refused) else self._tell
-            say(f"{now_s:.2f} s: {answer.kind}")
+            self._mention(f"{now_s:.2f} s: {answer.kind}")
             if isinstance(answer, Welcome):
                 self.unseen.clear()
         if isinstance(message, Ack):
@@ -169,10 +170,10 @@ class Service:
             self.farewells += 1
             self.unseen.clear()
 
-    def _complain(self, line: str) -> None:
-        """Say why somebody is not obeyed, unless that was said often enough."""
-        self._complaints += 1
-        if self._complaints <= _TOLD:
+    def _mention(self, line: str) -> None:
+        """Say what became of a message, unless as much was said lately as is allowed."""
+        if len(self._told) < _TOLD or self.now_s - self._told[0] >= _LATELY_S:
+            self._told.append(self.now_s)
             self._tell(line)
 
     def _deliver(self, now_s: float) -> None:

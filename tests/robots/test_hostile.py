@@ -255,6 +255,20 @@ def test_robots_in_lock_step_leave_a_driver_that_is_silent(flood):
     assert sum("refused" in line or "dropped" in line for line in told) <= 10
 
 
+@pytest.mark.parametrize("waits", [False, True])
+def test_who_comes_and_goes_without_end_fills_no_log(waits):
+    server, service, wire, told = serve(waits)
+    for number in range(300):
+        sender = str(number).encode()
+        wire.waiting.extend(
+            [(sender, pack(Hello(1))), (sender, pack(Bye())), (sender, pack(Hello(1))), (sender, None)]
+        )
+    run(server, wire, 3000)
+    assert not wire.waiting
+    assert service.now_s < 60
+    assert 1 <= sum("welcome" in line for line in told) <= 10
+
+
 def test_robots_in_lock_step_obey_the_next_one_once_their_driver_is_gone():
     server, service, wire, _ = serve(waits=True)
     wire.waiting.append((b"driver", pack(Hello(1))))

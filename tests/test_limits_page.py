@@ -60,6 +60,7 @@ PHRASES = {
     "PACE": "pace, patience | 0 to 10000 ms, {},",
     "PATIENCE_S": "0 to 10000 ms, 0.01 to 100, {} s |",
     "ROBOT_CONNECTIONS": "| connections to robots | {} |",
+    "PAGE_CONNECTIONS": "| connections to the viewer | {} |",
     "PAGE_BYTES": "| a message of a page of the viewer | {} |",
     "MESSAGE_BYTES": "| a message to or from robots | {} |",
     "TIMEOUT_S": "| `--timeout` | {} s |",

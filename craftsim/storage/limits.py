@@ -203,6 +203,8 @@ MESSAGE_BYTES: Final = 64 * KIB
 """To or from robots."""
 PAGE_BYTES: Final = MIB
 """Of a message from a page of the viewer."""
+PAGE_CONNECTIONS: Final = 64
+"""To the viewer, at once; a page takes a few."""
 ROBOT_CONNECTIONS: Final = 32
 """To robots, at once; up to 64 KiB that has come and 320 KiB that wait to leave are kept of each."""
 

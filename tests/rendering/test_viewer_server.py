@@ -22,6 +22,7 @@ from websockets.sync import client as websocket
 
 from craftsim import Grid, LiveView, Site, Trajectory, cli
 from craftsim.errors import InputError
+from craftsim.storage.limits import PAGE_CONNECTIONS
 
 viser = pytest.importorskip("viser", reason="needs the extra 'view'")
 PROTOCOL = f"viser-v{viser.__version__}"
@@ -120,6 +121,21 @@ def test_strangers_write_nothing_on_the_terminal(capfd):
             with websocket.connect(f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL]) as page:
                 page.send(message)
                 assert page.recv(timeout=10)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_idle_connections_use_nothing_up(opened: LiveView, capfd):
+    port = int(opened.address.rsplit(":", 1)[1])
+    with contextlib.ExitStack() as stack:
+        idle = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5))
+            for _ in range(PAGE_CONNECTIONS + 20)
+        ]
+        for connection in idle[:20]:
+            with contextlib.suppress(ConnectionResetError):
+                assert connection.recv(1) == b""
+        assert got(port, f"127.0.0.1:{port}", None) == 200
+        assert talked(port, f"127.0.0.1:{port}", None) == 200
     assert capfd.readouterr() == ("", "")
 
 

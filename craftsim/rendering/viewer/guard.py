@@ -7,6 +7,7 @@ the same origin as the viewer then, and betrayed by that name in Host.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import http
 import ipaddress
@@ -24,7 +25,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from craftsim.storage.limits import PAGE_BYTES
+from craftsim.storage.limits import PAGE_BYTES, PAGE_CONNECTIONS
 
 _PROTOCOL: Final = f"viser-v{viser.__version__}"
 """Of the page that the server gives out: one that is still open from before an update should be loaded again."""
@@ -91,6 +92,16 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
 
     class Screened(ServerConnection):
         """viser believes what pages send: it sets any property of any part of the panel to any value."""
+
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            """Take up a connection, and let the one go that came first where there are too many.
+
+            They would use up the files that this process may open.
+            """
+            super().connection_made(transport)
+            there = [each for each in self.server.handlers if not each.transport.is_closing()]
+            for each in there[:-PAGE_CONNECTIONS]:
+                each.transport.abort()
 
         async def recv(self, decode: bool | None = None) -> Any:
             while True:

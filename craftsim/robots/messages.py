@@ -36,13 +36,20 @@ _MOST_FIELDS: Final = 32
 """In a map; no message has as many."""
 _UNIT: Final = 1e-3
 """By how much the length of a quaternion may be off."""
-_Line = Annotated[float, Field(strict=True, ge=-1.0)]
-"""How far a line lies from where it was looked for, infinitely where none is seen; no number is never as large."""
 
 
 def _real(low: float, high: float) -> Any:
     return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
 
+
+def _near(line: float) -> float:
+    if line > 1 and math.isfinite(line):
+        raise ValueError("a line lies within 1 m, or infinitely far")
+    return line
+
+
+_Line = Annotated[float, Field(strict=True, ge=-1.0), AfterValidator(_near)]
+"""How far a line lies from where it was looked for, in metres; infinitely where none is seen."""
 
 # What can be, whatever the machines: a thousand is 50 times what the wheels do, in rad/s. Types are those that
 # MessagePack has: "1" and true are no numbers.

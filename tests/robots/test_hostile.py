@@ -94,6 +94,7 @@ def clock_shows(time_s):
             for name in ("x", "heading")
         ),
         (measured(y=1e308), "dropped: measurements.cars.0.y"),
+        (measured(lines=[1e308] * 4), "dropped: measurements.cars.0.lines"),
         (measured(x=500.0), "dropped: car 0 at \\(500, .*outside the world"),
         (measured(slope=0, hinge_rad=0.0), "dropped: car 0 docked to slope 0; there are 0"),
         (lambda data: changed(data, cars=[]) if b"measurements" in data else data, "of 0 cars; there are 1"),

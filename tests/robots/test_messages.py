@@ -134,7 +134,7 @@ def told(wheel=1.0, board=0.0, hinge=0.0) -> dict:
         *((3, car(**{name: True}), name) for name in ("x", "heading", "board_m", "slope")),
         *((3, car(**{name: 1e308}), name) for name in ("board_m", "board_force_n", "hinge_rad")),
         (3, car(wheel_speeds=[0.0, 0.0, 0.0, 1e308]), "wheel_speeds.3"),
-        (3, car(lines=[0.0, 0.0, math.nan, 0.0]), "lines.2"),
+        *((3, car(lines=[0.0, 0.0, line, 0.0]), "lines.2") for line in (math.nan, 1e308, -math.inf)),
         (3, car(fresh=1), "fresh"),
         (3, car(slope=-1), "slope"),
         (1, {"referee": 1}, "referee"),

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Final, get_args, get_type_hints
 
 from craftsim.commands.text import complain, drop_output, reader_is_gone, show_what_can_be_shown
 from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
+from craftsim.modules import safe_path
 from craftsim.storage.limits import Range
 from craftsim.storage.paths import check_working_folder
 
@@ -63,7 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     show_what_can_be_shown()
     try:
         try:
-            return _answer(list(sys.argv[1:] if arguments is None else arguments))
+            with safe_path():
+                return _answer(list(sys.argv[1:] if arguments is None else arguments))
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()

@@ -5,9 +5,13 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
+
+SAFE_PATH = "PYTHONSAFEPATH"
+"""What keeps Python from looking for modules in the working folder first (``python -P``), for ``-c`` and ``-m``."""
 
 
 def import_own(name: str) -> ModuleType:
@@ -31,3 +35,25 @@ def leave_out_working_folder() -> None:
     with suppress(FileNotFoundError):
         if os.getcwd() == sys.path[0] != str(Path(__file__).parents[1]):
             del sys.path[0]
+
+
+@contextmanager
+def safe_path() -> Iterator[None]:
+    """Let no process of Python that is started in the block look for modules in the working folder first.
+
+    Packages that we use start some, too: glfw does when MuJoCo is imported, and with ``-c``.
+    """
+    usual = os.environ.get(SAFE_PATH)
+    set_safe_path("1")
+    try:
+        yield
+    finally:
+        set_safe_path(usual)
+
+
+def set_safe_path(value: str | None) -> None:
+    """Set the variable of the environment for processes that are started from now on; None removes it."""
+    if value is None:
+        os.environ.pop(SAFE_PATH, None)
+    else:
+        os.environ[SAFE_PATH] = value

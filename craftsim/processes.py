@@ -15,8 +15,8 @@ from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Final
 
-_SAFE_PATH: Final = "PYTHONSAFEPATH"
-"""What leaves the working folder out (``python -P``); there is no other way to say so to multiprocessing."""
+from craftsim.modules import SAFE_PATH, safe_path, set_safe_path
+
 _starting: Final = threading.Lock()
 
 
@@ -33,7 +33,7 @@ def spawn_context() -> SpawnContext:
 
 class _Process(SpawnProcess):
     def start(self) -> None:
-        self._inherited = os.environ.get(_SAFE_PATH)
+        self._inherited = os.environ.get(SAFE_PATH)
         with _safe_path():
             # Its first start would undo the block.
             resource_tracker.ensure_running()
@@ -45,7 +45,7 @@ class _Process(SpawnProcess):
 
     def run(self) -> None:
         # What code of the user's starts from here looks for its modules as it does elsewhere.
-        _set(self._inherited)
+        set_safe_path(self._inherited)
         super().run()
 
 
@@ -55,17 +55,5 @@ class _Context(SpawnContext):
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    with _starting:
-        usual = os.environ.get(_SAFE_PATH)
-        _set("1")
-        try:
-            yield
-        finally:
-            _set(usual)
-
-
-def _set(value: str | None) -> None:
-    if value is None:
-        os.environ.pop(_SAFE_PATH, None)
-    else:
-        os.environ[_SAFE_PATH] = value
+    with _starting, safe_path():
+        yield

@@ -288,7 +288,9 @@ class Link:
             leads = (lead_s for lead_s, sent in self._sent if sent.number == message.heard)
             self._takes.extend(lead_s + message.late_s for lead_s in leads)
         acted = self._acting(message.time_s - self.period_s)
-        periods = round((message.time_s - self._newest.time_s) / self.period_s)
+        # Over a longer gap robots stand; wheels that do not, by a clock that leaps, cannot be reckoned with.
+        gap_s = min(message.time_s - self._newest.time_s, _MOST_BEHIND_S)
+        periods = round(gap_s / self.period_s)
         for car, now, command in zip(self._cars, message.cars, acted, strict=True):
             car.note(now, command, periods)
         self._newest = message

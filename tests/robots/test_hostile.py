@@ -144,6 +144,15 @@ def test_a_clock_that_goes_back_costs_neither_time_nor_memory(make_robots, clock
     assert abs(link._newest.time_s) <= 1e9
 
 
+def test_a_clock_that_leaps_makes_no_wheel_infinitely_fast(make_robots, clock):
+    robots = make_robots(SIZE, CARS)
+    leaps, rolls = clock_shows(lambda time_s: time_s + 1e6), measured(wheel_speeds=[0.0, 0.0, -1e3, 0.0])
+    robots.link._transport = Lying(robots.driver, lambda data: leaps(rolls(data)), clock)
+    robots.link.attend()
+    assert not robots.link.lost
+    assert abs(robots.link.read()["wheel_speeds"]).max() <= 1e5
+
+
 def poses(**values):
     return lambda data: changed(data, **values)
 

@@ -80,13 +80,13 @@ def records_of(bag, *kinds):
     return found
 
 
-def loose_bag(bag, messages=None, chunk=None, schema=None):
+def loose_bag(bag, messages=None, chunk=None, schema=None, channels=()):
     """Return a bag without chunks or checksums, of the same messages, or of others.
 
     ``chunk`` stands in their place, as packing and content; its head and its entry in the index claim 1000 bytes.
-    ``schema`` is a text that is put after that of each type.
+    ``schema`` is a text that is put after that of each type; ``channels`` are more of them.
     """
-    described = records_of(bag, Schema, Channel)
+    described = [*records_of(bag, Schema, Channel), *channels]
     for record in described:
         if isinstance(record, Schema) and schema:
             record.data += schema

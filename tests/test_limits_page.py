@@ -86,7 +86,7 @@ PHRASES = {
     "EXCITE_S": "| `excite`: time, length and width | {} s,",
     "EXCITE_M": "10 to 3600 s, {} m |",
     "LOGGED_CARS": "| `identify --car` | {} |",
-    "BAG_MESSAGES": "A bag has up to {} messages",
+    "BAG_MESSAGES": "A bag has up to {} messages on each",
     "BAG_MESSAGE_BYTES": "that are read, of {} each",
     "BAG_CHUNK_BYTES": "in chunks of {},",
     "BAG_RECORDS": "and {} records in all",

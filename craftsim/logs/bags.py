@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -28,6 +29,8 @@ Series = dict[str, "array[float]"]
 """Times and values by column of a log, in turns."""
 Take = Callable[[float, Any], None]
 """Takes the time and the content of a message."""
+SHOWN_TOPICS = 10
+"""In a message."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +97,12 @@ def _collect(bag: BagFile, names: Topics) -> Series:
         if channel.topic in (names.commands, names.joints, pose):
             take = _taker(channel, series, names)
             takers[number] = (decoder(channel.type, channel.encoding), take)
-    for n_read, (number, time, content) in enumerate(bag.messages(takers) if takers else ()):
-        if n_read == BAG_MESSAGES:
-            raise InputError(f"more than the {BAG_MESSAGES} messages that are allowed")
+    n_read = Counter[str]()
+    for number, time, content in bag.messages(takers) if takers else ():
+        topic = channels[number].topic
+        n_read[topic] += 1
+        if n_read[topic] > BAG_MESSAGES:
+            raise InputError(f"{topic} has more than the {BAG_MESSAGES} messages that are allowed")
         decode, take = takers[number]
         take(time, decode(content))
     return series
@@ -106,7 +112,8 @@ def _pose_topic(channels: dict[int, BagChannel]) -> str | None:
     """Return the one topic with poses, if any."""
     found = sorted({channel.topic for channel in channels.values() if channel.type in (ODOMETRY, POSE)})
     if len(found) > 1:
-        raise InputError(f"several topics hold poses: {', '.join(found)}; name one with --topics, key 'pose'")
+        some = ", ".join(found[:SHOWN_TOPICS]) + ", ..." * (len(found) > SHOWN_TOPICS)
+        raise InputError(f"several topics hold poses: {some}; name one with --topics, key 'pose'")
     return found[0] if found else None
 
 

@@ -226,8 +226,8 @@ EXCITE_M: Final = Range(0.6, 20)
 """Length and width of its area."""
 IDENTIFIED_S: Final = 1800.0
 """Of a log that figures are identified from."""
-BAG_MESSAGES: Final = 1_200_000
-"""Of the topics that are read: half an hour of three topics at 200 Hz."""
+BAG_MESSAGES: Final = 400_000
+"""Of each of the three topics that are read: half an hour at 200 Hz. A row of the log is made of each command."""
 BAG_MESSAGE_BYTES: Final = 64 * KIB
 """Of one of these."""
 BAG_CHUNK_BYTES: Final = 64 * MIB

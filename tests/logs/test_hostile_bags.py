@@ -13,10 +13,11 @@ pytest.importorskip("mcap_ros2")
 import lz4.frame
 import zstandard
 from bags import loose_bag, records_of, write_bag
-from mcap.records import Message
+from mcap.records import Channel, Message
+from mcap_ros2.decoder import DecoderFactory
 
 from craftsim.errors import InputError
-from craftsim.logs import bag_records, bags
+from craftsim.logs import bag_messages, bag_records, bags
 from craftsim.logs.files import read_log
 from craftsim.logs.log import GROUPS, Log
 from craftsim.storage.limits import BAG_MESSAGE_BYTES, MIB
@@ -116,12 +117,39 @@ def test_a_large_message_is_passed_over_unless_it_would_be_decoded(bag, tmp_path
 def test_records_and_messages_are_counted_as_they_come(bag, tmp_path, monkeypatch):
     path = tmp_path / "many.mcap"
     path.write_bytes(loose_bag(bag))
-    monkeypatch.setattr(bags, "BAG_MESSAGES", 30)
-    with pytest.raises(InputError, match="more than the 30 messages"):
+    monkeypatch.setattr(bags, "BAG_MESSAGES", 20)  # of each of three topics
+    assert len(read_log(path)) == 20
+    monkeypatch.setattr(bags, "BAG_MESSAGES", 19)
+    with pytest.raises(InputError, match="/localisation has more than the 19 messages"):
         read_log(path)
     monkeypatch.setattr(bag_records, "BAG_RECORDS", 20)
     with pytest.raises(InputError, match="more than the 20 records"):
         read_log(path)
+
+
+def flooded(bag, n_channels, topic):
+    """Return a bag with so many more channels of the first one's type."""
+    first = records_of(bag, Channel)[0]
+    more = [Channel(100 + n, topic.format(n), "cdr", {}, first.schema_id) for n in range(n_channels)]
+    return loose_bag(bag, channels=more)
+
+
+def test_many_channels_of_one_topic_share_a_decoder(bag, tmp_path, monkeypatch):
+    path, made = tmp_path / "channels.mcap", []
+    build = DecoderFactory.decoder_for
+    monkeypatch.setattr(DecoderFactory, "decoder_for", lambda *args: made.append(args) or build(*args))
+    bag_messages.decoder.cache_clear()
+    path.write_bytes(flooded(bag, 1000, "/localisation"))
+    assert len(read_log(path)) == 20
+    assert len(made) == 2  # poses, and joints for commands and measurements
+
+
+def test_many_topics_with_poses_are_not_all_listed(bag, tmp_path):
+    path = tmp_path / "poses.mcap"
+    path.write_bytes(flooded(bag, 1000, "/pose_{:04d}"))
+    with pytest.raises(InputError, match=r"/localisation, /pose_0000, .*, \.\.\.; name one") as error:
+        read_log(path)
+    assert len(str(error.value)) < 400
 
 
 @pytest.mark.parametrize("cut", [1, 40, 2000])

@@ -101,6 +101,11 @@ def test_python_is_told_too(taken):
         validate("strip", out=taken)
 
 
+def test_a_name_that_no_folder_can_have_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot make the output directory"), owned(tmp_path / "a\0b"):
+        pass
+
+
 def test_a_link_to_a_folder_is_the_folder(taken, tmp_path):
     (tmp_path / "link").symlink_to(taken)
     with pytest.raises(InputError, match=IN_USE), owned(tmp_path / "link"):

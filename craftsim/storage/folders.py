@@ -129,7 +129,7 @@ def _identity(out: Path) -> tuple[int, int] | None:
     """Return what tells a directory from others, whatever path or link leads to it; None where there is none."""
     try:
         there = out.stat()
-    except OSError:
+    except (OSError, ValueError):  # the latter for a name that can be none
         return None
     return there.st_dev, there.st_ino
 

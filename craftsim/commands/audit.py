@@ -67,6 +67,7 @@ def audit(
     from craftsim.validation.statistics.records import capped_steps, retried
 
     console = Terminal()
+    setup = campaign.setup()  # says what is wrong with its files before contexts are looked for
     filming = video and rendering_works(console)
     plan = _chosen(audit_plan(campaign.rules, actions), contexts, only)
     trials = campaign.trials
@@ -76,7 +77,7 @@ def audit(
     RUNS.check("--trials times rows", trials * len(plan))
     result = run_audit(
         plan,
-        campaign.setup(),
+        setup,
         trials,
         campaign.seed,
         out,

@@ -123,10 +123,6 @@ def build_all(
     started = time.perf_counter()
     subjects = subjects_of([task])
     check_starts(subjects, setup, seed)
-    # Whether anything can be built is said before anything is begun.
-    rng, rules = np.random.default_rng(seed), Rules(setup.rules)
-    first = task.for_episode(rng)
-    plan_building(first.draw(rng), first, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
     config: dict[str, Any] = {
         "world": subjects[0].digest,
         "trials": trials,
@@ -138,6 +134,10 @@ def build_all(
     terms = Terms(seed, setup, out.resolve(), record=record)
     items = [_item(task, episode, terms, asked) for episode in range(trials)]
     earlier = None if against is None else read_earlier(against, COMMAND, out, seed, items, BUILDS)
+    # Whether anything can be built is said before anything is begun; it may take long to find out.
+    rng, rules = np.random.default_rng(seed), Rules(setup.rules)
+    first = task.for_episode(rng)
+    plan_building(first.draw(rng), first, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
     with progress(trials) as on_record:
         records = run_campaign(
             *(items, do_run, out, Header(COMMAND, seed, config)),

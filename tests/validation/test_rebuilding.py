@@ -22,6 +22,7 @@ from craftsim.envs import parallel_env
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import InputError
 from craftsim.skills.planted import Disturbance
+from craftsim.validation import builds
 from craftsim.validation.runs.obstacles import Without
 
 SETUP = setup_of(drive="reduced")
@@ -110,8 +111,8 @@ def files(tmp_path_factory):
 
 def test_a_design_is_planned_and_built(files, tmp_path):
     assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--rounds", "3") == 0
-    builds = json.loads((tmp_path / "report.json").read_text())["figures"]["builds"]
-    assert (builds["endings"], builds["replans"]) == ({"built": 1}, 0)
+    figures = json.loads((tmp_path / "report.json").read_text())["figures"]["builds"]
+    assert (figures["endings"], figures["replans"]) == ({"built": 1}, 0)
 
 
 def test_a_building_whose_only_car_is_out_of_action_ends_as_given_up(files, tmp_path):
@@ -126,6 +127,12 @@ def test_a_building_whose_only_car_is_out_of_action_ends_as_given_up(files, tmp_
 def test_a_design_that_cannot_be_built_is_wrong_input(files, tmp_path, capsys):
     assert _build(tmp_path, files / "start.yaml", files / "two.yaml", "--rounds", "3") == 2
     assert "not enough blocks" in capsys.readouterr().err
+
+
+def test_a_run_to_compare_with_is_read_before_anything_is_planned(files, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(builds, "plan_building", lambda *args, **kwargs: pytest.fail("is planned"))
+    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--against", "gone") == 2
+    assert "gone" in capsys.readouterr().err
 
 
 def test_the_planner_plans_again_where_the_world_is_not_as_it_predicts():

@@ -9,6 +9,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.settings import setup_of
 from craftsim.errors import InputError
 from craftsim.models.compiled import compiled_parts
+from craftsim.validation.audit import rows
 from craftsim.validation.audit.corrections import corrections
 from craftsim.validation.audit.results import Results, bundle_disagreements
 from craftsim.validation.audit.rows import audit_plan
@@ -153,3 +154,9 @@ def test_the_command_refuses_wrong_input(tmp_path, capsys):
     assert cli.main(["audit", "--trials", "0", "--out", str(tmp_path)]) == 2
     assert cli.main(["audit", "--contexts", "nothing like it", "--out", str(tmp_path)]) == 2
     assert "no row matches 'nothing like it'" in capsys.readouterr().err
+
+
+def test_the_files_of_the_physics_are_read_before_contexts_are_looked_for(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(rows, "audit_plan", lambda *args: pytest.fail("contexts are looked for"))
+    assert cli.main(["audit", "--gains", "gone.yaml", "--out", str(tmp_path)]) == 2
+    assert "gone.yaml: no such file" in capsys.readouterr().err

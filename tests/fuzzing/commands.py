@@ -6,6 +6,7 @@ Each case runs in this process. ``make fuzz ARGS=--commands`` tries all of them,
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import io
 import os
 import re
@@ -24,6 +25,8 @@ from craftsim.cli import main
 
 ENOUGH_S = 10.0
 """Of processor time, after which a case is interrupted: what was accepted may ask for long work."""
+HANGS_S = 300.0
+"""After which the process of a case that waits for something is ended, with a traceback of where it hangs."""
 
 PHYSICS = ("--randomize @.yaml", "--noise @.yaml", "--assume @.yaml", "--gains @.yaml", "--parameters @.yaml")
 _ENDING = {
@@ -65,7 +68,7 @@ SLOTS = (
     *("excite --out @ --gains gone.yaml", *(f"excite --seed 1 {option}" for option in PHYSICS)),
     *("identify @.csv", "identify @.mcap", "identify @", "identify gone.csv --held-out @.csv"),
     *("identify run.mcap --topics @.yaml", "identify gone.csv --parameters @.yaml", "identify gone.csv --out @"),
-    *("robot --task @", "robot --blueprint @.yaml --host 256.1.1.1", "robot --host @"),
+    *("robot --task @ --host 256.1.1.1", "robot --blueprint @.yaml --host 256.1.1.1", "robot --host @"),
     *("train --task @.yaml --settings gone.yaml", "train --task @ --settings gone.yaml"),
     *("train --settings gone.yaml --out @", "train --settings @.yaml --task gone"),
     *("train --pretrained @ --settings gone.yaml", "train --stages @ --settings gone.yaml"),
@@ -237,7 +240,9 @@ def attack_slot(slot: str) -> list[str]:
     """Try one slot in all forms; return what went wrong."""
     wrong = []
     for form in forms():
+        faulthandler.dump_traceback_later(HANGS_S, exit=True)
         with tempfile.TemporaryDirectory() as folder:
             if problem := Case(slot, form).run(Path(folder)):
                 wrong.append(problem)
+    faulthandler.cancel_dump_traceback_later()
     return wrong

@@ -39,6 +39,11 @@ def test_only_a_regular_file_within_its_limit_is_opened(tmp_path):
         open_file(Path("/dev/zero"), SMALL)
 
 
+def test_a_file_of_the_kernel_that_is_waited_for_is_refused():
+    with pytest.raises(InputError, match="/proc/kmsg: "):  # whether or not it may be opened
+        read_text(Path("/proc/kmsg"), SMALL)
+
+
 def test_a_path_leads_to_something_or_to_nothing_or_is_refused(tmp_path):
     (tmp_path / "file").touch()
     (tmp_path / "link").symlink_to("file")

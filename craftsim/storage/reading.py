@@ -215,7 +215,16 @@ def _array(where: str, data: bytes) -> NDArray[np.generic]:
 
 
 def _is_regular(number: int) -> bool:
-    return stat.S_ISREG(os.fstat(number).st_mode)
+    """Return whether it is a file, and none of the kernel's that is waited for as a pipe is, such as /proc/kmsg."""
+    if not stat.S_ISREG(os.fstat(number).st_mode):
+        return False
+    try:
+        os.pread(number, 1, 0)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # said where it is read
+    return True
 
 
 def _reason(error: Exception) -> str:

@@ -22,6 +22,8 @@ DOCKING: Final = 3.0
 DOCKING_S: Final = 0.6
 _SMOOTH_S: Final = 0.8
 """Simulated time over which a change of speed is spread."""
+_SMOOTH_SAMPLES: Final = 2000
+"""At most, of which a recording has 40 in that time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,7 @@ def adapted_pace(trajectory: Trajectory, fps: int) -> Pace:
     # Film time is the integral of 1 / speed; smoothed, so that it changes gently.
     steps = np.diff(time, prepend=time[0])
     period = float(np.median(steps[1:])) if len(time) > 1 else 1.0
-    width = max(1, round(_SMOOTH_S / period))
+    width = max(1, round(min(_SMOOTH_S / period, _SMOOTH_SAMPLES)))
     padded = np.pad(1.0 / speed, (width // 2, width - 1 - width // 2), mode="edge")
     pace = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
     film = np.cumsum(pace * steps)

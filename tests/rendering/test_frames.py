@@ -66,6 +66,14 @@ def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody
     assert film_s[:-1].mean() == pytest.approx(1 / 30, rel=0.02), "the factor is the one that is shown"
 
 
+@pytest.mark.parametrize("period_s", [1e-9, 1e-300])
+def test_samples_that_are_close_to_each_other_are_not_smoothed_over_all_of_the_memory(
+    trajectory: Trajectory, period_s: float
+) -> None:
+    close = replace(trajectory, time=period_s * np.arange(len(trajectory)))
+    assert len(adapted_pace(close, 30).times) == 1
+
+
 def test_a_fitted_film_has_its_length_and_is_never_slower_than_life(trajectory: Trajectory) -> None:
     assert len(fitted_pace(trajectory, 30, 2.0).times) == 60
     assert fitted_pace(trajectory, 30, 2.0).times[-1] < trajectory.time[-1] + 1e-9

@@ -123,6 +123,15 @@ def test_a_file_that_contradicts_itself_is_refused(
         Trajectory.read(_changed(file, **change))
 
 
+@pytest.mark.parametrize(("first_s", "factor"), [(0.0, 1e7), (0.0, 1e290), (-100.0, 1.0)])
+def test_times_that_no_simulation_reaches_are_refused(
+    file: Path, recorded: Trajectory, first_s: float, factor: float
+) -> None:
+    time = first_s + recorded.time * factor
+    with pytest.raises(InputError, match=r"a number of 'time' is .*; allowed: 0 to 1000000"):
+        Trajectory.read(_changed(file, time=time))
+
+
 def test_poses_beyond_the_columns_are_refused(file: Path) -> None:
     with pytest.raises(InputError, match="points outside"):
         Trajectory.read(_retold(file, poses={"car 0": 10_000}))

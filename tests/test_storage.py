@@ -39,9 +39,13 @@ def test_only_a_regular_file_within_its_limit_is_opened(tmp_path):
         open_file(Path("/dev/zero"), SMALL)
 
 
-def test_a_file_of_the_kernel_that_is_waited_for_is_refused():
+def test_a_file_of_the_kernel_is_refused_for_one_may_have_to_wait_for_it(tmp_path):
     with pytest.raises(InputError, match="/proc/kmsg: "):  # whether or not it may be opened
         read_text(Path("/proc/kmsg"), SMALL)
+    with pytest.raises(InputError, match="not a regular file"):
+        read_text(Path("/proc/self/status"), SMALL)
+    (tmp_path / "empty").touch()
+    assert read_text(tmp_path / "empty", SMALL) == ""
 
 
 def test_a_path_leads_to_something_or_to_nothing_or_is_refused(tmp_path):

@@ -215,16 +215,14 @@ def _array(where: str, data: bytes) -> NDArray[np.generic]:
 
 
 def _is_regular(number: int) -> bool:
-    """Return whether it is a file, and none of the kernel's that is waited for as a pipe is, such as /proc/kmsg."""
-    if not stat.S_ISREG(os.fstat(number).st_mode):
-        return False
+    """Return whether it is a file, and none of the kernel's, which have no size and may be waited for as a pipe is."""
+    status = os.fstat(number)
+    if not stat.S_ISREG(status.st_mode) or status.st_size:
+        return stat.S_ISREG(status.st_mode)
     try:
-        os.pread(number, 1, 0)
-    except BlockingIOError:
-        return False
+        return not os.pread(number, 1, 0)
     except OSError:
-        pass  # said where it is read
-    return True
+        return False
 
 
 def _reason(error: Exception) -> str:

@@ -59,7 +59,9 @@ def test_physical_allows_nothing_that_published_forbids():
 
 
 def test_what_the_physical_rules_allow_begins_where_their_play_can_lead():
-    close = [near.clearance_mm for near, legal in nearby("physical") if legal and near.clearance_mm is not None]
+    close = [
+        near.clearance_mm for near, legal in nearby("physical") if legal and near.clearance_mm is not None
+    ]
     assert min(close, default=1) > 0
 
 

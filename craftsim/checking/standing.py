@@ -27,7 +27,7 @@ class Standing:
 
     def __init__(self, site: Site, poses: PoseReader) -> None:
         """Take the places where everything is now; the reader is one of this Site."""
-        self._qpos = site.data.qpos
+        self._site = site
         self._places = poses.places
         n = len(self._places)
         self._left = np.zeros((n, 7))
@@ -38,7 +38,7 @@ class Standing:
         """From here on hold these against where they are now."""
         rows = list(machines)
         if rows:
-            self._left[rows] = self._qpos[self._places[rows]]
+            self._left[rows] = self._site.data.qpos[self._places[rows]]
             self._furthest[rows] = 0.0
 
     def begin(self) -> None:
@@ -52,7 +52,7 @@ class Standing:
 
     def look(self, _: Site | None = None) -> None:
         """Note how far everything is from its place; call it after each control period."""
-        _note_away(self._qpos, self._places[:, 0], self._left, self._furthest)
+        _note_away(self._site.data.qpos, self._places[:, 0], self._left, self._furthest)
 
     def furthest(self) -> Floats:
         """Return, (n, 2): by how many metres, and by what angle in radians, each has been away since the last begin.

@@ -102,7 +102,7 @@ class Move(DrivingSkill):
         if self.terrain.tight:
             speed = min(speed, gains.max_tight_speed)
             acceleration = min(acceleration, gains.max_tight_acceleration)
-            if self.terrain.sloping:
+            if self.terrain.sloping and self._loaded:
                 acceleration = min(acceleration, gains.max_tight_slope_acceleration)
         steepest = max(abs(self.terrain.start_rad), abs(self.terrain.end_rad))
         top_speed, force = self._motor_limits(steepest)

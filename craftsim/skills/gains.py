@@ -43,9 +43,9 @@ class DriveGains:
     """m/s: highest speed of a move under something, or of a load past something."""
     max_tight_acceleration: float
     max_tight_slope_acceleration: float
-    """m/s^2: of such a move from or onto a slope. Who needs all the grip to climb has none left to keep to the path: at
-    the friction of 0.68 that is the least of mild randomization, a car on the incline can push by 4.5 m/s^2, and its
-    weight takes 2.7."""
+    """m/s^2: of such a move with a load from or onto a slope. A car that needs all of its grip to climb has none left
+    to keep to its path: at the friction of 0.68 that is the least of mild randomization, it can push by 4.5 m/s^2 on
+    the incline, and its weight takes 2.7."""
     rocking: float
     """m^3/s^2: largest product of acceleration and height above the floor squared. A stack of n blocks gives way under
     a car by its push times its height in each of n joints, and tips in the end."""

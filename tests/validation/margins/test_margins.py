@@ -35,7 +35,7 @@ def test_the_name_of_a_context_gives_the_context():
 
 
 def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
-    rig, (axis,) = Rig(scenarios("lift a block")[0], BASE, 0), axes_of(["friction"])
+    rig, (axis,) = Rig(scenarios("lift a block")[0], BASE, 0), axes_of(["position-bias"])
     found = find(MarginSearch(rig, axis, 7)).extra
     assert found["end"] == "edge"
     assert all(not rig.attempt(number, [(axis, found["margin"])]).reason for number in range(7))
@@ -60,7 +60,7 @@ def searched(tmp_path_factory):
         "--seed",
         "2",
         "--pair",
-        "friction",
+        "position-bias",
         "mass",
     ]
     words += ["--out", str(out)]
@@ -71,22 +71,22 @@ def searched(tmp_path_factory):
 def test_a_report_holds_margins_maps_and_bundles_that_replay(searched, capsys):
     out, _ = searched
     figures = json.loads((out / "report.json").read_text())["figures"]["margins"]
-    friction, _ = figures["scenarios"]
-    assert 0 < friction["margin"] < friction["fails_at"] == friction["upper"]
+    bias, _ = figures["scenarios"]
+    assert 0 < bias["margin"] < bias["fails_at"] == bias["upper"]
     (one,) = figures["maps"]
     assert [len(values) for values in one["values"]] == [len(one["stood"][0]), len(one["stood"])]
     # Along its edge a map shows what the search found.
-    assert one["stood"][0] == [int(value <= friction["margin"]) for value in one["values"][0]]
-    assert cli.main(["replay", str(out / friction["bundle"]), "--out", str(out / "again")]) == 0
+    assert one["stood"][0] == [int(value <= bias["margin"]) for value in one["values"][0]]
+    assert cli.main(["replay", str(out / bias["bundle"]), "--out", str(out / "again")]) == 0
     page = (out / "report.html").read_text()
-    assert "friction, %" in page
-    assert friction["reason"] in page
+    assert "position bias, mm" in page
+    assert bias["reason"] in page
 
 
 def test_a_search_finds_the_same_in_any_process(searched):
     out, _ = searched
     first = json.loads((out / "trials.jsonl").read_text().splitlines()[0])
-    (axis,) = axes_of(["friction"])
+    (axis,) = axes_of(["position-bias"])
     assert find(MarginSearch(Rig(scenarios("lift a block")[0], BASE, 2), axis, 1)).extra == first["extra"]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections import Counter
 from typing import Any
 
@@ -38,7 +39,7 @@ def public_names() -> Any:
 def _signature(thing: Any) -> str:
     kind = "class" if inspect.isclass(thing) else "function" if callable(thing) else type(thing).__name__
     try:
-        return f"{kind}{inspect.signature(thing)}"
+        return re.sub(r" at 0x[0-9a-f]+", "", f"{kind}{inspect.signature(thing)}")
     except (TypeError, ValueError):
         return kind
 

@@ -105,7 +105,7 @@ def _tasks(
 ) -> list[Task]:
     """Return the tasks that are asked for with these numbers of cars and blocks and this area, or a policy's own.
 
-    Names on the command line may be of code. The name in a policy's file is from whoever wrote that.
+    Names on the command line may be of code. The name in a policy's file may be from anybody.
     """
     from craftsim.discrete.tasks import as_task, known_task
 

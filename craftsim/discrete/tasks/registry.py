@@ -116,7 +116,7 @@ def known_task(
     n_blocks: int | None = None,
     area: tuple[int, ...] | None = None,
 ) -> Task:
-    """Return the task that a text in a file stands for, whoever wrote it; nothing is imported for it.
+    """Return the task that a text in a file stands for; nothing is imported for it.
 
     Args:
         text: a name (one of the paper's six, one of those that vary, with ``@test`` for its held-out starts, or a

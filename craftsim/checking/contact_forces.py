@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.measuring import Floats
 
 Numbers = NDArray[np.integer]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.readback import Poses
 from craftsim.models.measuring import Floats
 from craftsim.models.sensing import PoseReader

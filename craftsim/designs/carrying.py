@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.cells import dir_x, dir_y
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 
 
 @compiled

@@ -32,9 +32,9 @@ from craftsim.discrete.cells import (
     World,
     derive_marks,
 )
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.files.blueprint import MAX_CARS, MAX_CELLS, MAX_SIDE
 from craftsim.discrete.grid import CarField, Cell, Grid
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.errors import InputError
 
 DTYPES: Final = {"kind": np.int8, "yaw": np.int8, "cars": np.int64, "top": np.int16, "back": np.bool_}

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from craftsim.discrete import reading as found
 from craftsim.discrete.cells import RuleFlags, World
-from craftsim.discrete.compiled import records
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kernel.jit import records
 
 _PROBLEMS: Final = {
     found.OFF_CENTRE: "{name} is {:.0f} mm from the centre of ({:.0f}, {:.0f})",

@@ -26,8 +26,8 @@ from craftsim.discrete.cells import (
     dir_x,
     dir_y,
 )
-from craftsim.discrete.compiled import Record, compiled
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
+from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.rotation import Axis, body_axes, wrap
 
 PLACE_TOLERANCE_M: Final = 0.025

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 
 _TURN: Final = math.tau
 

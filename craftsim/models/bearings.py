@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 
 ROLLERS = 2
 """The bit by which a roller collides: its contype (craftsim/mjcf/templates/smartcar.xml)."""

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.compiled import compiled, records
+from craftsim.discrete.kernel.jit import compiled, records
 from craftsim.models.localising import Localisations
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.compiled import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.rotation import Axis, body_axes
 from craftsim.models.site import Site
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from craftsim.discrete.compiled import Record, compiled
+from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.models.measuring import Floats, Wiring
 from craftsim.models.sensing import PerWheel
 from craftsim.models.site import Site

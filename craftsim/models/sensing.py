@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from craftsim.discrete.compiled import records
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.readback import Poses
 from craftsim.models.disturbing import Disturber
 from craftsim.models.encoders import Encoders

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.cells import AIR, F_SLOPE, World, pose_of
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.durations import nominal_durations
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.sets import Rules, world_of
 from craftsim.discrete.rules.table import ACTIONS, apply, legal
 from craftsim.planning.goals import BuildingGoal

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.cells import AIR, BLOCK, BODY, F_LOAD, F_X, F_Y, F_Z, FLAG, FSLOPE, World, kind_at
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.table import DROP, FOLD, LIFT, UNFOLD
 
 _UNKNOWN: Final = 1 << 40

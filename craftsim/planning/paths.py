@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.cells import F_X, F_Y, F_Z, FSLOPE, Pose, World, world_at
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import Cell, Kind
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.planning.search import SUCCESSORS, after, node_of
 from craftsim.discrete.rules.table import legal
 from craftsim.planning.ways import FAR, HALF_TURN, N_STEPS, Nodes, slope_state

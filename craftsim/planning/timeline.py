@@ -21,8 +21,8 @@ from craftsim.discrete.cells import (
     derive_marks,
     world_at,
 )
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.sets import Rules, act
 
 NOTHING_DONE: Final = -1

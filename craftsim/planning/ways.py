@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.cells import AIR, BODY, FOOT, FSLOPE, Pose, World, kind_at, standable
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.planning.search import SUCCESSORS, after, node_of
 from craftsim.discrete.rules.sets import Rules, world_of
 from craftsim.discrete.rules.table import legal

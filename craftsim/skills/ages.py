@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.measuring import Floats
 
 WINDOW: Final = 5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.compiled import Record, compiled
+from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.motors import drive_wheels
 from craftsim.skills.driving_law import drive_law, path_pose

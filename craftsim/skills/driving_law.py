@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from craftsim.discrete.compiled import Record, compiled
+from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.rotation import wrap
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.sensing import PerWheel

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
-from craftsim.discrete.compiled import records
+from craftsim.discrete.kernel.jit import records
 from craftsim.models.measuring import Records
 from craftsim.models.motors import Motors
 from craftsim.models.noise import EXACT, SensorNoise

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.compiled import Record, compiled
+from craftsim.discrete.kernel.jit import Record, compiled
 
 _OUTLIER: Final = 4.0
 """A measurement that is further off than so many standard deviations pulls no more than one that is so far off."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.compiled import Record, compiled
+from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.health import end

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.compiled import Record, compiled
+from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.skills.state import DRIVE
 
 _FEWEST: Final = 5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from craftsim.discrete.compiled import Record, compiled
+from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.models.measuring import Records
 from craftsim.skills.state import LEANS, LOAD_MISSED, NOT_FINITE
 

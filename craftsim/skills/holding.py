@@ -6,7 +6,7 @@ smooth creeps down a ramp by 0.2 mm/s. The encoders measure that, and the drive 
 
 from __future__ import annotations
 
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.measuring import Floats, Records
 from craftsim.skills.gains import HoldGains
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.compiled import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.models.measuring import Floats, Records
 from craftsim.skills.ages import assume_age, likeliest_age
 

@@ -21,8 +21,8 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.compiled import Record, compiled, records
 from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.rotation import wrap
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from craftsim.discrete.compiled import Record, compiled
+from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.rotation import wrap
 from craftsim.models.sensing import PerWheel
 from craftsim.skills.mecanum import Triple, body_twist, wrench_of

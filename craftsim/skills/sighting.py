@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.compiled import Record, compiled
 from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.skills.filtering import correct, forget
 
 Flags = NDArray[np.bool_]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from craftsim.discrete.compiled import records
+from craftsim.discrete.kernel.jit import records
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.models.sensing import CarMeasurement, PerWheel, write_reading

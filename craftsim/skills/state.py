@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.compiled import records
+from craftsim.discrete.kernel.jit import records
 from craftsim.models.measuring import Records
 from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.skills.gains import SECTIONS, Gains

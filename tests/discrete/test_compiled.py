@@ -55,7 +55,7 @@ def test_a_function_that_cannot_be_cached_safely_is_compiled_without(monkeypatch
 @needs_compiler
 def test_of_many_processes_one_compiles_and_the_others_read_what_it_left(tmp_path):
     (tmp_path / "own.py").write_text(
-        "from craftsim.discrete.compiled import compiled\n"
+        "from craftsim.discrete.kernel.jit import compiled\n"
         "@compiled\n"
         "def inner(number): return number + 1\n"
         "@compiled\n"
@@ -76,7 +76,7 @@ def test_a_file_of_the_working_folder_does_not_say_where_the_cache_is(tmp_path, 
     """What is in a cache is unpickled, which runs code."""
     (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {tmp_path / 'planted'}\n")
     (tmp_path / "own.py").write_text(
-        "from craftsim.discrete.compiled import compiled\n@compiled\ndef more(number): return number + 1\n"
+        "from craftsim.discrete.kernel.jit import compiled\n@compiled\ndef more(number): return number + 1\n"
     )
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     if named:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from craftsim.discrete.compiled import records
+from craftsim.discrete.kernel.jit import records
 from craftsim.models.parameters import NOMINAL
 from craftsim.skills.driving_law import _shake
 from craftsim.skills.gains import careful, load_gains

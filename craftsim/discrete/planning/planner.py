@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.cells import World, derive_marks
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.planning.search import (
     Space,
     fill_reachable,

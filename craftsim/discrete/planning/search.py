@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.cells import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.planning.heap import heapify, pop, push
 from craftsim.discrete.rules.effects import turned
 from craftsim.discrete.rules.legality import FIRST_MOVE, ROTATE_LEFT, ROTATE_RIGHT, move_direction

@@ -28,7 +28,7 @@ from craftsim.discrete.cells import (
     kind_at,
     yaw_at,
 )
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.moves import moved
 from craftsim.discrete.rules.reach import standing_gear_in
 

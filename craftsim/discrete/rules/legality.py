@@ -27,7 +27,7 @@ from craftsim.discrete.cells import (
     top_at,
     yaw_at,
 )
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.levels import below_leaning, flap_clears_levels, turn_clears_levels, wall_over
 from craftsim.discrete.rules.reach import flap_has_room, gear_has_room, leans_into
 

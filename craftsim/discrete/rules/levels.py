@@ -20,7 +20,7 @@ from craftsim.discrete.cells import (
     dir_y,
     kind_at,
 )
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.reach import downhill_of, leans_into
 
 LIP_MM = 10

@@ -21,7 +21,7 @@ from craftsim.discrete.cells import (
     top_at,
     yaw_at,
 )
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.levels import load_below_walls, load_clears_levels, wall_over
 from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_fits
 

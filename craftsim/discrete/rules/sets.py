@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.cells import RuleFlags, World, derive_marks, pose_of
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.explain import Explanation, explain
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.rules.table import apply, legal

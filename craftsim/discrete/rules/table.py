@@ -14,9 +14,9 @@ from typing import Any, Final
 from craftsim.discrete import footprint as space
 from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.cells import Pose, World, pose_of
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules import reasons
 from craftsim.discrete.rules.effects import drop, fold, lift, move, rotate, unfold
 from craftsim.discrete.rules.legality import (

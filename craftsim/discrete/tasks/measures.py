@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.cells import World, world_at
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.sets import RULE_FLAGS, world_of
 from craftsim.discrete.tasks.batches import Targets
 from craftsim.discrete.tasks.scores import (

@@ -27,10 +27,10 @@ from craftsim.discrete.cells import (
     FSLOPE,
     World,
 )
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.files.blueprint import NO_CELL, Blueprint
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kernel.jit import compiled
 
 ROW: Final = 13
 IS_CAR, IS_FSLOPE, IS_BODY, IS_FOOT, IS_BLOCK, IS_FLAG, IS_GOAL = range(3, 10)

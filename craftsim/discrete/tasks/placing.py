@@ -22,7 +22,7 @@ from craftsim.discrete.cells import (
     kind_at,
     world_at,
 )
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 
 YAWS = 4
 

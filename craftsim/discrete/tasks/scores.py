@@ -22,7 +22,7 @@ from craftsim.discrete.cells import (
     kind_at,
     standable,
 )
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 
 NO_FLAG = -1
 

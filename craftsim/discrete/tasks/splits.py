@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.cells import World, derive_marks, world_at
-from craftsim.discrete.compiled import compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.tasks.batches import Starts
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import STARTS

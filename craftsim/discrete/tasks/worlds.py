@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.cells import World, world_at
-from craftsim.discrete.compiled import compiled
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.planning.planner import empty_queue, run_helper_tick
 from craftsim.discrete.planning.search import Space, fill_reachable, make_space
 from craftsim.discrete.rules.legality import N_ACTIONS

@@ -43,7 +43,7 @@ def _source_digest(room: str) -> str:
     if before:
         digest.update(_source_digest(before[-1]).encode())
     if room in _ROOMS:
-        for path in sorted((Path(__file__).parents[1] / room).rglob("*.py")):
+        for path in sorted((Path(__file__).parents[2] / room).rglob("*.py")):
             digest.update(path.name.encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()

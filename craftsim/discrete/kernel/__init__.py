@@ -1,0 +1,1 @@
+"""The grid world's compiled core: state, rules, search and batches."""

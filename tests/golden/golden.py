@@ -30,6 +30,8 @@ from typing import Any, Literal
 RECORDS = Path(__file__).parent / "records"
 FULL = 1_500
 """Values of at most so many characters are stored whole, larger ones part by part, what has no parts as a digest."""
+MANY = 60
+"""Of a mapping with more keys than this, values of more characters than this are stored as digests."""
 SHOWN = 12
 """How many differences of a record are listed."""
 
@@ -95,6 +97,8 @@ def compact(value: Any) -> Any:
     """Return a value with its large parts as digests, so that records stay small and still say where they differ."""
     if len(text(value)) <= FULL:
         return value
+    if isinstance(value, dict) and len(value) > MANY:
+        return {key: part if len(text(part)) <= MANY else digest(text(part)) for key, part in value.items()}
     if isinstance(value, dict):
         return {key: compact(part) for key, part in value.items()}
     if isinstance(value, list) and len(value) <= 40:

@@ -3,7 +3,6 @@
 from .checking.attempt import Attempt as Attempt
 from .checking.perform import perform as perform
 from .designs.tasks import designs_task as designs_task
-from .discrete.actions import Action as Action
 from .discrete.files.blueprint import Blueprint as Blueprint
 from .discrete.files.blueprint import read_blueprint as read_blueprint
 from .discrete.files.plan import Plan as Plan
@@ -12,6 +11,7 @@ from .discrete.files.plan import write_plan as write_plan
 from .discrete.files.saving import write_blueprint as write_blueprint
 from .discrete.grid import Grid as Grid
 from .discrete.grid import Kind as Kind
+from .discrete.kinds import Action as Action
 from .discrete.rules.sets import Rules as Rules
 from .discrete.tasks.random_tasks import random_task as random_task
 from .discrete.tasks.registry import register_task as register_task

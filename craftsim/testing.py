@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 
 if TYPE_CHECKING:
     from craftsim.envs.parallel import ParallelConstruction

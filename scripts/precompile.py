@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.envs import vector_env
 from craftsim.models.parameters import DRIVES

@@ -8,9 +8,9 @@ from itertools import count
 
 import numpy as np
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.durations import nominal_durations, situation
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.sets import Rules
 
 

@@ -18,9 +18,9 @@ SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", TEXT, re.MULTILINE | 
 PROGRAM = "push.py"
 
 PARTS = {
-    "craftsim/discrete/actions.py": "PUSH has no number in craftsim/discrete/actions.py",
+    "craftsim/discrete/kinds.py": "PUSH has no number in craftsim/discrete/kinds.py",
     "craftsim/discrete/rules/push.py": "No module named 'craftsim.discrete.rules.push'",
-    "craftsim/discrete/rules/table.py": "PUSH has a number in craftsim/discrete/actions.py, but no row in "
+    "craftsim/discrete/rules/table.py": "PUSH has a number in craftsim/discrete/kinds.py, but no row in "
     "craftsim/discrete/rules/table.py",
     "craftsim/data/durations.yaml": "PUSH: no row 'push' in craftsim/data/durations.yaml",
     "craftsim/skills/pushing.py": "No module named 'craftsim.skills.pushing'",

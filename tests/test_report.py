@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.report import SCHEMA_VERSION, write_report
 from craftsim.storage.folders import output_directory

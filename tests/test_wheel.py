@@ -16,7 +16,7 @@ PACKAGE = ROOT / "craftsim"
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 
 ACTION = """
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.grid import Grid
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor

@@ -17,8 +17,8 @@ from craftsim.checking.settings import Thresholds
 from craftsim.checking.standing import Standing, turns
 from craftsim.checking.straying import Straying
 from craftsim.checking.unexpected import handled, under, unexpected_contacts
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import Placed, Poses, Reading, read_grid
 from craftsim.discrete.reading import PLACE_TOLERANCE_M
 from craftsim.discrete.rules import Rules

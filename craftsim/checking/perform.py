@@ -6,7 +6,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.recipe import Act
 from craftsim.checking.settings import Setup, Thresholds, nominal_gains
 from craftsim.checking.world import judge_on
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
 from craftsim.models.sensing import Sensors

@@ -19,10 +19,10 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import SEED_0, Seed, set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import Blueprint, parse_blueprint
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Constraints, Order
 from craftsim.errors import InputError, suggestion
 from craftsim.models.extent import check_extent

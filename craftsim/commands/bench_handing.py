@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.commands.bench_campaign import of_nothing
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.physics_vector import EngineName, PhysicsVectorEnv
 from craftsim.envs.ray_connection import initialise

@@ -124,6 +124,6 @@ def _memory(name: str, n: int, rules: RuleSet, depth: int, seed: int) -> tuple[i
         episodes = Episodes(task, rng, size, rules, depth)
         _batch_step(episodes, rng)()
         peaks.append(_peak_mib())
-    arrays = episodes.worlds.arrays
-    state = sum(a.nbytes for a in (arrays.kind, arrays.yaw, arrays.top, arrays.back, arrays.cars))
+    grids = episodes.worlds.grids
+    state = grids.cells.nbytes + grids.cars.nbytes
     return state // n, peaks[1], peaks[1] - peaks[0]

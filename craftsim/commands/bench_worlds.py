@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task, free_play
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from craftsim.commands.text import say
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import SHOWN

@@ -8,8 +8,8 @@ from contextlib import ExitStack, contextmanager
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, SetUp, judge_on
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kinds import Action
 from craftsim.models.noise import NOISY
 from craftsim.models.site import Site
 from craftsim.robots.extra import need_network

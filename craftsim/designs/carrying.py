@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import dir_x, dir_y
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import dir_x, dir_y
 
 
 @compiled

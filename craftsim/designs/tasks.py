@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from craftsim.designs.drawn import DrawnStart, Size, start_of
 from craftsim.discrete.files.blueprint import Blueprint
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell
+from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell, Grid
 from craftsim.discrete.grid_checks import check_size
 from craftsim.discrete.tasks.batches import Starts, Targets
 from craftsim.discrete.tasks.measures import Finished, target_array
@@ -53,7 +53,7 @@ class DrawnDesigns:
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n starts; raises InputError where designs find no room."""
         pool = _pool(self)
-        return pool.take(rng.integers(len(pool.kind), size=n))
+        return pool.take(rng.integers(len(pool), size=n))
 
     def fresh(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n new starts with their designs."""
@@ -148,29 +148,30 @@ def designs_task(
 
 def with_reflections(starts: Starts) -> Starts:
     """Return starts with all that become of them by turning and reflecting the area, which keeps its sides."""
-    square = starts.kind.shape[1] == starts.kind.shape[2]
+    square = starts.grids.size[0] == starts.grids.size[1]
     found = []
     for turns in range(0, 4, 1 if square else 2):
         turned = starts
         for _ in range(turns):
             turned = _turned(turned)
         found += [turned, _reflected(turned)]
-    return Starts(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+    grids = Grid(*(np.concatenate([getattr(one.grids, name) for one in found]) for name in ("cells", "cars")))
+    return Starts(grids, np.concatenate([one.designs for one in found]))
 
 
 def _turned(starts: Starts) -> Starts:
     """Return starts turned by a quarter, from +x to +y."""
-    length = starts.kind.shape[2]
+    length = starts.grids.size[1]
 
     def cells(array: NDArray[Any]) -> NDArray[Any]:
-        return array.transpose(0, 2, 1, 3)[:, ::-1]
+        return array.swapaxes(1, 2)[:, ::-1]
 
     return _moved(starts, cells, lambda x, y: (length - 1 - y, x), lambda yaw: yaw + 1)
 
 
 def _reflected(starts: Starts) -> Starts:
     """Return starts with y reversed."""
-    width = starts.kind.shape[2]
+    width = starts.grids.size[1]
     return _moved(starts, lambda array: array[:, :, ::-1], lambda x, y: (x, width - 1 - y), lambda yaw: -yaw)
 
 
@@ -180,17 +181,18 @@ def _moved(
     place: Callable[[NDArray[Any], NDArray[Any]], tuple[NDArray[Any], NDArray[Any]]],
     heading: Callable[[NDArray[Any]], NDArray[Any]],
 ) -> Starts:
-    kind, yaw, top, back = (np.ascontiguousarray(cells(a)) for a in starts[:4])
-    with_yaw = np.isin(kind, list(KINDS_WITH_YAW))
-    cars, designs = starts.cars.copy(), starts.designs.copy()
-    x, y = place(starts.cars[..., CarField.X], starts.cars[..., CarField.Y])
+    grids = Grid(cells(starts.grids.cells).copy(), starts.grids.cars.copy())
+    with_yaw = np.isin(grids.kind, KINDS_WITH_YAW)
+    grids.yaw[with_yaw] = heading(grids.yaw[with_yaw]) % 4
+    cars, designs = grids.cars, starts.designs.copy()
+    x, y = place(starts.grids.cars[..., CarField.X], starts.grids.cars[..., CarField.Y])
     cars[..., CarField.X], cars[..., CarField.Y] = x, y
     cars[..., CarField.YAW] = heading(cars[..., CarField.YAW]) % 4
     there, directed = designs[..., 0] != 0, designs[..., 4] >= 0
     x, y = place(designs[..., 1], designs[..., 2])
     designs[..., 1], designs[..., 2] = np.where(there, x, 0), np.where(there, y, 0)
     designs[..., 4] = np.where(there & directed, heading(designs[..., 4]) % 4, designs[..., 4])
-    return Starts(kind, np.where(with_yaw, heading(yaw) % 4, yaw).astype(np.int8), top, back, cars, designs)
+    return Starts(grids, designs)
 
 
 def shape_digest(targets: Targets) -> bytes:

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from craftsim.designs.starts import DesignStart
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import Blueprint
 from craftsim.discrete.files.design import design_in
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.sets import Rules
 
 SIZE: Final = (4, 4, 2)

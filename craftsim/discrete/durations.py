@@ -13,8 +13,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.table import ACTIONS
 from craftsim.errors import suggestion
 
@@ -45,7 +45,7 @@ def nominal_durations() -> NDArray[np.float64]:
     return table
 
 
-def situation(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.int64]:
+def situation(before: NDArray[np.integer], after: NDArray[np.integer]) -> NDArray[np.integer]:
     """Return the column of the table, shape (...), for cars (..., 7) before and after an action."""
     sloping = (before[..., CarField.SLOPE] > 0) | (after[..., CarField.SLOPE] > 0)
     column: NDArray[np.int64] = 2 * sloping + (before[..., CarField.LOAD] != Kind.AIR)
@@ -53,9 +53,9 @@ def situation(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np
 
 
 def tick_durations(
-    before: NDArray[np.int64],
-    after: NDArray[np.int64],
-    actions: NDArray[np.int64],
+    before: NDArray[np.integer],
+    after: NDArray[np.integer],
+    actions: NDArray[np.integer],
     applied: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
     """Return how long a tick takes when all cars act at once, the slowest car's time, shape (...).

@@ -1,19 +1,20 @@
-"""The state of one grid world as integer arrays."""
+"""The state of grid worlds as integer arrays: one world, or with a leading axis many."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import RuleFlags, World, derive_marks
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.kinds import CarField, Kind
+from craftsim.discrete.kernel.state import World, derive_all_marks
+from craftsim.discrete.kinds import CarField, CellField, Kind
+from craftsim.errors import InputError
 
 __all__ = ["KINDS_WITH_YAW", "SECOND_PART", "CarField", "Cell", "Grid", "Kind", "beside"]
-
 
 KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
 
@@ -22,6 +23,15 @@ SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
 
 Cell = tuple[int, int, int]
 """(x, y, z)."""
+
+FILE_DTYPES: Final[dict[str, Any]] = {
+    "kind": np.int8,
+    "yaw": np.int8,
+    "cars": np.int64,
+    "top": np.int16,
+    "back": np.bool_,
+}
+"""Arrays of a grid in files, see :meth:`Grid.to_arrays`."""
 
 
 def beside(cell: Cell, yaw: int) -> Cell:
@@ -32,7 +42,7 @@ def beside(cell: Cell, yaw: int) -> Cell:
 
 @dataclass(eq=False)
 class Grid:
-    """One world: what is in each cell, where the cars are, and the marks kept with each cell.
+    """One world, or a batch of B with a leading axis: what is in each cell, the marks kept with it, and the cars.
 
     Cells are (x, y, z) with 0 <= x < L, 0 <= y < W and 0 <= z <= H; z = 0 is the ground layer, 1 the floor.
 
@@ -45,51 +55,86 @@ class Grid:
         ((3, 2, 1), 1)
     """
 
-    kind: NDArray[np.int8]
-    """(L, W, H + 1): a Kind per cell."""
-    yaw: NDArray[np.int8]
-    """(L, W, H + 1): 0..3 for kinds that have a yaw, else 0."""
-    cars: NDArray[np.int64]
-    """(n, 7): one row a car, columns as CarField."""
-    top: NDArray[np.int16]
-    """(L, W, H + 1): the mark "what is on me": -1 nothing, -2 an object, k >= 0 car k."""
-    back: NDArray[np.bool_]
-    """(L, W, H + 1): the mark "I am the landing of a ramp"; only ever true for blocks."""
+    cells: NDArray[np.int16]
+    """(..., L, W, H + 1, 4): fields as CellField."""
+    cars: NDArray[np.int16]
+    """(..., n, 7): one row a car, columns as CarField."""
 
     @classmethod
-    def empty(cls, size: Cell, n_cars: int = 0) -> Grid:
+    def empty(cls, size: Cell, n_cars: int = 0) -> Self:
         """Return a world of size (L, W, H) with bare ground; its cars wait to be placed, all at (0, 0, 1)."""
         length, width, height = size
-        shape = (length, width, height + 1)
-        kind = np.zeros(shape, np.int8)
-        kind[:, :, 0] = Kind.GROUND
-        cars = np.zeros((n_cars, len(CarField)), np.int64)
-        cars[:, CarField.Z] = 1
-        top = np.full(shape, -1, np.int16)
-        return cls(kind, np.zeros(shape, np.int8), cars, top, np.zeros(shape, np.bool_))
+        grid = cls(
+            np.zeros((length, width, height + 1, len(CellField)), np.int16),
+            np.zeros((n_cars, len(CarField)), np.int16),
+        )
+        grid.kind[:, :, 0] = Kind.GROUND
+        grid.occupant[:] = -1
+        grid.cars[:, CarField.Z] = 1
+        return grid
+
+    @classmethod
+    def stack(cls, grids: Sequence[Grid]) -> Self:
+        """Return a batch of copies of single worlds of one size and number of cars."""
+        return cls(np.stack([grid.cells for grid in grids]), np.stack([grid.cars for grid in grids]))
+
+    @property
+    def kind(self) -> NDArray[np.int16]:
+        """(..., L, W, H + 1): a Kind per cell; a view."""
+        return self.cells[..., CellField.KIND]
+
+    @property
+    def yaw(self) -> NDArray[np.int16]:
+        """(..., L, W, H + 1): 0..3 for kinds that have a yaw, else 0; a view."""
+        return self.cells[..., CellField.YAW]
+
+    @property
+    def occupant(self) -> NDArray[np.int16]:
+        """(..., L, W, H + 1): the mark "what is on me": -1 nothing, -2 an object, k >= 0 car k; a view."""
+        return self.cells[..., CellField.OCCUPANT]
+
+    @property
+    def landing(self) -> NDArray[np.int16]:
+        """(..., L, W, H + 1): the mark "I am the landing of a ramp", 0 or 1; a view."""
+        return self.cells[..., CellField.LANDING]
 
     @property
     def size(self) -> Cell:
         """(L, W, H) in cells; H does not count the ground layer."""
-        length, width, layers = self.kind.shape
+        length, width, layers, _ = self.cells.shape[-4:]
         return length, width, layers - 1
 
     @property
     def n_cars(self) -> int:
         """Number of cars."""
-        return len(self.cars)
+        return self.cars.shape[-2]
+
+    def __len__(self) -> int:
+        """Return the number of worlds of a batch."""
+        if self.cells.ndim == 4:
+            raise TypeError("this is a single world, not a batch")
+        return len(self.cells)
+
+    def __getitem__(self, which: Any) -> Self:
+        """Return a world of a batch, or some of them; a view where NumPy gives one."""
+        return type(self)(self.cells[which], self.cars[which])
 
     def kind_at(self, cell: Cell) -> Kind:
         """Return what is in a cell of the map, or above the map, where there is air and a car may be."""
-        return Kind(self.kind[cell]) if cell[2] <= self.size[2] else Kind.AIR
+        return Kind(self.cells[cell][CellField.KIND]) if cell[2] <= self.size[2] else Kind.AIR
 
-    def copy(self) -> Grid:
+    def copy(self) -> Self:
         """Return a world that shares nothing with this one."""
-        return Grid(self.kind.copy(), self.yaw.copy(), self.cars.copy(), self.top.copy(), self.back.copy())
+        return type(self)(self.cells.copy(), self.cars.copy())
+
+    def world(self, corrections: int = 0) -> World:
+        """Return what compiled code sees of it; it shares the arrays."""
+        return World(self.cells, self.cars, int(corrections))
 
     def derive_marks(self) -> None:
         """Overwrite both marks with what follows from the visible state."""
-        derive_marks(World(self.kind, self.yaw, self.top, self.back, self.cars, RuleFlags()))
+        one = self.cells.ndim == 4
+        derive_all_marks(self.cells[None] if one else self.cells, self.cars[None] if one else self.cars)
 
     def same_visible(self, other: Grid) -> bool:
         """Return whether objects and cars are equal; marks are not compared."""
@@ -101,4 +146,24 @@ class Grid:
 
     def same_marks(self, other: Grid) -> bool:
         """Return whether both marks are equal in every cell."""
-        return np.array_equal(self.top, other.top) and np.array_equal(self.back, other.back)
+        return np.array_equal(self.occupant, other.occupant) and np.array_equal(self.landing, other.landing)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return copies of the arrays as files have them, by name: kind, yaw, cars, top and back (FILE_DTYPES)."""
+        parts = (self.kind, self.yaw, self.cars, self.occupant, self.landing)
+        return {
+            name: part.astype(dtype) for (name, dtype), part in zip(FILE_DTYPES.items(), parts, strict=True)
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Return the grid of arrays as :meth:`to_arrays` gives them; raise InputError for others than of small integers."""
+        for name in FILE_DTYPES:
+            array = arrays[name]
+            if array.dtype.kind not in "biu":
+                raise InputError(f"the array '{name}' holds {array.dtype}; allowed: integers")
+            odd = array[np.abs(array.astype(np.int64)) > np.iinfo(np.int16).max]
+            if odd.size:
+                raise InputError(f"the array '{name}' holds {odd.flat[0]}; allowed: at most 32767")
+        fields = [arrays[name] for name in ("kind", "yaw", "top", "back")]
+        return cls(np.stack(fields, axis=-1).astype(np.int16), np.ascontiguousarray(arrays["cars"], np.int16))

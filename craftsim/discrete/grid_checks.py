@@ -5,116 +5,22 @@ What play may lead to need not make sense, and is not checked for it: two cars i
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import (
-    AIR,
-    BLOCK,
-    BODY,
-    F_LOAD,
-    F_LOAD_YAW,
-    F_SLOPE,
-    F_X,
-    F_Y,
-    F_YAW,
-    F_Z,
-    FLAG,
-    FOOT,
-    FSLOPE,
-    GEAR,
-    GROUND,
-    OBJECT,
-    RuleFlags,
-    World,
-    derive_marks,
-)
 from craftsim.discrete.files.blueprint import MAX_CARS, MAX_CELLS, MAX_SIDE
-from craftsim.discrete.grid import CarField, Cell, Grid
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid
+from craftsim.discrete.kinds import CarField, CellField, Kind
 from craftsim.errors import InputError
 
-DTYPES: Final = {"kind": np.int8, "yaw": np.int8, "cars": np.int64, "top": np.int16, "back": np.bool_}
-"""Of the arrays of a :class:`Grid`."""
+_LOADS: Final = (Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
+_ARRAYS: Final = {"cells": len(CellField), "cars": len(CarField)}
+"""Of a :class:`Grid`, with the length of the last axis."""
 
-SOUND, KIND, LAYER, YAW, TOP, BACK, CAR_CELL, CAR_YAW, LOAD, LOAD_YAW, SLOPE = range(11)
-"""What is wrong with a world, or nothing: first of a cell, then of a car."""
-
-_ALLOWED: Final = {
-    KIND: "the kinds 0 to 8",
-    LAYER: "ground in the layer 0, and nowhere else",
-    YAW: "the yaws 0 to 3 for what has one, else 0",
-    TOP: "the marks -2, -1 and the numbers of its cars",
-    BACK: "a mark as landing on blocks alone",
-    CAR_YAW: "0 to 3",
-    LOAD: "nothing, a block, a flag or a folded slope (0, 3, 4, 5)",
-    LOAD_YAW: "0 to 3 with a folded slope, else 0",
-    SLOPE: "0, 1 below the top level, and 2 above the floor",
-}
-
-_NO_FLAGS: Final = RuleFlags()
-
-
-@compiled
-def _cell_fault(w: World, x: int, y: int, z: int) -> int:
-    kind, yaw = int(np.int64(w.kind[x, y, z])), int(np.int64(w.yaw[x, y, z]))
-    if not AIR <= kind <= FOOT:
-        return KIND
-    if (z == 0) != (kind == GROUND):
-        return LAYER
-    most = 3 if kind in (FSLOPE, GEAR, BODY, FOOT) else 0
-    if not 0 <= yaw <= most:
-        return YAW
-    if not OBJECT <= int(np.int64(w.top[x, y, z])) < w.cars.shape[0]:
-        return TOP
-    return BACK if w.back[x, y, z] and kind != BLOCK else SOUND
-
-
-@compiled
-def _car_fault(w: World, car: int) -> int:
-    x, y, z = w.cars[car, F_X], w.cars[car, F_Y], w.cars[car, F_Z]
-    # It may stand above the highest cell.
-    if not (0 <= x < w.kind.shape[0] and 0 <= y < w.kind.shape[1] and 1 <= z <= w.kind.shape[2]):
-        return CAR_CELL
-    if not 0 <= w.cars[car, F_YAW] <= 3:
-        return CAR_YAW
-    load = w.cars[car, F_LOAD]
-    if load not in (AIR, BLOCK, FLAG, FSLOPE):
-        return LOAD
-    most = 3 if load == FSLOPE else 0
-    if not 0 <= w.cars[car, F_LOAD_YAW] <= most:
-        return LOAD_YAW
-    slope = w.cars[car, F_SLOPE]
-    if slope == 0 or (slope == 1 and z < w.kind.shape[2]) or (slope == 2 and z > 1):
-        return SOUND
-    return SLOPE
-
-
-@compiled
-def _first_fault(w: World, place: NDArray[np.int64]) -> int:
-    """Return what is wrong first, and write where into place (3,): a cell, or the number of a car."""
-    for x in range(w.kind.shape[0]):
-        for y in range(w.kind.shape[1]):
-            for z in range(w.kind.shape[2]):
-                fault = _cell_fault(w, x, y, z)
-                if fault != SOUND:
-                    place[0], place[1], place[2] = x, y, z
-                    return fault
-    for car in range(w.cars.shape[0]):
-        fault = _car_fault(w, car)
-        if fault != SOUND:
-            place[0] = car
-            return fault
-    return SOUND
-
-
-@compiled
-def _marked_first_fault(w: World, place: NDArray[np.int64]) -> int:
-    derive_marks(w)
-    return _first_fault(w, place)
+Checks = list[tuple[str, NDArray[np.bool_], str]]
+"""A field, where it is wrong, and what is allowed."""
 
 
 def check_size(size: Cell, n_cars: int) -> None:
@@ -129,44 +35,76 @@ def check_size(size: Cell, n_cars: int) -> None:
 
 def check_grid(grid: Grid) -> None:
     """Raise InputError, with cell or car and what is allowed, for arrays that are not those of a world."""
-    for name, dtype in DTYPES.items():
+    for name in _ARRAYS:
         array = getattr(grid, name)
-        if not isinstance(array, np.ndarray) or array.dtype != dtype:
+        if not isinstance(array, np.ndarray) or array.dtype != np.int16:
             found = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-            raise InputError(f"the array '{name}' holds {found}; allowed: {np.dtype(dtype)}")
-    shapes = {getattr(grid, name).shape for name in ("kind", "yaw", "top", "back")}
-    if len(shapes) > 1 or grid.kind.ndim != 3 or grid.cars.shape[1:] != (len(CarField),):
+            raise InputError(f"the array '{name}' holds {found}; allowed: int16")
+    shapes = grid.cells.shape, grid.cars.shape
+    if [len(shape) for shape in shapes] != [4, 2] or [shape[-1] for shape in shapes] != [*_ARRAYS.values()]:
         raise InputError(
-            f"the arrays have shapes {sorted(shapes)} and {grid.cars.shape}; allowed: (L, W, H + 1) four times, and "
-            f"(n, {len(CarField)}) for the cars"
+            f"the arrays have the shapes {shapes[0]} and {shapes[1]}; allowed: (L, W, H + 1, {len(CellField)}) for "
+            f"the cells, and (n, {len(CarField)}) for the cars"
         )
     check_size(grid.size, grid.n_cars)
-    _raise_fault(Grid(*(np.ascontiguousarray(getattr(grid, name)) for name in DTYPES)), _first_fault)
+    check_values(grid)
 
 
-def derive_checked_marks(grid: Grid) -> None:
-    """Overwrite both marks as :meth:`Grid.derive_marks` does, and do the same for what stands in all its arrays."""
-    _raise_fault(grid, _marked_first_fault)
-
-
-def _raise_fault(grid: Grid, first_fault: Callable[[World, NDArray[np.int64]], int]) -> None:
-    place = np.empty(3, np.int64)
-    fault = first_fault(World(grid.kind, grid.yaw, grid.top, grid.back, grid.cars, _NO_FLAGS), place)
-    if fault != SOUND:
-        raise InputError(_message(grid, fault, place.tolist()))
-
-
-def _message(grid: Grid, fault: int, place: list[int]) -> str:
-    x, y, z = place
-    if fault < CAR_CELL:
-        name = {KIND: "kind", LAYER: "kind", YAW: "yaw", TOP: "top", BACK: "back"}[fault]
-        return (
-            f"'{name}' of the cell {(x, y, z)} is {getattr(grid, name)[x, y, z]}; allowed: {_ALLOWED[fault]}"
+def check_values(grid: Grid) -> None:
+    """Raise InputError for the first cell or car that holds what no world has; the arrays are those of a grid."""
+    checks = _cell_checks(grid)
+    found = _first(checks)
+    if found is not None:
+        (name, _, allowed), place = found
+        value = int(
+            getattr(grid, "occupant" if name == "top" else "landing" if name == "back" else name)[place]
         )
-    row = grid.cars[x].tolist()
-    if fault == CAR_CELL:
-        return f"car {x} is at {tuple(row[:3])}, outside the map of size {grid.size}"
-    field = {CAR_YAW: CarField.YAW, LOAD: CarField.LOAD, LOAD_YAW: CarField.LOAD_YAW, SLOPE: CarField.SLOPE}[
-        fault
+        raise InputError(f"'{name}' of the cell {place} is {value}; allowed: {allowed}")
+    found = _first(_car_checks(grid))
+    if found is not None:
+        (name, _, allowed), (car,) = found
+        if name == "cell":
+            at = tuple(grid.cars[car, : CarField.Z + 1].tolist())
+            raise InputError(f"car {car} is at {at}, outside the map of size {grid.size}")
+        value = int(grid.cars[car, CarField[name.upper()]])
+        raise InputError(f"'{name}' of car {car} is {value}; allowed: {allowed}")
+
+
+def _first(checks: Checks) -> tuple[tuple[str, NDArray[np.bool_], str], tuple[int, ...]] | None:
+    """Return the first check that fails at the first place where any does, and that place."""
+    bad = np.logical_or.reduce([wrong for _, wrong, _ in checks])
+    if not bad.any():
+        return None
+    place = tuple(int(i) for i in np.unravel_index(int(bad.argmax()), bad.shape))
+    return next(check for check in checks if check[1][place]), place
+
+
+def _cell_checks(grid: Grid) -> Checks:
+    kind, yaw, occupant = grid.kind, grid.yaw, grid.occupant
+    in_ground_layer = np.arange(kind.shape[2]) == 0
+    most_yaw = 3 * np.isin(kind, KINDS_WITH_YAW)
+    landing = (grid.landing != 0) & ((kind != Kind.BLOCK) | (grid.landing != 1))
+    return [
+        ("kind", (kind < Kind.AIR) | (kind > Kind.FOOT), "the kinds 0 to 8"),
+        ("kind", in_ground_layer != (kind == Kind.GROUND), "ground in the layer 0, and nowhere else"),
+        ("yaw", (yaw < 0) | (yaw > most_yaw), "the yaws 0 to 3 for what has one, else 0"),
+        ("top", (occupant < -2) | (occupant >= grid.n_cars), "the marks -2, -1 and the numbers of its cars"),
+        ("back", landing, "a mark as landing on blocks alone"),
     ]
-    return f"'{field.name.lower()}' of car {x} is {row[field]}; allowed: {_ALLOWED[fault]}"
+
+
+def _car_checks(grid: Grid) -> Checks:
+    x, y, z, yaw, load, load_yaw, slope = grid.cars.T
+    length, width, height = grid.size
+    # A car may stand above the highest cell.
+    inside = (x >= 0) & (x < length) & (y >= 0) & (y < width) & (z >= 1) & (z <= height + 1)
+    loads = "nothing, a block, a flag or a folded slope (0, 3, 4, 5)"
+    turned = "0 to 3 with a folded slope, else 0"
+    on_slope = (slope == 0) | ((slope == 1) & (z <= height)) | ((slope == 2) & (z > 1))
+    return [
+        ("cell", ~inside, ""),
+        ("yaw", (yaw < 0) | (yaw > 3), "0 to 3"),
+        ("load", ~np.isin(load, _LOADS), loads),
+        ("load_yaw", (load_yaw < 0) | (load_yaw > 3 * (load == Kind.FSLOPE)), turned),
+        ("slope", ~on_slope, "0, 1 below the top level, and 2 above the floor"),
+    ]

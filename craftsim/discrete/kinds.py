@@ -1,8 +1,8 @@
-"""What cells hold, and the columns in which cars are described."""
+"""What a grid world is described with: kinds, fields of cells and cars, the 15 actions, corrections of the rules."""
 
 from __future__ import annotations
 
-from enum import IntEnum
+from enum import IntEnum, IntFlag, auto
 from typing import Final
 
 
@@ -40,6 +40,19 @@ NAMES: Final = {
 """What is in a cell, in words."""
 
 
+class CellField(IntEnum):
+    """Fields of a cell, the last axis of :attr:`Grid.cells`."""
+
+    KIND = 0
+    """A :class:`Kind`."""
+    YAW = 1
+    """0..3 for kinds that have a yaw, else 0."""
+    OCCUPANT = 2
+    """The mark "what is on me": -1 nothing, -2 an object, k >= 0 car k."""
+    LANDING = 3
+    """The mark "I am the landing of a ramp": 0 or 1; only ever 1 for blocks."""
+
+
 class CarField(IntEnum):
     """Columns of :attr:`Grid.cars`."""
 
@@ -53,3 +66,67 @@ class CarField(IntEnum):
     """Yaw of a carried folded slope, else 0."""
     SLOPE = 6
     """0 off slopes, 1 in a foot's cell, 2 in the cell above a body."""
+
+
+class Action(IntEnum):
+    """A primitive action; the numbers are CraftEnv's. Moves are map directions, whatever the car's yaw.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.Action.LIFT, craftsim.Action["MOVE_RIGHT"].value
+        (<Action.LIFT: 0>, 9)
+    """
+
+    LIFT = 0
+    DROP = 1
+    FOLD = 2
+    UNFOLD = 3
+    ROTATE_LEFT = 4
+    ROTATE_RIGHT = 5
+    MOVE_FORWARD = 6
+    MOVE_BACK = 7
+    MOVE_LEFT = 8
+    MOVE_RIGHT = 9
+    STOP = 10
+    MOVE_FORWARD_LEFT = 11
+    MOVE_FORWARD_RIGHT = 12
+    MOVE_BACK_LEFT = 13
+    MOVE_BACK_RIGHT = 14
+
+
+MOVE_DIRECTION: Final[dict[Action, int]] = {
+    Action.MOVE_RIGHT: 0,
+    Action.MOVE_FORWARD: 1,
+    Action.MOVE_LEFT: 2,
+    Action.MOVE_BACK: 3,
+}
+"""Grid yaw (0..3: +x, +y, -x, -y) in which each of the four moves goes. The diagonal moves are never legal."""
+
+
+class Correction(IntFlag):
+    """The differences between the rule sets, each read in one place of the rules; none is as published."""
+
+    derived_marks = auto()
+    """Marks follow from what is there instead of from past events."""
+    swinging_flap = auto()
+    """FOLD and UNFOLD need room for the flap on its way (docs/rules.md#flap)."""
+    turning_load = auto()
+    """A load turns only where no car stands beside it and no load leans in beside it (docs/rules.md#turning-load)."""
+    leaning_load = auto()
+    """A load needs room on a ramp, below it and beside one that leans there (docs/rules.md#leaning-load)."""
+    own_ramp = auto()
+    """On a ramp a car goes on along that ramp alone, and over no crest (docs/rules.md#own-ramp)."""
+    second_ramp = auto()
+    """Who drives from a ramp's top onto the foot of a second ramp is then on that (docs/rules.md#second-ramp)."""
+    ramp_below_gear = auto()
+    """A ramp below a gear is driven down in its own direction only (docs/rules.md#through-a-gear)."""
+    run_out = auto()
+    """Who comes down a ramp does not drive under a block or flag right behind its foot (docs/rules.md#run-out)."""
+    reaching_load = auto()
+    """Loads and flaps keep clear of loads that reach in from another level (docs/rules.md#reaching-load)."""
+    overhead_wall = auto()
+    """A wall overhead keeps loads, flaps and climbing cars away (docs/rules.md#overhead-wall)."""
+    crossing_gear = auto()
+    """A slope is lifted and set down only where its gear crosses nothing (docs/rules.md#crossing-gear)."""
+    lasting_gears = auto()
+    """A gear gives way to what stands, and lasts as long as its slope (docs/rules.md#lift-erases-gear-cell)."""

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete import reading as found
-from craftsim.discrete.cells import RuleFlags, World
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import records
 
@@ -112,7 +111,7 @@ def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.intege
     n_cars, n = len(poses.car_positions), len(poses.car_positions) + len(poses.positions)
     grid = Grid.empty(size, n_cars)
     grid.kind[tuple(walls.T)] = Kind.WALL
-    world = World(grid.kind, grid.yaw, grid.top, grid.back, grid.cars, RuleFlags())
+    world = grid.world()
     reads, problems = records(n, found.READ), records(n * found.MOST_PROBLEMS, found.PROBLEM)
     n_problems = found.read_things(
         world,

@@ -8,7 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
+from craftsim.discrete.kernel.jit import Record, compiled
+from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
     F_LOAD,
@@ -21,13 +23,13 @@ from craftsim.discrete.cells import (
     FOOT,
     FSLOPE,
     GEAR,
+    KIND,
+    YAW,
     World,
     derive_marks,
     dir_x,
     dir_y,
 )
-from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
-from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.rotation import Axis, body_axes, wrap
 
 PLACE_TOLERANCE_M: Final = 0.025
@@ -160,7 +162,7 @@ def _place(w: World, thing: int, position: Floats, read: Record, problems: Recor
     offset = math.sqrt(ahead * ahead + aside * aside)
     if offset > PLACE_TOLERANCE_M:
         found = _note(problems, found, OFF_CENTRE, thing, offset * 1e3, x, y)
-    length, width = w.kind.shape[0], w.kind.shape[1]
+    length, width = w.cells.shape[0], w.cells.shape[1]
     if not (0 <= x < length and 0 <= y < width):
         found = _note(problems, found, OUTSIDE, thing, x, y)
     read.x, read.y = min(max(x, 0), length - 1), min(max(y, 0), width - 1)
@@ -209,7 +211,7 @@ def _read_car(
         slope = 1 if lower else 2
         height += LEVEL_HEIGHT_M * (-0.25 if lower else 0.25)
     # A car may be above the top level.
-    found = _level(car, height, w.kind.shape[2], read, problems, found)
+    found = _level(car, height, w.cells.shape[2], read, problems, found)
     read.heading_rad, read.carrier = excess, -1
     row = w.cars[car]
     row[F_X], row[F_Y], row[F_Z], row[F_YAW], row[F_SLOPE] = read.x, read.y, read.z, yaw, slope
@@ -272,7 +274,7 @@ def _read_object(
         return found
     read.heading_rad = excess
     found = _place(w, thing, positions[thing], read, problems, found)
-    found = _level(thing, positions[thing, 2], w.kind.shape[2] - 1, read, problems, found)
+    found = _level(thing, positions[thing, 2], w.cells.shape[2] - 1, read, problems, found)
     read.tilt_rad = math.acos(max(-1.0, min(1.0, up[2])))
     if read.tilt_rad > TILT_TOLERANCE_RAD:
         found = _note(problems, found, LEANS, thing, read.tilt_rad)
@@ -323,15 +325,15 @@ def _read_load(
 def _put(
     w: World, thing: int, x: int, y: int, z: int, kind: int, yaw: int, problems: Records, found: int
 ) -> int:
-    if not (0 <= x < w.kind.shape[0] and 0 <= y < w.kind.shape[1]):
+    if not (0 <= x < w.cells.shape[0] and 0 <= y < w.cells.shape[1]):
         return _note(problems, found, REACHES_OUT, thing, x, y, z)
-    there = w.kind[x, y, z]
+    there = w.cells[x, y, z, KIND]
     if kind == GEAR:
         if there == GEAR:
-            yaw = min(yaw, w.yaw[x, y, z])  # the rules show this one of two gears as well
+            yaw = min(yaw, w.cells[x, y, z, YAW])  # the rules show this one of two gears as well
         elif there != AIR:
             return found  # a gear leaves room for what stands in its cell
     elif there not in (AIR, GEAR):
         return _note(problems, found, SHARES, thing, x, y, z, there)
-    w.kind[x, y, z], w.yaw[x, y, z] = kind, yaw
+    w.cells[x, y, z, KIND], w.cells[x, y, z, YAW] = kind, yaw
     return found

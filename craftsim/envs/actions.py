@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 
 N_ACTIONS = len(Action)

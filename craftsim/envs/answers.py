@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.errors import InputError, suggestion
 
 MARK: Final = "ANSWER:"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.envs.answers import answer_text
 from craftsim.envs.text import FORBIDDEN, Feedback, TextConstruction
 from craftsim.errors import InputError

@@ -8,11 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.drawing import LEGEND, world_text
 from craftsim.discrete.files.design import Design, Target
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
-from craftsim.discrete.kinds import NAMES
+from craftsim.discrete.kinds import NAMES, Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.measures import OnePlatform

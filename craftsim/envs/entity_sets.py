@@ -8,8 +8,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import F_X, F_YAW, F_Z, World
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel.state import F_X, F_YAW, F_Z, World
+from craftsim.discrete.kinds import CellField
 from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.batches import Targets
@@ -78,7 +79,9 @@ def entity_sets(
 def _targets(world: World, designs: Targets) -> NDArray[np.int16]:
     kind, x, y, z, yaw = np.moveaxis(designs, -1, 0)
     each = np.arange(len(designs))[:, None]
-    filled = (world.kind[each, x, y, z] == kind) & ((yaw < 0) | (world.yaw[each, x, y, z] == yaw))
+    filled = (world.cells[each, x, y, z, CellField.KIND] == kind) & (
+        (yaw < 0) | (world.cells[each, x, y, z, CellField.YAW] == yaw)
+    )
     zero = np.zeros_like(kind)
     what = np.where(kind == 0, 0, TARGET + kind)
     return np.stack([what, x, y, z, yaw, zero, zero, filled], axis=-1).astype(np.int16)

@@ -13,10 +13,10 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, compile_world, set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.worlds import Worlds

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import ScheduledAction, make_schedule
 from craftsim.envs.core import Core
 from craftsim.errors import InputError

@@ -9,9 +9,9 @@ from typing import Any, Final
 import gymnasium
 from gymnasium import spaces
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.drawing import ARROWS
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task
 from craftsim.envs.answers import MAX_ANSWER, read_answer, words_of
 from craftsim.envs.core import Core, CoreStep

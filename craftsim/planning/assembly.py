@@ -15,8 +15,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind, beside
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.things import BuildingPart, put, take, with_car
 from craftsim.planning.ways import FAR, Maps, Nodes, Ways, is_free

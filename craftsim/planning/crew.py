@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.planning.assembly import taken_out
 from craftsim.planning.paths import WAIT, PathFinder
 from craftsim.planning.things import BuildingPart

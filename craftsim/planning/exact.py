@@ -15,12 +15,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import AIR, F_SLOPE, World, pose_of
 from craftsim.discrete.durations import nominal_durations
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.rules.sets import Rules, world_of
+from craftsim.discrete.kernel.state import AIR, F_SLOPE, KIND, YAW, World, car_field, pose_of
+from craftsim.discrete.kinds import Action, Correction
+from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.rules.table import ACTIONS, apply, legal
 from craftsim.planning.goals import BuildingGoal
 from craftsim.planning.least import least_left
@@ -58,7 +58,7 @@ def is_small(start: Grid, rules: Rules) -> bool:
     """Return whether a world is small enough for :func:`least_work` to find a building's plan as a rule."""
     n_things = sum(1 for _ in things_in(start)) + int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
     return (
-        rules.flags.derived_marks
+        Correction.derived_marks in rules.corrections
         and int(np.prod(start.size)) <= _MOST_CELLS
         and n_things <= _MOST_THINGS
         and start.n_cars <= _MOST_CARS
@@ -76,7 +76,7 @@ def least_work(start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int =
 
     Raises ValueError for rules whose marks do not follow from what is there.
     """
-    if not rules.flags.derived_marks:
+    if Correction.derived_marks not in rules.corrections:
         raise ValueError("worlds are told apart by what is there, but by these rules their marks count, too")
     search = _Worlds(start, goal, rules)
     first = search.pack(start)
@@ -115,7 +115,7 @@ class _Worlds:
 
     def __init__(self, start: Grid, goal: BuildingGoal, rules: Rules) -> None:
         self._grid = start.copy()
-        self._world = world_of(self._grid, rules.flags)
+        self._world = self._grid.world(rules.corrections)
         self._n_cells = start.kind[:, :, 1:].size
         actions = [action for action, spec in ACTIONS.items() if spec.performed and action != Action.STOP]
         self._actions = np.array(actions, np.int64)
@@ -160,13 +160,13 @@ class _Worlds:
 
 @compiled
 def _unpack(row: NDArray[np.uint8], w: World) -> None:
-    length, width, layers = w.kind.shape
+    length, width, layers = w.cells.shape[:3]
     i = 0
     for x in range(length):
         for y in range(width):
             for z in range(1, layers):
-                w.kind[x, y, z] = row[i] & _KIND_BITS
-                w.yaw[x, y, z] = row[i] >> _YAW_SHIFT
+                w.cells[x, y, z, KIND] = row[i] & _KIND_BITS
+                w.cells[x, y, z, YAW] = row[i] >> _YAW_SHIFT
                 i += 1
     for car in range(w.cars.shape[0]):
         for field in range(w.cars.shape[1]):
@@ -176,12 +176,12 @@ def _unpack(row: NDArray[np.uint8], w: World) -> None:
 
 @compiled
 def _pack(w: World, row: NDArray[np.uint8]) -> None:
-    length, width, layers = w.kind.shape
+    length, width, layers = w.cells.shape[:3]
     i = 0
     for x in range(length):
         for y in range(width):
             for z in range(1, layers):
-                row[i] = w.kind[x, y, z] | (w.yaw[x, y, z] << _YAW_SHIFT)
+                row[i] = w.cells[x, y, z, KIND] | (w.cells[x, y, z, YAW] << _YAW_SHIFT)
                 i += 1
     for car in range(w.cars.shape[0]):
         for field in range(w.cars.shape[1]):
@@ -210,7 +210,7 @@ def _expand(
             if not legal(w, car, pose, actions[i]):
                 continue
             apply(w, car, actions[i])
-            sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
+            sloping = pose.slope > 0 or car_field(w, car, F_SLOPE) > 0
             column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
             _pack(w, rows[count])
             steps[count, 0] = costs[actions[i], column]

@@ -7,9 +7,23 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import AIR, BLOCK, BODY, F_LOAD, F_X, F_Y, F_Z, FLAG, FSLOPE, World, kind_at
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
+    AIR,
+    BLOCK,
+    BODY,
+    F_LOAD,
+    F_X,
+    F_Y,
+    F_Z,
+    FLAG,
+    FSLOPE,
+    KIND,
+    World,
+    car_field,
+    kind_at,
+)
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.table import DROP, FOLD, LIFT, UNFOLD
 
 _UNKNOWN: Final = 1 << 40
@@ -57,7 +71,7 @@ def least_left(
     nearest = _UNKNOWN
     for car in range(w.cars.shape[0]):
         for i in range(n_things):
-            way = abs(w.cars[car, F_X] - things[i, 1]) + abs(w.cars[car, F_Y] - things[i, 2])
+            way = abs(car_field(w, car, F_X) - things[i, 1]) + abs(car_field(w, car, F_Y) - things[i, 2])
             nearest = min(nearest, way)
     return least + nearest * costs[_MOVE, 0]
 
@@ -69,7 +83,7 @@ def _must_unfold(w: World, targets: NDArray[np.int64], things: NDArray[np.int64]
         if things[i, 0] == BODY:
             return False
     for car in range(w.cars.shape[0]):
-        if w.cars[car, F_Z] > 1:
+        if car_field(w, car, F_Z) > 1:
             return False
     missing = False
     for k in range(targets.shape[0]):
@@ -84,20 +98,20 @@ def _must_unfold(w: World, targets: NDArray[np.int64], things: NDArray[np.int64]
 def _list_things(w: World, things: NDArray[np.int64]) -> tuple[int, bool]:
     """Write kind, place and whether it is carried of each thing; return how many, and whether any is carried."""
     count = 0
-    length, width, layers = w.kind.shape
+    length, width, layers = w.cells.shape[:3]
     for x in range(length):
         for y in range(width):
             for z in range(1, layers):
-                kind = w.kind[x, y, z]
+                kind = w.cells[x, y, z, KIND]
                 if kind in (BLOCK, FLAG, FSLOPE, BODY):
                     things[count, 0], things[count, 1], things[count, 2] = kind, x, y
                     things[count, 3], things[count, 4] = z, 0
                     count += 1
     carrying = False
     for car in range(w.cars.shape[0]):
-        if w.cars[car, F_LOAD] != AIR:
-            things[count, 0] = w.cars[car, F_LOAD]
-            things[count, 1], things[count, 2] = w.cars[car, F_X], w.cars[car, F_Y]
+        if car_field(w, car, F_LOAD) != AIR:
+            things[count, 0] = car_field(w, car, F_LOAD)
+            things[count, 1], things[count, 2] = car_field(w, car, F_X), car_field(w, car, F_Y)
             things[count, 3], things[count, 4] = 0, 1
             count += 1
             carrying = True

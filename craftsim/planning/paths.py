@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import F_X, F_Y, F_Z, FSLOPE, Pose, World, world_at
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import F_X, F_Y, F_Z, FSLOPE, Pose, World, car_field, world_at
 from craftsim.discrete.planning.search import SUCCESSORS, after, node_of
 from craftsim.discrete.rules.table import legal
 from craftsim.planning.ways import FAR, HALF_TURN, N_STEPS, Nodes, slope_state
@@ -91,7 +91,12 @@ class PathFinder:
 def _occupied(w: World, me: int, x: int, y: int, z: int) -> bool:
     """Return whether another car is in a cell."""
     for other in range(w.cars.shape[0]):
-        if other != me and w.cars[other, F_X] == x and w.cars[other, F_Y] == y and w.cars[other, F_Z] == z:
+        if (
+            other != me
+            and car_field(w, other, F_X) == x
+            and car_field(w, other, F_Y) == y
+            and car_field(w, other, F_Z) == z
+        ):
             return True
     return False
 
@@ -126,7 +131,7 @@ def _find(
 ) -> int:
     """Return the last state of a path, or -1; a state is a node in a tick. Buckets hold states of equal rank."""
     n_nodes = distances.shape[0]
-    width, layers = worlds.kind.shape[2], worlds.kind.shape[3] + 1
+    width, layers = worlds.cells.shape[2], worlds.cells.shape[3] + 1
     parents[start] = -1
     seen[start] = number
     following[start] = -1

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.timetable import makespan, timetable

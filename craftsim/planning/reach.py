@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
+from craftsim.discrete.kinds import Action
 from craftsim.planning.assembly import Assembly, has_room, taken_out
 from craftsim.planning.things import BuildingPart, things_in, with_car
 from craftsim.planning.ways import FAR, Nodes, Ways

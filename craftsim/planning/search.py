@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Correction
 from craftsim.discrete.rules.sets import Rules
 from craftsim.planning.assembly import Assembly, Order, State
 from craftsim.planning.bounds import makespan_bound
@@ -100,7 +101,7 @@ class PlanSearch:
         self._buildings = self._goals()
         self._orders: list[tuple[Order, State]] = []
         self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
-        self._exact = rules.flags.derived_marks and (
+        self._exact = Correction.derived_marks in rules.corrections and (
             exact and is_small(start, rules) if goal.building else not goal.platform
         )
         self.best: Planned | None = None

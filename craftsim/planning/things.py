@@ -75,4 +75,4 @@ def _is_inside(grid: Grid, cell: Cell) -> bool:
 def with_car(grid: Grid, cell: Cell, yaw: int, load: Kind = Kind.AIR) -> Grid:
     """Return the world with a single car; a slope that it carries has its low side behind it."""
     car = [*cell, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0, 0]
-    return Grid(grid.kind, grid.yaw, np.array([car], np.int64), grid.top, grid.back)
+    return Grid(grid.cells, np.array([car], np.int16))

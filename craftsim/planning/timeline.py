@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import (
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
     AIR,
+    DERIVED_MARKS,
     F_LOAD,
     F_LOAD_YAW,
     F_SLOPE,
@@ -21,8 +23,7 @@ from craftsim.discrete.cells import (
     derive_marks,
     world_at,
 )
-from craftsim.discrete.grid import Grid
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.sets import Rules, act
 
 NOTHING_DONE: Final = -1
@@ -35,30 +36,27 @@ class Snapshots:
     """The worlds before tick 0, 1, 2, ...; those of a plan that grows."""
 
     def __init__(self, grid: Grid, rules: Rules) -> None:
-        self.flags = rules.flags
-        parts = grid.kind, grid.yaw, grid.top, grid.back, grid.cars
-        self._arrays: list[Any] = [np.repeat(part[None], _FIRST_TICKS, axis=0) for part in parts]
+        self._corrections = rules.corrections
+        self._grids = Grid.stack([grid] * _FIRST_TICKS)
 
     @property
     def stack(self) -> World:
         """All of them; arrays have a leading dimension over ticks."""
-        kind, yaw, top, back, cars = self._arrays
-        return World(kind, yaw, top, back, cars, self.flags)
+        return self._grids.world(self._corrections)
 
     def reserve(self, n_ticks: int) -> None:
         """Make room for the world before a tick."""
-        while len(self._arrays[0]) <= n_ticks:
-            self._arrays = [np.concatenate([part, part]) for part in self._arrays]
+        while len(self._grids) <= n_ticks:
+            cells, cars = self._grids.cells, self._grids.cars
+            self._grids = Grid(np.concatenate([cells, cells]), np.concatenate([cars, cars]))
 
     def copy_from(self, other: Snapshots, tick: int) -> None:
         """Take over the world before a tick."""
-        for mine, its in zip(self._arrays, other._arrays, strict=True):
-            mine[tick] = its[tick]
+        self._grids.cells[tick], self._grids.cars[tick] = other._grids.cells[tick], other._grids.cars[tick]
 
     def grid(self, tick: int) -> Grid:
         """Return the world before a tick."""
-        kind, yaw, top, back, cars = (part[tick].copy() for part in self._arrays)
-        return Grid(kind, yaw, cars, top, back)
+        return self._grids[tick].copy()
 
 
 class Timeline:
@@ -129,14 +127,12 @@ class Timeline:
 @compiled
 def _copy(worlds: World, tick: int) -> None:
     """Begin the world after a tick as the one before it."""
-    _, length, width, layers = worlds.kind.shape
+    _, length, width, layers, fields = worlds.cells.shape
     for x in range(length):
         for y in range(width):
             for z in range(layers):
-                worlds.kind[tick + 1, x, y, z] = worlds.kind[tick, x, y, z]
-                worlds.yaw[tick + 1, x, y, z] = worlds.yaw[tick, x, y, z]
-                worlds.top[tick + 1, x, y, z] = worlds.top[tick, x, y, z]
-                worlds.back[tick + 1, x, y, z] = worlds.back[tick, x, y, z]
+                for field in range(fields):
+                    worlds.cells[tick + 1, x, y, z, field] = worlds.cells[tick, x, y, z, field]
     for car in range(worlds.cars.shape[1]):
         for field in range(worlds.cars.shape[2]):
             worlds.cars[tick + 1, car, field] = worlds.cars[tick, car, field]
@@ -151,7 +147,7 @@ def _replay(worlds: World, actions: NDArray[np.int8], first: int, end: int) -> i
         for car in range(actions.shape[1]):
             if actions[tick, car] >= 0 and not act(w, car, actions[tick, car]) and bad < 0:
                 bad = tick * actions.shape[1] + car
-        if w.flags.derived_marks:
+        if w.corrections & DERIVED_MARKS:
             derive_marks(w)
     return bad
 
@@ -164,12 +160,12 @@ def _replay_without(worlds: World, actions: NDArray[np.int8], first: int, end: i
         for car in range(actions.shape[1]):
             if car != left_out and actions[tick, car] >= 0:
                 act(w, car, actions[tick, car])
-        if w.flags.derived_marks:
+        if w.corrections & DERIVED_MARKS:
             derive_marks(w)
 
 
 @compiled
-def _leave_out(cars: NDArray[np.int64], car: int) -> None:
+def _leave_out(cars: NDArray[np.int16], car: int) -> None:
     for field in (F_X, F_Y, F_Z):
         cars[car, field] = _NOWHERE
     cars[car, F_LOAD] = AIR

@@ -12,11 +12,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import AIR, BODY, FOOT, FSLOPE, Pose, World, kind_at, standable
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, Pose, World, kind_at, standable
+from craftsim.discrete.kinds import CellField, Correction
 from craftsim.discrete.planning.search import SUCCESSORS, after, node_of
-from craftsim.discrete.rules.sets import Rules, world_of
+from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.rules.table import legal
 
 Nodes = NDArray[np.int32]
@@ -41,8 +42,8 @@ class Ways:
         self.size = grid.size
         self.steps = np.full((length * width * (height + 2) * 4, N_STEPS), -1, np.int32)
         """(nodes, 6): the state after each of SUCCESSORS, -1 where that is forbidden."""
-        alone = Grid(grid.kind, grid.yaw, np.zeros((1, len(CarField)), np.int64), grid.top, grid.back)
-        _fill_steps(world_of(alone, rules.flags), int(load), self.steps)
+        alone = Grid(grid.cells, np.zeros((1, len(CarField)), np.int16))
+        _fill_steps(alone.world(rules.corrections), int(load), self.steps)
         self._firsts: Nodes | None = None
         self._befores: Nodes | None = None
         self._from: dict[tuple[int, ...], Nodes] = {}
@@ -103,12 +104,8 @@ class Maps:
     def ways(self, grid: Grid, load: Kind = Kind.AIR) -> Ways:
         """Return the ways of a car with a load in a world without other cars."""
         # Where marks follow from what is there, they make no difference.
-        parts = (
-            (grid.kind, grid.yaw)
-            if self.rules.flags.derived_marks
-            else (grid.kind, grid.yaw, grid.top, grid.back)
-        )
-        key = (bytes([load]), *(part.tobytes() for part in parts))
+        derived = Correction.derived_marks in self.rules.corrections
+        key = bytes([load]), (grid.cells[..., : CellField.OCCUPANT] if derived else grid.cells).tobytes()
         found = self._known.get(key)
         if found is None:
             found = Ways(grid, self.rules, load)
@@ -148,7 +145,7 @@ def can_be_in(w: World, x: int, y: int, z: int) -> bool:
 
 @compiled
 def _fill_steps(w: World, load: int, steps: Nodes) -> None:
-    length, width, layers = w.kind.shape
+    length, width, layers = w.cells.shape[:3]
     for x in range(length):
         for y in range(width):
             for z in range(1, layers + 1):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from craftsim.checking.attempt import Attempt
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.table import ACTIONS
 from craftsim.rendering.trajectory import Trajectory
 

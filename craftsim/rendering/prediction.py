@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from itertools import accumulate
 
 from craftsim.checking.recipe import Act
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.rendering.trajectory import Trajectory
 

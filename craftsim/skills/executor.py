@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.kernel.jit import records
+from craftsim.discrete.kinds import Action
 from craftsim.models.measuring import Records
 from craftsim.models.motors import Motors
 from craftsim.models.noise import EXACT, SensorNoise

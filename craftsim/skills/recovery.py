@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.reading import nearest_yaw
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.driving import Move, cell_middle

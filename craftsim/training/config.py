@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Literal, get_args
 
-from craftsim.discrete.rules import RULE_FLAGS, RuleSet
+from craftsim.discrete.rules import RULE_SETS, RuleSet
 from craftsim.errors import InputError
 from craftsim.models.parameters import DRIVES, Drive
 from craftsim.storage.limits import (
@@ -102,8 +102,8 @@ class TrainConfig:
         _check_drawn(self.randomize, self.backend)
         if self.network not in get_args(NetworkName):
             raise InputError(f"network is {self.network!r}; allowed: {', '.join(get_args(NetworkName))}")
-        if self.rules not in RULE_FLAGS:
-            raise InputError(f"rules is {self.rules!r}; allowed: {', '.join(RULE_FLAGS)}")
+        if self.rules not in RULE_SETS:
+            raise InputError(f"rules is {self.rules!r}; allowed: {', '.join(RULE_SETS)}")
         if self.helper_depth is not None:
             HELPER_DEPTH.check("helper_depth", self.helper_depth)
         EXPLORED_TICKS.check("explore", self.explore)

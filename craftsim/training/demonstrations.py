@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.batches import Starts
@@ -93,7 +94,7 @@ def replayed(
     task: Task, starts: Starts, plans: Sequence[Ticks], rules: RuleSet = "physical"
 ) -> Demonstrations:
     """Return what cars do in plans, one from each start."""
-    n_cars, lengths = starts.cars.shape[1], np.array([len(plan) for plan in plans])
+    n_cars, lengths = starts.grids.n_cars, np.array([len(plan) for plan in plans])
     rows, n_ticks = np.arange(len(plans)), int(lengths.max())
     actions = np.full((len(plans), n_ticks, n_cars), NOT_SHOWN)
     turns = np.tile(np.arange(n_cars), (len(plans), n_ticks, 1))
@@ -106,14 +107,16 @@ def replayed(
     episodes.begin(rows, starts)
     worlds, rewards = [], np.zeros(actions.shape[:2], np.float32)
     for t in range(n_ticks):
-        w = episodes.worlds.arrays
-        now = Starts(w.kind, w.yaw, w.top, w.back, w.cars, episodes.designs)
-        worlds.append(now.take(rows[lengths > t]))
+        worlds.append(Starts(episodes.worlds.grids, episodes.designs).take(rows[lengths > t]))
         done = np.where(actions[:, t] == NOT_SHOWN, int(Action.STOP), actions[:, t])
         rewards[:, t] = episodes.step(done, turns[:, t]).reward
     # All that is shown in one tick lies together so far.
     which = np.arange(n_ticks)[:, None] < lengths
     order = np.lexsort(np.nonzero(which))
-    shown = Starts(*(np.concatenate(arrays)[order] for arrays in zip(*worlds, strict=True)))
+    grids = Grid(
+        np.concatenate([some.grids.cells for some in worlds]),
+        np.concatenate([some.grids.cars for some in worlds]),
+    )
+    shown = Starts(grids, np.concatenate([some.designs for some in worlds])).take(order)
     which = which.T
     return Demonstrations(shown, actions[which], rewards[which], np.nonzero(which)[1] == 0)

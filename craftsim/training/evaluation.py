@@ -36,7 +36,7 @@ def evaluate(
     worlds = Episodes(task, np.random.default_rng(seed), episodes, rules, helper_depth)
     if (listed := task.listed_starts) is not None:
         rows = np.arange(episodes)
-        worlds.begin(rows, listed.take(rows % len(listed.kind)))
+        worlds.begin(rows, listed.take(rows % len(listed)))
     running = np.ones(episodes, np.bool_)
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
     repetitions = Repetitions(worlds.designs)

@@ -8,15 +8,15 @@ plan and no other knowledge of the task goes in but its reward's potential.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.tasks import Task
@@ -34,9 +34,7 @@ EPISODES: Final = 2
 it."""
 STARTS: Final = 1000
 """How many worlds are returned: half of them lie on the way to the best one, the others anywhere."""
-_ARRAYS: Final = tuple(field.name for field in fields(Grid))
-_STORED: Final = np.dtype(np.int16)
-"""Wide enough for all that a world holds."""
+_ARRAYS: Final = ("cells", "cars")
 _HASH_SEED: Final = 1
 
 
@@ -120,10 +118,7 @@ class _Reached:
         self._limit = EPISODES * (episodes.task.max_steps + 2)
         live = self._live(episodes)
         self._arrays = {
-            name: np.empty(
-                (1 << 12, *array.shape[1:]), min(array.dtype, _STORED, key=lambda kind: kind.itemsize)
-            )
-            for name, array in live.items()
+            name: np.empty((1 << 12, *array.shape[1:]), array.dtype) for name, array in live.items()
         }
         length = sum(array[0].size for array in live.values())
         self._factors = np.random.default_rng(_HASH_SEED).integers(-(2**62), 2**62, length)
@@ -218,7 +213,4 @@ class _Reached:
 
     def grids(self, which: Sequence[int]) -> list[Grid]:
         """Return copies of worlds."""
-        made = [Grid(*(self._arrays[name][i].copy() for name in _ARRAYS)) for i in which]
-        for grid in made:
-            grid.cars = grid.cars.astype(np.int64)
-        return made
+        return [Grid(*(self._arrays[name][i].copy() for name in _ARRAYS)) for i in which]

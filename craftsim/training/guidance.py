@@ -68,5 +68,5 @@ def _explored(config: TrainConfig, task: Task, rng: np.random.Generator) -> Guid
 def _planned(config: TrainConfig, task: Task, shown: Demonstrations, rng: np.random.Generator) -> Guidance:
     if isinstance(task, VariedTask):
         return Guidance(half_shown(task, shown.worlds, config.shown_share), shown)
-    some = rng.integers(len(shown.worlds.kind), size=STARTS)
+    some = rng.integers(len(shown.worlds), size=STARTS)
     return Guidance(half_from(task, [shown.worlds.grid(i) for i in some]), shown)

@@ -64,7 +64,7 @@ class HalfShown:
         """Return n starts."""
         starts = self.own.draw(rng, n)
         rows = np.flatnonzero(rng.random(n) < self.share)
-        starts.put(rows, self.others.take(rng.integers(len(self.others.kind), size=len(rows))))
+        starts.put(rows, self.others.take(rng.integers(len(self.others), size=len(rows))))
         return starts
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from craftsim.checking.contact_log import ContactLog
 from craftsim.checking.safety import FALL_M_S, TIPPED_RAD, hazards, is_unsafe
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site

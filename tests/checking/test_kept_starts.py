@@ -5,8 +5,8 @@ import pytest
 
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import compile_world, set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization, _kept

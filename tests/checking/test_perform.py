@@ -8,8 +8,8 @@ from craftsim.checking import world
 from craftsim.checking.perform import perform
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.site import Site
 

@@ -12,8 +12,8 @@ from craftsim.checking.recipe import do
 from craftsim.checking.settings import Setup, nominal_gains
 from craftsim.checking.unexpected import under
 from craftsim.checking.world import set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.models.noise import EXACT
 from craftsim.validation.runs.steps import steps_of
 

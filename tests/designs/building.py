@@ -10,10 +10,10 @@ from collections import deque
 from collections.abc import Iterator
 
 from craftsim.designs.growth import Ramp
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import pose_of
 from craftsim.discrete.grid import Cell, Grid, Kind
-from craftsim.discrete.rules.sets import RULE_FLAGS, act, world_of
+from craftsim.discrete.kernel.state import pose_of
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules.sets import RULE_SETS, act, world_of
 from craftsim.discrete.rules.table import apply, legal
 
 DRIVING = [int(action) for action in Action if action.name.startswith(("MOVE_", "ROTATE"))][:6]
@@ -21,7 +21,7 @@ DRIVING = [int(action) for action in Action if action.name.startswith(("MOVE_", 
 
 def poses(grid: Grid) -> Iterator[tuple[int, ...]]:
     """Yield the poses that car 0 can drive to as it is, the nearest first; the grid shows each while it is yielded."""
-    world, row = world_of(grid, RULE_FLAGS["physical"]), grid.cars[0]
+    world, row = world_of(grid, RULE_SETS["physical"]), grid.cars[0]
     start = tuple(row.tolist())
     seen, waiting = {start}, deque([start])
     while waiting:
@@ -41,7 +41,7 @@ def poses(grid: Grid) -> Iterator[tuple[int, ...]]:
 
 def do(grid: Grid, *actions: Action) -> bool:
     """Let car 0 act in place; return whether the rules let it."""
-    world = world_of(grid, RULE_FLAGS["physical"])
+    world = world_of(grid, RULE_SETS["physical"])
     return all(act(world, 0, int(action)) for action in actions)
 
 

@@ -141,7 +141,7 @@ MUTANTS: Final = (
     Mutant(
         "a load turns beside no car",
         "rules/legality.py",
-        "if next_to_me and (not bare or w.flags.turning_load):",
+        "if next_to_me and (not bare or w.corrections & TURNING_LOAD):",
         "if next_to_me and not bare:",
     ),
     Mutant(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 
 BOTH = pytest.mark.parametrize(

@@ -257,7 +257,7 @@ def test_published_random_objects_leave_no_mark_below(rng):
     grid = parse_blueprint(RANDOM, "r.yaml").grid(rng, "published")
     blocks = np.argwhere(grid.kind == Kind.BLOCK)
     cars = {tuple(row[:2]) for row in grid.cars.tolist()}
-    marks = {(x, y): int(grid.top[x, y, 0]) for x, y, _ in blocks.tolist() if (x, y) not in cars}
+    marks = {(x, y): int(grid.occupant[x, y, 0]) for x, y, _ in blocks.tolist() if (x, y) not in cars}
     assert marks.pop((0, 0)) == -2
     assert set(marks.values()) == {-1}
 

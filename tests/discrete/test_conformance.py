@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.discrete.cells import RuleFlags
+from craftsim.discrete.kinds import Correction
 from craftsim.discrete.records.conformance import QUIRK_TAGS, Checker
 from craftsim.discrete.records.traces import read_records
 from craftsim.discrete.rules import Rules
 from craftsim.report import SCHEMA_VERSION
 
 DATA = Path(__file__).parents[1] / "data"
-DERIVED = RuleFlags(derived_marks=True)
+DERIVED = Correction.derived_marks
 FILES = (DATA / "traces.jsonl.gz", DATA / "plans.jsonl.gz")
 RECORDED = {"swinging_flap", "turning_load", "reaching_load", "ramp_below_gear", "lasting_gears"}
 """Corrections of what happens in the recordings at all."""
@@ -66,9 +66,9 @@ def test_physical_rules_agree_with_every_record_without_a_quirk_that_no_correcti
     assert 20 < tally.corrected < 0.1 * tally.records
 
 
-@pytest.mark.parametrize("switch", [None, *DERIVED._fields[1:]])
+@pytest.mark.parametrize("switch", [None, *list(Correction.__members__)[1:]])
 def test_each_correction_leaves_all_records_that_it_does_not_change_as_they_are(ticks, switch):
-    checker = Checker(Rules("physical", DERIVED._replace(**{switch: True}) if switch else DERIVED))
+    checker = Checker(Rules("physical", DERIVED | Correction[switch] if switch else DERIVED))
     for line, record in ticks:
         checker.check(line, record)
     assert not checker.tally.mismatches

@@ -2,9 +2,9 @@
 
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.rules import RULE_FLAGS, Rules
+from craftsim.discrete.kinds import Action, Correction
+from craftsim.discrete.rules import RULE_SETS, Rules
 
 PUBLISHED, PHYSICAL = Rules("published"), Rules("physical")
 AIR, BLOCK, FLAG, FSLOPE, GEAR, BODY, FOOT, WALL = (
@@ -27,7 +27,7 @@ RAMP = [(BLOCK, (1, 3, 1)), (BODY, (2, 3, 1), 0)]
 
 def allows(grid, car, action, without=None):
     """Return whether published allows an action, and whether physical does, but for one switch."""
-    flags = RULE_FLAGS["physical"]._replace(**{without: False}) if without else None
+    flags = ~Correction[without] if without else None
     return tuple(bool(r.legal(grid, car, action)) for r in (PUBLISHED, Rules("physical", flags)))
 
 
@@ -38,8 +38,8 @@ def corrected(grid, car, action, switch):
 
 
 def test_published_has_no_correction_and_physical_has_all():
-    assert not any(RULE_FLAGS["published"])
-    assert all(RULE_FLAGS["physical"])
+    assert not RULE_SETS["published"]
+    assert set(RULE_SETS["physical"]) == set(Correction)
 
 
 @SWINGS

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.rules import RULE_FLAGS, Rules
+from craftsim.discrete.kinds import Action, Correction
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.rules.explain import CORRECTIONS
 
 from .worldgen import play, random_world
@@ -57,14 +57,14 @@ def test_without_the_flag_that_is_named_the_action_is_legal_or_has_another_reaso
     named = dict.fromkeys(CORRECTIONS, 0)
     for _ in range(3000):
         grid = _dense_world(rng)
-        legal = Rules("published", RULE_FLAGS["physical"]._replace(**dict.fromkeys(CORRECTIONS, False))).mask(
+        legal = Rules("published", Correction(sum(c for c in Correction if c.name not in CORRECTIONS))).mask(
             grid
         )
         for car, action in np.argwhere(legal & ~rules.mask(grid)):
             told = rules.explain(grid, int(car), Action(action))
             assert told.flag is not None
             named[told.flag] += 1
-            other = Rules("physical", RULE_FLAGS["physical"]._replace(**{told.flag: False}))
+            other = Rules("physical", ~Correction[told.flag])
             assert other.explain(grid, int(car), Action(action)).reason != told.reason
         if min(named.values()) > 2:
             break
@@ -73,7 +73,7 @@ def test_without_the_flag_that_is_named_the_action_is_legal_or_has_another_reaso
 
 def test_the_flags_that_are_explained_are_those_of_the_physical_rules_that_forbid():
     effects = {"derived_marks", "second_ramp", "lasting_gears"}
-    assert set(CORRECTIONS) == set(RULE_FLAGS["physical"]._fields) - effects
+    assert set(CORRECTIONS) == set(Correction.__members__) - effects
 
 
 def test_reasons_name_the_cells(scene, car):

@@ -5,8 +5,8 @@ import heapq
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.planning.heap import heapify, pop, push
 from craftsim.discrete.planning.planner import Planner, empty_queue
 from craftsim.discrete.rules import Rules

@@ -93,10 +93,10 @@ ODD = {
     "ground": (_set("kind", (0, 0, 0), Kind.BODY), "allowed: ground in the layer 0"),
     "ground above": (_set("kind", (0, 0, 2), Kind.GROUND), "allowed: ground in the layer 0"),
     "yaw": (_set("yaw", (0, 0, 1), 99), "'yaw' of the cell"),
-    "top": (_set("top", (0, 0, 1), 30000), "'top' of the cell"),
-    "back": (_set("back", (0, 0, 2), True), "allowed: a mark as landing on blocks"),
+    "top": (_set("occupant", (0, 0, 1), 30000), "'top' of the cell"),
+    "back": (_set("landing", (0, 0, 2), 1), "allowed: a mark as landing on blocks"),
     "heading": (_set("cars", (0, CarField.YAW), 99), "'yaw' of car 0 is 99; allowed: 0 to 3"),
-    "load": (_set("cars", (0, CarField.LOAD), 10**6), "'load' of car 0 is 1000000"),
+    "load": (_set("cars", (0, CarField.LOAD), 10**4), "'load' of car 0 is 10000"),
     "load yaw": (_set("cars", (0, CarField.LOAD_YAW), 2), "'load_yaw' of car 0 is 2"),
     "slope": (_set("cars", (0, CarField.SLOPE), 99), "'slope' of car 0 is 99"),
     "below": (_set("cars", (1, CarField.Z), 0), "car 1 is at"),
@@ -109,10 +109,7 @@ def test_a_start_that_the_rules_cannot_look_up_is_refused(name, tmp_path):
     ODD[name][0](grid)
     with pytest.raises(InputError, match=ODD[name][1]):
         starting_from(make_task("strip"), [grid])
-    arrays = {
-        key: np.stack([getattr(_start(), key), getattr(grid, key)])
-        for key in ("kind", "yaw", "cars", "top", "back")
-    }
+    arrays = Grid.stack([_start(), grid]).to_arrays()
     np.savez(tmp_path / "starts.npz", **arrays)
     with pytest.raises(InputError, match=r"starts\.npz: world 1: "):
         load_starts(tmp_path / "starts.npz")
@@ -121,12 +118,11 @@ def test_a_start_that_the_rules_cannot_look_up_is_refused(name, tmp_path):
 def test_arrays_of_another_shape_or_type_are_no_world():
     grid = _start()
     for name, array, words in (
-        ("kind", grid.kind.astype(np.int64), "the array 'kind' holds int64; allowed: int8"),
-        ("kind", grid.kind[:, :, 0], "have shapes"),
-        ("cars", grid.cars[:, :3], "have shapes"),
-        ("top", grid.top[:2], "have shapes"),
-        ("cars", np.zeros((300, 7), np.int64), "300 cars"),
-        ("kind", [1, 2], "holds list"),
+        ("cells", grid.cells.astype(np.int64), "the array 'cells' holds int64; allowed: int16"),
+        ("cells", grid.kind, "have the shapes"),
+        ("cars", grid.cars[:, :3], "have the shapes"),
+        ("cars", np.zeros((300, 7), np.int16), "300 cars"),
+        ("cells", [1, 2], "holds list"),
     ):
         other = grid.copy()
         setattr(other, name, array)
@@ -134,6 +130,14 @@ def test_arrays_of_another_shape_or_type_are_no_world():
             check_grid(other)
     with pytest.raises(InputError, match="the size is"):
         check_grid(Grid.empty((129, 1, 1)))
+    for odd, words in (
+        (1 << 16, "holds 6553[67]; allowed: at most 32767"),
+        (0.5, "holds float64; allowed: integers"),
+    ):
+        arrays = grid.to_arrays()
+        arrays["cars"] = arrays["cars"] + odd
+        with pytest.raises(InputError, match=words):
+            Grid.from_arrays(arrays)
 
 
 def test_feet_without_a_body_count_as_slopes(tmp_path):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.planning.planner import Planner, empty_queue
 from craftsim.discrete.rules import Rules
 

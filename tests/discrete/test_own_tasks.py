@@ -5,12 +5,12 @@ import sys
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
 from craftsim.discrete.files.plan import read_plan, write_plan
 from craftsim.discrete.files.saving import write_blueprint
 from craftsim.discrete.files.shipped import shipped_names
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task, task_of
 from craftsim.discrete.tasks.measures import FlagAtGoal, OnePlatform
 from craftsim.discrete.tasks.rewards import Reward

@@ -261,7 +261,7 @@ def test_marks_follow_from_what_was_read():
     expected = reading.grid.copy()
     expected.derive_marks()
     assert reading.grid.same_marks(expected)
-    assert reading.grid.top[0, 0, 1] == 0
+    assert reading.grid.occupant[0, 0, 1] == 0
 
 
 def test_a_load_off_its_seat_is_a_problem():

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import read_plan, shipped_plan
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Order, make_schedule
 from craftsim.discrete.tasks import make_task

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
 from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
 from craftsim.discrete.tasks.measures import CodePlatform, Complexity, PaperPlatform

@@ -53,8 +53,8 @@ def test_an_action_that_is_predicted_to_change_nothing_agrees_when_nothing_chang
 
 def test_marks_do_not_decide():
     read = STEP.copy()
-    read.top[:] = 7
-    read.back[:] = True
+    read.occupant[:] = 7
+    read.landing[:] = True
     assert _compare(BEFORE, STEP, read).agrees
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Grid, Kind
+from craftsim.discrete.kinds import Action
 
 MOVE_BY_DIRECTION = (Action.MOVE_RIGHT, Action.MOVE_FORWARD, Action.MOVE_LEFT, Action.MOVE_BACK)
 
@@ -45,24 +45,15 @@ def play(rules, grid, rng, ticks, eager=True):
 
 def mirrored(grid):
     """Return the world with y reversed."""
-    other = Grid(
-        *(np.ascontiguousarray(a[:, ::-1]) for a in (grid.kind, grid.yaw)),
-        grid.cars.copy(),
-        grid.top,
-        grid.back,
-    )
+    other = Grid(np.ascontiguousarray(grid.cells[:, ::-1]), grid.cars.copy())
     _turn_yaws(other, lambda yaw: -yaw % 4)
     other.cars[:, CarField.Y] = grid.size[1] - 1 - grid.cars[:, CarField.Y]
-    other.top, other.back = (np.ascontiguousarray(a[:, ::-1]) for a in (grid.top, grid.back))
     return other
 
 
 def turned(grid):
     """Return the world turned by a quarter to the left: +x becomes +y."""
-    arrays = [
-        np.ascontiguousarray(np.rot90(a, axes=(0, 1))) for a in (grid.kind, grid.yaw, grid.top, grid.back)
-    ]
-    other = Grid(arrays[0], arrays[1], grid.cars.copy(), arrays[2], arrays[3])
+    other = Grid(np.ascontiguousarray(np.rot90(grid.cells, axes=(0, 1))), grid.cars.copy())
     _turn_yaws(other, lambda yaw: (yaw + 1) % 4)
     other.cars[:, CarField.X] = grid.size[1] - 1 - grid.cars[:, CarField.Y]
     other.cars[:, CarField.Y] = grid.cars[:, CarField.X]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
 from craftsim.envs.observe import Observe
 from craftsim.envs.vector import GridVectorEnv

@@ -4,8 +4,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.starts import starting_from
 from craftsim.envs import GYMNASIUM_IDS, parallel_env

@@ -13,7 +13,7 @@ from platforms import platform
 
 from craftsim.checking.recipe import do, run_up
 from craftsim.checking.settings import Thresholds
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.errors import InputError

@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.envs import GYMNASIUM_IDS, vector_env
 from craftsim.envs.central import CentralConstruction

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import RecordVideo
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.envs import env as turns_env
 from craftsim.errors import InputError

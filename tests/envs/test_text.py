@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import answers, parallel_env, text
 from craftsim.envs.answers import OFFERED, answer_text, read_answer, words_of

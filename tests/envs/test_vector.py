@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import load_starts, save_starts, starting_from

@@ -10,9 +10,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from craftsim.checking.recipe import Recipe, Step
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.validation.replays.bundle import AFTER, BEFORE, PHYSICS, TEXT, read_bundle, write_bundle
 from fuzzing.mutations import mutated_bytes, mutated_document
 

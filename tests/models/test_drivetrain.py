@@ -7,8 +7,8 @@ import pytest
 
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import compile_world, set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.models.imperfection import IDEAL, Drivetrain
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.randomization import NONE

@@ -7,8 +7,8 @@ import numpy as np
 
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.models.motors import Motors
 from craftsim.models.noise import SensorNoise
 from craftsim.models.randomization import NONE

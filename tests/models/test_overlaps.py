@@ -7,9 +7,9 @@ import craftsim
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import set_up
 from craftsim.commands.validate import validate
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError
 from craftsim.models.site import Site
 from craftsim.validation.audit.scenes import Scene

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.sets import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning.assembly import Assembly, Placing

@@ -8,10 +8,10 @@ import pytest
 
 from craftsim import Trajectory
 from craftsim.checking.recipe import Recipe, Step, do, start
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.framing import MARGIN, box_corners, overview, top
 from craftsim.models.site import Site

@@ -10,9 +10,9 @@ import pytest
 
 from craftsim import Trajectory
 from craftsim.checking.recipe import Recipe, Step, do, start
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.framing import box_corners
 from craftsim.rendering.cameras import make_view, reached_m

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from craftsim.cli import main
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import read_plan, shipped_plan
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import make_task

@@ -11,9 +11,9 @@ import pytest
 from craftsim import Trajectory
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.checking.settings import setup_of
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.rendering.recorder import Recorder
 

@@ -15,7 +15,7 @@ from drawn import draw
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import set_up
 from craftsim.cli import main
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.sensing import CarMeasurement
 from craftsim.robots.channel import Channel, Network

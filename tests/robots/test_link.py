@@ -6,8 +6,8 @@ from drawn import draw
 
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.parameters import NOMINAL
 from craftsim.robots.channel import Network

@@ -6,7 +6,7 @@ import msgpack
 import pytest
 from pydantic import ValidationError
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import CarMeasurement
 from craftsim.robots.messages import (
     VERSION,

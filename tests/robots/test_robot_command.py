@@ -16,7 +16,7 @@ from craftsim.checking.settings import setup_of
 from craftsim.checking.world import Seed
 from craftsim.cli import main
 from craftsim.commands.robots import robots_at
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.skills.outcome import Reason
 
@@ -28,7 +28,7 @@ import numpy as np
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import Seed
 from craftsim.commands.robots import robots_at
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 with robots_at("{address}", 30.0) as where:
     grid = make_task("simple_two_story").draw(np.random.default_rng(0))

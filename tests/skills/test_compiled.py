@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import craftsim
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import measure, measurement_of, write_reading
 from craftsim.skills import library
 from craftsim.skills.driving import Move, Rotate

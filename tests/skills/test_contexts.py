@@ -6,8 +6,8 @@ that the action does not concern moves more than 1 mm.
 
 import pytest
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import Kind, beside
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 
 CAR_M, HEADING_RAD, PLACED_M, OTHERS_M = 1e-3, 3e-3, 2e-3, 1e-3
 MOVE = {direction: action for action, direction in MOVE_DIRECTION.items()}

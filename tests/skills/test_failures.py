@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.errors import InputError
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.sensing import CarMeasurement, measure

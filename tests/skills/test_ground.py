@@ -7,9 +7,9 @@ import pytest
 
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.jit import records
+from craftsim.discrete.kinds import Action
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Floor
 from craftsim.models.measuring import READING

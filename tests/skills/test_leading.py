@@ -7,8 +7,8 @@ import pytest
 
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import NOMINAL
 from craftsim.skills.ages import likeliest_age

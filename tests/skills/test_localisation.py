@@ -8,10 +8,10 @@ import pytest
 
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import Seed, set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import records
+from craftsim.discrete.kinds import Action
 from craftsim.models.measuring import READING
 from craftsim.models.noise import ASSUMED, EXACT, NOISY, SensorNoise
 from craftsim.models.parameters import NOMINAL, Machines

@@ -5,8 +5,8 @@ import pytest
 from drawn import draw
 
 from craftsim.checking.checked_site import CheckedSite
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
 from craftsim.models.parameter_files import load_machines

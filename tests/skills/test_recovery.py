@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import measure
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import RecoveryGains, load_gains

@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 import craftsim
-from craftsim.discrete.actions import MOVE_DIRECTION
+from craftsim.discrete.kinds import MOVE_DIRECTION
 from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import (

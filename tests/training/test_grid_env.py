@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.training.grid_env import GridEnv

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import as_task
 from craftsim.discrete.tasks.episodes import Episodes
@@ -23,7 +23,7 @@ from craftsim.training.trainer import Trainer
 def test_what_is_shown_leads_from_world_to_world_by_the_rules(name):
     task, rules = as_task(name), Rules("physical")
     shown = planned_demonstrations(task, 5, np.random.default_rng(0))
-    assert len(shown.worlds.kind) == len(shown.actions) == len(shown.rewards) == len(shown.first)
+    assert len(shown.worlds) == len(shown.actions) == len(shown.rewards) == len(shown.first)
     assert shown.first.sum() == 5
     for i in np.flatnonzero(~shown.first):
         before, after = shown.worlds.grid(i - 1), shown.worlds.grid(i)

@@ -10,8 +10,8 @@ import pytest
 from craftsim.checking import world
 from craftsim.checking.episode import Watch
 from craftsim.checking.settings import Setup, setup_of
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind, beside
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, make_task

@@ -11,11 +11,11 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import SEED_0, set_up
 from craftsim.cli import main
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.design import Design, Target
 from craftsim.discrete.files.saving import write_blueprint
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.measures import Finished
 from craftsim.envs import parallel_env

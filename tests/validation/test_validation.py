@@ -12,9 +12,9 @@ from drawn import draw
 from craftsim.checking import settings, world
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.settings import Thresholds
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
 from craftsim.validation.validation import validate

@@ -30,8 +30,8 @@ def put(grid: Grid, cell: Cell, kind: Kind, yaw: int = 0) -> None:
     """Put something into a cell; its marks start blank."""
     grid.kind[cell] = kind
     grid.yaw[cell] = yaw
-    grid.top[cell] = -1
-    grid.back[cell] = False
+    grid.occupant[cell] = -1
+    grid.landing[cell] = False
 
 
 def put_object(grid: Grid, item: ListedObject) -> None:
@@ -39,15 +39,15 @@ def put_object(grid: Grid, item: ListedObject) -> None:
     put(grid, item.cell, item.kind, item.yaw)
     if item.kind == Kind.WALL:
         return
-    grid.top[below(item.cell)] = -2
+    grid.occupant[below(item.cell)] = -2
     if item.kind in SECOND_PART:
         second = beside(item.cell, item.yaw)
         put(grid, second, SECOND_PART[item.kind], item.yaw)
     if item.kind == Kind.BODY:
-        grid.top[below(second)] = -2
+        grid.occupant[below(second)] = -2
         landing = beside(item.cell, item.yaw + 2)
         if kind_of(grid, landing) == Kind.BLOCK:
-            grid.back[landing] = True
+            grid.landing[landing] = True
 
 
 def kind_of(grid: Grid, cell: Cell) -> Kind:
@@ -146,9 +146,9 @@ def build_grid(blueprint: Listing, rng: np.random.Generator, placement: Placemen
     _place_cars(grid, blueprint, draw)
     if blueprint.snapshot:
         for cell, mark in blueprint.snapshot.top:
-            grid.top[cell] = mark
+            grid.occupant[cell] = mark
         for cell, mark in blueprint.snapshot.back:
-            grid.back[cell] = bool(mark)
+            grid.landing[cell] = bool(mark)
     return grid
 
 
@@ -165,4 +165,4 @@ def _place_cars(grid: Grid, blueprint: Listing, draw: _Draw) -> None:
         else:
             cell, yaw = draw.place(f"car {car}", for_car=True)
         row[CarField.X], row[CarField.Y], row[CarField.Z], row[CarField.YAW] = *cell, yaw
-        grid.top[below(cell)] = car
+        grid.occupant[below(cell)] = car

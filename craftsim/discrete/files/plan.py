@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NoReturn
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.documents import read_text
 from craftsim.discrete.files.shipped import find, shipped_plan
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Constraints, Schedule
 from craftsim.errors import BlueprintError, InputError, PlanError, suggestion
 from craftsim.storage.limits import TEXT

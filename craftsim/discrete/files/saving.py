@@ -68,9 +68,9 @@ def _snapshot(grid: Grid, listed: Grid) -> list[str]:
     entries = [at(cell, kind=Kind(grid.kind[cell]).name.lower(), yaw=int(grid.yaw[cell])) for cell in cells]
     # An odd cell is put in place with blank marks.
     for cell in cells:
-        listed.top[cell], listed.back[cell] = -1, False
-    top = [at(cell, mark=int(grid.top[cell])) for cell in odd(grid.top != listed.top)]
-    back = [at(cell, mark=int(grid.back[cell])) for cell in odd(grid.back != listed.back)]
+        listed.occupant[cell], listed.landing[cell] = -1, False
+    top = [at(cell, mark=int(grid.occupant[cell])) for cell in odd(grid.occupant != listed.occupant)]
+    back = [at(cell, mark=int(grid.landing[cell])) for cell in odd(grid.landing != listed.landing)]
     lines = [*_list("cells", entries, "  "), *_list("top", top, "  "), *_list("back", back, "  ")]
     return ["snapshot:", *lines] if lines else []
 

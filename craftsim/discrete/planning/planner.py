@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
-from craftsim.discrete.cells import World, derive_marks
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import DERIVED_MARKS, World, derive_marks
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.planning.search import (
     Space,
     fill_reachable,
@@ -25,7 +25,7 @@ from craftsim.discrete.planning.search import (
     write_plan,
 )
 from craftsim.discrete.rules.legality import FIRST_MOVE, LAST_MOVE, STOP
-from craftsim.discrete.rules.sets import Rules, act, acting_order, check_car, world_of
+from craftsim.discrete.rules.sets import Rules, act, acting_order, check_car
 
 DEFAULT_DEPTH = 10
 """Search depth of CraftEnv's environment; its published training settings use 20."""
@@ -90,7 +90,7 @@ def run_helper_tick(
     for turn in range(cars.shape[0]):
         car = cars[turn]
         applied[turn] = act_with_helper(w, car, actions[turn], queues[car], space, limit)
-    if w.flags.derived_marks:
+    if w.corrections & DERIVED_MARKS:
         derive_marks(w)
 
 
@@ -124,7 +124,7 @@ class Planner:
             raise ValueError(f"{action!r} is not one of the four moves")
         check_car(grid, car)
         space = self._space(grid)
-        world = world_of(grid, self.rules.flags)
+        world = grid.world(self.rules.corrections)
         return self._read(space, plan_move(world, car, space, int(action), self.depth))
 
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
@@ -144,12 +144,12 @@ class Planner:
         """Return the primitives that bring a car to a cell, or None if the helper finds no way."""
         check_car(grid, car)
         space = self._space(grid)
-        return self._read(space, search(world_of(grid, self.rules.flags), car, space, *cell, self.depth))
+        return self._read(space, search(grid.world(self.rules.corrections), car, space, *cell, self.depth))
 
     def reachable(self, grid: Grid) -> NDArray[np.bool_]:
         """Return (n_cars, 15): legal actions, and moves that are not legal but have a plan."""
         mask = self.rules.mask(grid)
-        fill_reachable(world_of(grid, self.rules.flags), self._space(grid), self.depth, mask)
+        fill_reachable(grid.world(self.rules.corrections), self._space(grid), self.depth, mask)
         return mask
 
     def tick(
@@ -165,6 +165,6 @@ class Planner:
         grid, queue = grid.copy(), queue.copy()
         cars, actions = acting_order(grid, joint)
         applied = np.zeros(len(cars), np.bool_)
-        world, space = world_of(grid, self.rules.flags), self._space(grid)
+        world, space = grid.world(self.rules.corrections), self._space(grid)
         run_helper_tick(world, cars, actions, applied, queue, space, self.depth)
         return grid, queue, applied

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.planning.heap import heapify, pop, push
 from craftsim.discrete.rules.effects import turned
 from craftsim.discrete.rules.legality import FIRST_MOVE, ROTATE_LEFT, ROTATE_RIGHT, move_direction
@@ -76,20 +76,20 @@ def make_space(size: tuple[int, int, int]) -> Space:
 @compiled
 def node_of(w: World, car: Pose) -> int:
     """Return the index of a car's state among the nodes."""
-    layers = w.kind.shape[2] + 1
-    return ((car.x * w.kind.shape[1] + car.y) * layers + car.z) * 4 + car.yaw
+    layers = w.cells.shape[2] + 1
+    return ((car.x * w.cells.shape[1] + car.y) * layers + car.z) * 4 + car.yaw
 
 
 @compiled
 def pose_at(w: World, start: Pose, node: int, slope: int) -> Pose:
     """Return the state of the car at a node; a carried slope has turned along with it from the start."""
-    layers = w.kind.shape[2] + 1
+    layers = w.cells.shape[2] + 1
     yaw = node & 3
     rest = node >> 2
     z = rest % layers
     rest //= layers
     load_yaw = (start.load_yaw + yaw - start.yaw) & 3 if start.load == FSLOPE else 0
-    return Pose(rest // w.kind.shape[1], rest % w.kind.shape[1], z, yaw, start.load, load_yaw, slope)
+    return Pose(rest // w.cells.shape[1], rest % w.cells.shape[1], z, yaw, start.load, load_yaw, slope)
 
 
 @compiled

@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import RuleFlags
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kernel.state import Correction
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.records.schema import TASKS, Record
 from craftsim.discrete.records.traces import recorded_grid
@@ -84,7 +84,7 @@ class Checker:
         self.keep = keep
         self.tally = Tally()
         self.exact = rules.rule_set == "published"
-        self.uncorrected = Rules(rules.rule_set, RuleFlags(derived_marks=True))
+        self.uncorrected = Rules(rules.rule_set, Correction.derived_marks)
         """The physical rules before physics corrected them: nothing but the bookkeeping differs from published."""
         self._planner = Planner(rules)
 
@@ -174,8 +174,8 @@ def _marks(grid: Grid) -> list[tuple[int, ...]]:
     """Return the cells whose marks are not those that follow from what is there: x, y, z, top, back."""
     derived = grid.copy()
     derived.derive_marks()
-    odd = np.argwhere((grid.top != derived.top) | (grid.back != derived.back))
-    return [(*map(int, c), int(grid.top[tuple(c)]), int(grid.back[tuple(c)])) for c in odd]
+    odd = np.argwhere((grid.occupant != derived.occupant) | (grid.landing != derived.landing))
+    return [(*map(int, c), int(grid.occupant[tuple(c)]), int(grid.landing[tuple(c)])) for c in odd]
 
 
 def _states(expected: Grid, got: Grid, exact: bool) -> Iterator[tuple[str, Any, Any]]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from craftsim.discrete.grid import Cell, Grid, Kind
-from craftsim.discrete.grid_checks import check_size, derive_checked_marks
+from craftsim.discrete.grid_checks import check_size, check_values
 from craftsim.discrete.records.schema import KIND_NAMES, Record, parse_record
 from craftsim.errors import InputError
 from craftsim.storage.limits import RECORDED_CELLS, RECORDING, RECORDS
@@ -47,15 +47,16 @@ def recorded_grid(size: Cell, state: Record) -> Grid:
     for row, car in zip(grid.cars, state["cars"], strict=True):
         load = KIND_NAMES[car["load"]] if car["load"] else Kind.AIR
         row[:] = (car["x"], car["y"], car["z"], car["yaw"], load, car["load_yaw"] or 0, car["slope"])
-    derive_checked_marks(grid)
+    check_values(grid)
+    grid.derive_marks()
     for x, y, z, mark in state["dev"]["on"]:
         if not (0 <= x < length and 0 <= y < width and 0 <= z <= height and mark < grid.n_cars):
             raise _outside("dev.on", (x, y, z), size, f" or names a car that is not there: {mark}")
-        grid.top[x, y, z] = mark
+        grid.occupant[x, y, z] = mark
     for x, y, z, flag in state["dev"]["back"]:
         if not (0 <= x < length and 0 <= y < width and 0 <= z <= height) or kinds[x, y, z] != Kind.BLOCK:
             raise _outside("dev.back", (x, y, z), size, " or holds no block")
-        grid.back[x, y, z] = bool(flag)
+        grid.landing[x, y, z] = bool(flag)
     return grid
 
 

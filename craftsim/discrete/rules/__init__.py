@@ -1,5 +1,5 @@
 """The rules, compiled: which actions are legal, and what follows from them. Two rule sets, one implementation."""
 
-from craftsim.discrete.rules.sets import RULE_FLAGS, Rules, RuleSet
+from craftsim.discrete.rules.sets import RULE_SETS, Rules, RuleSet
 
-__all__ = ["RULE_FLAGS", "RuleSet", "Rules"]
+__all__ = ["RULE_SETS", "RuleSet", "Rules"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
     BODY,
@@ -16,8 +17,13 @@ from craftsim.discrete.cells import (
     FOOT,
     FSLOPE,
     GEAR,
+    KIND,
+    LANDING,
+    LASTING_GEARS,
     NOTHING,
     OBJECT,
+    OCCUPANT,
+    YAW,
     Pose,
     World,
     derived_back,
@@ -28,7 +34,6 @@ from craftsim.discrete.cells import (
     kind_at,
     yaw_at,
 )
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.moves import moved
 from craftsim.discrete.rules.reach import standing_gear_in
 
@@ -40,10 +45,10 @@ def put(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
     Cells beside the map stay wall.
     """
     if inside(w, x, y, z):
-        w.kind[x, y, z] = kind
-        w.yaw[x, y, z] = yaw
-        w.top[x, y, z] = NOTHING
-        w.back[x, y, z] = False
+        w.cells[x, y, z, KIND] = kind
+        w.cells[x, y, z, YAW] = yaw
+        w.cells[x, y, z, OCCUPANT] = NOTHING
+        w.cells[x, y, z, LANDING] = False
 
 
 @compiled
@@ -52,7 +57,7 @@ def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
 
     When gears last, the cell shows one only where nothing stands, and as long as a slope beside it has its gear there.
     """
-    if not w.flags.lasting_gears:
+    if not w.corrections & LASTING_GEARS:
         put(w, x, y, z, kind, yaw)
     elif is_air_or_gear(kind_at(w, x, y, z)):
         gear = standing_gear_in(w, x, y, z)
@@ -63,14 +68,14 @@ def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
 def mark_top(w: World, x: int, y: int, z: int, mark: int) -> None:
     """Set the mark "what is on me" of a cell."""
     if inside(w, x, y, z):
-        w.top[x, y, z] = mark
+        w.cells[x, y, z, OCCUPANT] = mark
 
 
 @compiled
 def mark_back(w: World, x: int, y: int, z: int, mark: bool) -> None:
     """Set the mark "I am the landing of a ramp" of a cell; only blocks carry it."""
     if kind_at(w, x, y, z) == BLOCK:
-        w.back[x, y, z] = mark
+        w.cells[x, y, z, LANDING] = mark
 
 
 @compiled

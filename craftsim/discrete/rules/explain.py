@@ -11,10 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import RuleFlags, World, pose_of
 from craftsim.discrete.grid import CarField, Cell, Kind
-from craftsim.discrete.kinds import NAMES
+from craftsim.discrete.kernel.state import KIND, World, pose_of
+from craftsim.discrete.kinds import NAMES, Action, CellField, Correction
 from craftsim.discrete.rules.reasons import at
 from craftsim.discrete.rules.table import ACTIONS, legal
 
@@ -33,6 +32,7 @@ CORRECTIONS: Final = {
     "run_out": ("who comes down a ramp does not drive under what stands right behind its foot", "run-out"),
 }
 """The rule flags that forbid, each with what it forbids and the heading of docs/rules.md that explains it."""
+_FORBIDDING: Final = sum(int(Correction[name]) for name in CORRECTIONS)
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def explain(w: World, car: int, action: Action) -> Explanation:
     """Return why an action of a car is forbidden, or that it is legal."""
     if _legal(w, car, action):
         return Explanation(action, True)
-    off = w._replace(flags=w.flags._replace(**dict.fromkeys(CORRECTIONS, False)))
+    off = w._replace(corrections=w.corrections & ~_FORBIDDING)
     if not _legal(off, car, action):
         reason = ACTIONS[action].why_not(off, car, pose_of(off, car), int(action))
         if reason is None:
@@ -72,7 +72,7 @@ def explain(w: World, car: int, action: Action) -> Explanation:
                 f"{action.name} is forbidden, but {ACTIONS[action].why_not.__name__}() has no reason"
             )
         return Explanation(action, False, reason.text, None, reason.cells)
-    flag = _flag(w, off.flags, car, action)
+    flag = _flag(w, off.corrections, car, action)
     things = list(_in_the_way(w, car, action))
     named = "; ".join(text for _, text in things)
     words = CORRECTIONS[flag][0] + (f": {named}" if named else "")
@@ -84,14 +84,14 @@ def _legal(w: World, car: int, action: Action) -> bool:
     return bool(legal(w, car, pose_of(w, car), int(action)))
 
 
-def _flag(w: World, without: RuleFlags, car: int, action: Action) -> str:
+def _flag(w: World, without: int, car: int, action: Action) -> str:
     """Return the rule flag that forbids an action: one without which it is legal, else the first that forbids alone."""
-    on = [name for name in CORRECTIONS if getattr(w.flags, name)]
-    for name in on:
-        if _legal(w._replace(flags=w.flags._replace(**{name: False})), car, action):
+    on = {name: int(Correction[name]) for name in CORRECTIONS if w.corrections & Correction[name]}
+    for name, bit in on.items():
+        if _legal(w._replace(corrections=w.corrections & ~bit), car, action):
             return name
-    for name in on:
-        if not _legal(w._replace(flags=without._replace(**{name: True})), car, action):
+    for name, bit in on.items():
+        if not _legal(w._replace(corrections=without | bit), car, action):
             return name
     raise RuntimeError(f"{action.name} is forbidden by no single rule flag")
 
@@ -104,18 +104,18 @@ def _in_the_way(w: World, car: int, action: Action) -> Iterator[tuple[Cell, str]
         if other == car or max(abs(cell[0] - x), abs(cell[1] - y)) > _NEAR:
             continue
         cars = w.cars.copy()
-        cars[other, CarField.Z] += w.kind.shape[2] + _NEAR
+        cars[other, CarField.Z] += w.cells.shape[2] + _NEAR
         if _legal(w._replace(cars=cars), car, action):
             load = "" if row[CarField.LOAD] == Kind.AIR else f" with {NAMES[Kind(row[CarField.LOAD])]}"
             yield cell, f"car {other}{load} is in {cell}"
-    length, width, levels = w.kind.shape
+    length, width, levels = w.cells.shape[:3]
     for cx in range(max(x - _NEAR, 0), min(x + _NEAR + 1, length)):
         for cy in range(max(y - _NEAR, 0), min(y + _NEAR + 1, width)):
             for cz in range(max(z - 1, 1), min(z + 3, levels)):
-                kind = Kind(w.kind[cx, cy, cz])
+                kind = Kind(w.cells[cx, cy, cz, KIND])
                 if kind == Kind.AIR or (cx, cy, cz) == (x, y, z):
                     continue
-                kinds = w.kind.copy()
-                kinds[cx, cy, cz] = Kind.AIR
-                if _legal(w._replace(kind=kinds), car, action):
+                cells = w.cells.copy()
+                cells[cx, cy, cz, CellField.KIND] = Kind.AIR
+                if _legal(w._replace(cells=cells), car, action):
                     yield (cx, cy, cz), f"{NAMES[kind]} is in {(cx, cy, cz)}"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import (
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
     BODY,
@@ -16,9 +16,13 @@ from craftsim.discrete.cells import (
     FSLOPE,
     GEAR,
     NOTHING,
+    REACHING_LOAD,
+    SWINGING_FLAP,
+    TURNING_LOAD,
     Pose,
     World,
     back_at,
+    car_field,
     dir_x,
     dir_y,
     is_air_or_gear,
@@ -27,7 +31,7 @@ from craftsim.discrete.cells import (
     top_at,
     yaw_at,
 )
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.levels import below_leaning, flap_clears_levels, turn_clears_levels, wall_over
 from craftsim.discrete.rules.reach import flap_has_room, gear_has_room, leans_into
 
@@ -56,7 +60,7 @@ def lift_legal(w: World, me: int, car: Pose) -> bool:
         return False
     if top_at(w, car.x, car.y, car.z, me) != NOTHING or wall_over(w, car.x, car.y, car.z):
         return False
-    if w.flags.reaching_load and below_leaning(w, me, car):
+    if w.corrections & REACHING_LOAD and below_leaning(w, me, car):
         return False
     return own != FSLOPE or gear_has_room(w, me, car, yaw_at(w, car.x, car.y, car.z))
 
@@ -64,7 +68,7 @@ def lift_legal(w: World, me: int, car: Pose) -> bool:
 @compiled
 def drop_legal(w: World, me: int, car: Pose) -> bool:
     """DROP: a load and a cell for it, whatever that cell holds (docs/rules.md#drop-overwrites)."""
-    if car.load == AIR or car.z >= w.kind.shape[2]:
+    if car.load == AIR or car.z >= w.cells.shape[2]:
         return False
     return car.load != FSLOPE or gear_has_room(w, me, car, car.load_yaw)
 
@@ -72,7 +76,7 @@ def drop_legal(w: World, me: int, car: Pose) -> bool:
 @compiled
 def swing_legal(w: World, me: int, car: Pose, slope_yaw: int) -> bool:
     """FOLD and UNFOLD: room for the flap, which CraftEnv's rules do not look for (docs/rules.md#flap)."""
-    if w.flags.swinging_flap and not flap_has_room(w, me, car, slope_yaw):
+    if w.corrections & SWINGING_FLAP and not flap_has_room(w, me, car, slope_yaw):
         return False
     return flap_clears_levels(w, me, car, slope_yaw)
 
@@ -118,7 +122,7 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
                 return False
         elif neighbour != AIR:
             return False
-        if w.flags.turning_load and leans_into(w, me, nx, ny, car.z, (d + 2) & 3):
+        if w.corrections & TURNING_LOAD and leans_into(w, me, nx, ny, car.z, (d + 2) & 3):
             return False
         if wall_over(w, nx, ny, car.z):
             return False
@@ -128,19 +132,19 @@ def rotate_legal(w: World, me: int, car: Pose, turn: int) -> bool:
     if carries_slope and not is_air_or_gear(kind_at(w, corner_x, corner_y, car.z)):
         return False
     for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_Z] != car.z:
+        if other == me or car_field(w, other, F_Z) != car.z:
             continue
-        bare = w.cars[other, F_LOAD] == AIR
-        next_to_me = abs(w.cars[other, F_X] - car.x) + abs(w.cars[other, F_Y] - car.y) == 1
-        if next_to_me and (not bare or w.flags.turning_load):
+        bare = car_field(w, other, F_LOAD) == AIR
+        next_to_me = abs(car_field(w, other, F_X) - car.x) + abs(car_field(w, other, F_Y) - car.y) == 1
+        if next_to_me and (not bare or w.corrections & TURNING_LOAD):
             return False
         if bare:
             continue
-        if carries_slope and w.cars[other, F_X] == corner_x and w.cars[other, F_Y] == corner_y:
+        if carries_slope and car_field(w, other, F_X) == corner_x and car_field(w, other, F_Y) == corner_y:
             return False
-        if w.cars[other, F_LOAD] == FSLOPE:
-            gear_yaw = w.cars[other, F_LOAD_YAW]
-            gx, gy = w.cars[other, F_X] + dir_x(gear_yaw), w.cars[other, F_Y] + dir_y(gear_yaw)
+        if car_field(w, other, F_LOAD) == FSLOPE:
+            gear_yaw = car_field(w, other, F_LOAD_YAW)
+            gx, gy = car_field(w, other, F_X) + dir_x(gear_yaw), car_field(w, other, F_Y) + dir_y(gear_yaw)
             beside = abs(gx - car.x) + abs(gy - car.y) == 1
             points_at_me = gx + dir_x(gear_yaw) == car.x and gy + dir_y(gear_yaw) == car.y
             if beside and not points_at_me:

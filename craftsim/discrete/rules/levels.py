@@ -5,7 +5,8 @@ The heights are those of the machines' swept volumes (``craftsim clearance``).
 
 from __future__ import annotations
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
     AIR,
     F_LOAD,
     F_SLOPE,
@@ -13,14 +14,16 @@ from craftsim.discrete.cells import (
     F_Y,
     F_Z,
     FSLOPE,
+    OVERHEAD_WALL,
+    REACHING_LOAD,
     WALL,
     Pose,
     World,
+    car_field,
     dir_x,
     dir_y,
     kind_at,
 )
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.reach import downhill_of, leans_into
 
 LIP_MM = 10
@@ -32,7 +35,7 @@ GEAR_MM = 115
 @compiled
 def wall_over(w: World, x: int, y: int, z: int) -> bool:
     """Return whether a wall is right above a cell, where a lifted load would meet it."""
-    return w.flags.overhead_wall and kind_at(w, x, y, z + 1) == WALL
+    return w.corrections & OVERHEAD_WALL != 0 and kind_at(w, x, y, z + 1) == WALL
 
 
 @compiled
@@ -50,11 +53,15 @@ def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> boo
     One that leans into the cell below does so by less than 50 mm.
     """
     for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_LOAD] == AIR:
+        if other == me or car_field(w, other, F_LOAD) == AIR:
             continue
-        if w.cars[other, F_X] != x or w.cars[other, F_Y] != y or w.cars[other, F_Z] != z - 1:
+        if (
+            car_field(w, other, F_X) != x
+            or car_field(w, other, F_Y) != y
+            or car_field(w, other, F_Z) != z - 1
+        ):
             continue
-        if reach_mm(w.cars[other, F_LOAD], w.cars[other, F_SLOPE]) >= height_mm:
+        if reach_mm(car_field(w, other, F_LOAD), car_field(w, other, F_SLOPE)) >= height_mm:
             return True
     return height_mm < 50 and leans_into(w, me, x, y, z - 1, -1)
 
@@ -73,7 +80,7 @@ def below_leaning(w: World, me: int, car: Pose) -> bool:
 @compiled
 def load_clears_levels(w: World, me: int, old: Pose, new: Pose) -> bool:
     """Return whether a load that moves meets none that reaches up from the level below or leans over from above."""
-    if not w.flags.reaching_load:
+    if not w.corrections & REACHING_LOAD:
         return True
     if below_leaning(w, me, old) or below_leaning(w, me, new):
         return False
@@ -91,7 +98,7 @@ def load_clears_levels(w: World, me: int, old: Pose, new: Pose) -> bool:
 @compiled
 def turn_clears_levels(w: World, me: int, car: Pose) -> bool:
     """Return whether a load that turns meets none that reaches up from the level below or leans over from above."""
-    if not w.flags.reaching_load:
+    if not w.corrections & REACHING_LOAD:
         return True
     legs_mm = reach_mm(car.load, 0)
     for d in range(4):
@@ -108,7 +115,7 @@ def flap_clears_levels(w: World, me: int, car: Pose, yaw: int) -> bool:
     for z in (car.z, car.z + 1):
         if wall_over(w, car.x, car.y, z) or wall_over(w, fx, fy, z):
             return False
-    if not w.flags.reaching_load:
+    if not w.corrections & REACHING_LOAD:
         return True
     for z in (car.z + 1, car.z + 2):
         if leans_into(w, me, car.x, car.y, z, -1) or leans_into(w, me, fx, fy, z, -1):

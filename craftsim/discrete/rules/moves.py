@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
     BODY,
@@ -10,7 +11,12 @@ from craftsim.discrete.cells import (
     FOOT,
     FSLOPE,
     GEAR,
+    LEANING_LOAD,
     NOTHING,
+    OWN_RAMP,
+    RAMP_BELOW_GEAR,
+    RUN_OUT,
+    SECOND_RAMP,
     Pose,
     World,
     dir_x,
@@ -21,7 +27,6 @@ from craftsim.discrete.cells import (
     top_at,
     yaw_at,
 )
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules.levels import load_below_walls, load_clears_levels, wall_over
 from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_fits
 
@@ -33,7 +38,7 @@ def moved(w: World, car: Pose, m: int) -> Pose:
     here = kind_at(w, x, y, car.z)
     below = kind_at(w, x, y, car.z - 1)
     z, slope = car.z, 0
-    if here == FOOT and (car.slope == 0 or (w.flags.second_ramp and car.slope == 2)):
+    if here == FOOT and (car.slope == 0 or (w.corrections & SECOND_RAMP and car.slope == 2)):
         slope = 1
     elif car.slope == 1 and here == BODY:
         z, slope = car.z + 1, 2
@@ -108,7 +113,7 @@ def goes_on(w: World, me: int, car: Pose, m: int) -> bool:
     down = car.slope == 2 and kind_at(w, nx, ny, car.z - 1) == FOOT
     if up and wall_over(w, nx, ny, car.z):
         return False
-    if not w.flags.own_ramp:
+    if not w.corrections & OWN_RAMP:
         return up or down
     if up:
         return yaw_at(w, nx, ny, car.z) == (m + 2) & 3 and not car_in(w, me, nx, ny, car.z + 1, False)
@@ -124,7 +129,7 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     target = kind_at(w, nx, ny, car.z)
     below = kind_at(w, nx, ny, car.z - 1)
     loaded = car.load != AIR
-    if loaded and w.flags.leaning_load and not load_fits(w, me, car, moved(w, car, m)):
+    if loaded and w.corrections & LEANING_LOAD and not load_fits(w, me, car, moved(w, car, m)):
         return False
     if loaded and not (
         load_below_walls(w, car, moved(w, car, m)) and load_clears_levels(w, me, car, moved(w, car, m))
@@ -135,7 +140,7 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
             return False
         if goes_on(w, me, car, m):
             return True
-        if w.flags.own_ramp and below == BODY:
+        if w.corrections & OWN_RAMP and below == BODY:
             return False
     own = kind_at(w, car.x, car.y, car.z)
     if own in (FSLOPE, BODY) and not forward:
@@ -151,14 +156,14 @@ def move_legal(w: World, me: int, car: Pose, m: int) -> bool:
     if target == AIR:
         return below != BODY or descent_legal(w, me, car, m)
     if target in (BLOCK, FLAG):
-        if w.flags.run_out and car.slope == 1:
+        if w.corrections & RUN_OUT and car.slope == 1:
             return False
         return not loaded and (forward or backward)
     if target in (FSLOPE, BODY):
         return not loaded and backward and car.yaw == (yaw_at(w, nx, ny, car.z) + 2) & 3
     if target == GEAR:
         # CraftEnv's rules do not look at what is below a gear (docs/rules.md#through-a-gear).
-        through = not w.flags.ramp_below_gear or below != BODY or descent_legal(w, me, car, m)
+        through = not w.corrections & RAMP_BELOW_GEAR or below != BODY or descent_legal(w, me, car, m)
         return not loaded and through
     if target == FOOT:
         return ascent_legal(w, me, car, m)

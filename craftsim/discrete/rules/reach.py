@@ -7,9 +7,11 @@ at a right angle to it has not.
 
 from __future__ import annotations
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
+    CROSSING_GEAR,
     F_LOAD,
     F_LOAD_YAW,
     F_SLOPE,
@@ -21,6 +23,7 @@ from craftsim.discrete.cells import (
     GEAR,
     Pose,
     World,
+    car_field,
     dir_x,
     dir_y,
     inside,
@@ -28,16 +31,15 @@ from craftsim.discrete.cells import (
     kind_at,
     yaw_at,
 )
-from craftsim.discrete.kernel.jit import compiled
 
 
 @compiled
 def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> bool:
     """Return whether another car, or another loaded car, is in a cell."""
     for other in range(w.cars.shape[0]):
-        if other == me or (only_loaded and w.cars[other, F_LOAD] == AIR):
+        if other == me or (only_loaded and car_field(w, other, F_LOAD) == AIR):
             continue
-        if w.cars[other, F_X] == x and w.cars[other, F_Y] == y and w.cars[other, F_Z] == z:
+        if car_field(w, other, F_X) == x and car_field(w, other, F_Y) == y and car_field(w, other, F_Z) == z:
             return True
     return False
 
@@ -48,14 +50,14 @@ def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: in
     for other in range(w.cars.shape[0]):
         if (
             other == me
-            or w.cars[other, F_LOAD] != FSLOPE
-            or w.cars[other, F_Z] != z
-            or w.cars[other, F_LOAD_YAW] == tolerated_yaw
+            or car_field(w, other, F_LOAD) != FSLOPE
+            or car_field(w, other, F_Z) != z
+            or car_field(w, other, F_LOAD_YAW) == tolerated_yaw
         ):
             continue
         if (
-            w.cars[other, F_X] + dir_x(w.cars[other, F_LOAD_YAW]) == x
-            and w.cars[other, F_Y] + dir_y(w.cars[other, F_LOAD_YAW]) == y
+            car_field(w, other, F_X) + dir_x(car_field(w, other, F_LOAD_YAW)) == x
+            and car_field(w, other, F_Y) + dir_y(car_field(w, other, F_LOAD_YAW)) == y
         ):
             return True
     return False
@@ -80,9 +82,13 @@ def gear_across(w: World, me: int, x: int, y: int, z: int, along: int) -> bool:
         if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == yaw:
             return True
         for other in range(w.cars.shape[0]):
-            if other == me or w.cars[other, F_LOAD] != FSLOPE or w.cars[other, F_LOAD_YAW] != yaw:
+            if other == me or car_field(w, other, F_LOAD) != FSLOPE or car_field(w, other, F_LOAD_YAW) != yaw:
                 continue
-            if w.cars[other, F_X] == sx and w.cars[other, F_Y] == sy and w.cars[other, F_Z] == z:
+            if (
+                car_field(w, other, F_X) == sx
+                and car_field(w, other, F_Y) == sy
+                and car_field(w, other, F_Z) == z
+            ):
                 return True
     return False
 
@@ -101,12 +107,12 @@ def downhill_of(w: World, x: int, y: int, z: int, slope: int) -> int:
 def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> bool:
     """Return whether another car's load leans into a cell; the direction ``tolerated`` (-1: none) is not seen."""
     for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_SLOPE] == 0 or w.cars[other, F_LOAD] == AIR:
+        if other == me or car_field(w, other, F_SLOPE) == 0 or car_field(w, other, F_LOAD) == AIR:
             continue
-        ox, oy, oz = w.cars[other, F_X], w.cars[other, F_Y], w.cars[other, F_Z]
+        ox, oy, oz = car_field(w, other, F_X), car_field(w, other, F_Y), car_field(w, other, F_Z)
         if oz != z or abs(ox - x) + abs(oy - y) != 1:
             continue
-        downhill = downhill_of(w, ox, oy, oz, w.cars[other, F_SLOPE])
+        downhill = downhill_of(w, ox, oy, oz, car_field(w, other, F_SLOPE))
         if (
             downhill >= 0
             and downhill != tolerated
@@ -187,7 +193,7 @@ def flap_has_room(w: World, me: int, car: Pose, yaw: int) -> bool:
 @compiled
 def gear_has_room(w: World, me: int, car: Pose, yaw: int) -> bool:
     """Return whether the gear of a slope that is lifted or set down in a car's cell crosses nothing in the next one."""
-    if not w.flags.crossing_gear:
+    if not w.corrections & CROSSING_GEAR:
         return True
     x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
     if gear_across(w, me, x, y, car.z, yaw) or car_in(w, me, x, y, car.z, True):

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
-from craftsim.discrete.cells import Pose, World, back_at, kind_at, standable, top_at, yaw_at
 from craftsim.discrete.grid import CarField, Cell, Kind, beside
-from craftsim.discrete.kinds import NAMES
+from craftsim.discrete.kernel.state import Pose, World, back_at, kind_at, standable, top_at, yaw_at
+from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action
 from craftsim.discrete.rules.moves import ascent_legal, descent_legal, goes_on, load_has_room
 from craftsim.discrete.rules.reach import carried_gear_in
 
@@ -42,7 +41,7 @@ def kind_in(w: World, cell: Cell) -> Kind:
 
 def named(w: World, cell: Cell) -> str:
     """Return what is in a cell in words."""
-    length, width = w.kind.shape[:2]
+    length, width = w.cells.shape[:2]
     return NAMES[kind_in(w, cell)] if 0 <= cell[0] < length and 0 <= cell[1] < width else "the end of the map"
 
 
@@ -81,7 +80,7 @@ def why_drop(w: World, me: int, car: Pose, action: int) -> RuleReason | None:
         return RuleReason(ON_A_SLOPE, (cell,))
     if car.load == Kind.AIR:
         return RuleReason("the car carries nothing", (cell,))
-    if car.z >= w.kind.shape[2]:
+    if car.z >= w.cells.shape[2]:
         return RuleReason(f"{cell} is above the top level, where nothing can be put down", (cell,))
     return None
 

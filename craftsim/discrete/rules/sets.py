@@ -8,10 +8,10 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import RuleFlags, World, derive_marks, pose_of
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import DERIVED_MARKS, Correction, World, derive_marks, pose_of
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules.explain import Explanation, explain
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.rules.table import apply, legal
@@ -19,29 +19,8 @@ from craftsim.errors import InputError, suggestion
 
 RuleSet = Literal["published", "physical"]
 
-RULE_FLAGS: Final[dict[RuleSet, RuleFlags]] = {
-    "published": RuleFlags(),
-    "physical": RuleFlags(
-        derived_marks=True,
-        swinging_flap=True,
-        turning_load=True,
-        leaning_load=True,
-        own_ramp=True,
-        second_ramp=True,
-        ramp_below_gear=True,
-        run_out=True,
-        reaching_load=True,
-        overhead_wall=True,
-        crossing_gear=True,
-        lasting_gears=True,
-    ),
-}
-"""The rule flags of each rule set. A correction found by physics is one more flag, read in its rule."""
-
-
-def world_of(grid: Grid, flags: RuleFlags) -> World:
-    """Return the compiled rules' view of a grid; it shares the grid's arrays."""
-    return World(grid.kind, grid.yaw, grid.top, grid.back, grid.cars, flags)
+RULE_SETS: Final[dict[RuleSet, Correction]] = {"published": Correction(0), "physical": ~Correction(0)}
+"""The corrections of each rule set. What physics shows to be wrong is one more correction, read in its rule."""
 
 
 @compiled
@@ -69,7 +48,7 @@ def run_tick(
     """Let cars act in the order given; applied[i] is whether the action of cars[i] was legal."""
     for turn in range(cars.shape[0]):
         applied[turn] = act(w, cars[turn], actions[turn])
-    if w.flags.derived_marks:
+    if w.corrections & DERIVED_MARKS:
         derive_marks(w)
 
 
@@ -101,26 +80,26 @@ class Rules:
         [1, 0, 1]
     """
 
-    def __init__(self, rule_set: RuleSet, flags: RuleFlags | None = None) -> None:
-        """Make a rule set; ``flags`` gives other rule flags than its own, to see what a single one changes."""
-        if rule_set not in RULE_FLAGS:
+    def __init__(self, rule_set: RuleSet, corrections: Correction | None = None) -> None:
+        """Make a rule set; ``corrections`` gives others than its own, to see what a single one changes."""
+        if rule_set not in RULE_SETS:
             known = ", ".join(get_args(RuleSet))
             raise InputError(
-                f"unknown rule set '{rule_set}'; there are {known}{suggestion(rule_set, RULE_FLAGS)}"
+                f"unknown rule set '{rule_set}'; there are {known}{suggestion(rule_set, RULE_SETS)}"
             )
         self.rule_set: RuleSet = rule_set
-        self.flags = flags or RULE_FLAGS[rule_set]
+        self.corrections = RULE_SETS[rule_set] if corrections is None else corrections
 
     def mask(self, grid: Grid) -> NDArray[np.bool_]:
         """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state."""
         out = np.empty((grid.n_cars, N_ACTIONS), np.bool_)
-        fill_mask(world_of(grid, self.flags), out)
+        fill_mask(grid.world(self.corrections), out)
         return out
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
         """Return whether one car could do one action now."""
         check_car(grid, car)
-        world = world_of(grid, self.flags)
+        world = grid.world(self.corrections)
         return bool(legal(world, car, pose_of(world, car), int(action)))
 
     def explain(self, grid: Grid, car: int, action: int) -> Explanation:
@@ -130,7 +109,7 @@ class Rules:
         ValueError for a car or an action that there is not.
         """
         check_car(grid, car)
-        return explain(world_of(grid, self.flags), car, Action(action))
+        return explain(grid.world(self.corrections), car, Action(action))
 
     def apply(self, grid: Grid, car: int, action: int) -> Grid:
         """Return the world after one car's action; an illegal action changes nothing."""
@@ -145,5 +124,5 @@ class Rules:
         after = grid.copy()
         cars, actions = acting_order(grid, joint)
         applied = np.zeros(len(cars), np.bool_)
-        run_tick(world_of(after, self.flags), cars, actions, applied)
+        run_tick(after.world(self.corrections), cars, actions, applied)
         return after, applied

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from craftsim.discrete import footprint as space
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
-from craftsim.discrete.cells import Pose, World, pose_of
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import Pose, World, pose_of
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.rules import reasons
 from craftsim.discrete.rules.effects import drop, fold, lift, move, rotate, unfold
 from craftsim.discrete.rules.legality import (
@@ -36,7 +36,7 @@ from craftsim.discrete.rules.reasons import RuleReason
 def _number(name: str) -> int:
     """Return the number of an action for the compiled rules; raise RuntimeError if it has none."""
     if name not in Action.__members__:
-        raise RuntimeError(f"{name} has no number in craftsim/discrete/actions.py")
+        raise RuntimeError(f"{name} has no number in craftsim/discrete/kinds.py")
     return int(Action[name])
 
 
@@ -189,7 +189,7 @@ def _checked(rows: Mapping[str, ActionSpec]) -> dict[Action, ActionSpec]:
     for action in Action:
         if action.name not in rows:
             raise RuntimeError(
-                f"{action.name} has a number in craftsim/discrete/actions.py, but no row in {here}"
+                f"{action.name} has a number in craftsim/discrete/kinds.py, but no row in {here}"
             )
         spec = rows[action.name]
         for dispatch, part in ((legal, spec.legal), (apply, spec.effect)):

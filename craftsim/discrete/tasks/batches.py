@@ -10,7 +10,6 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import RuleFlags, World
 from craftsim.discrete.files.design import Design, Target
 from craftsim.discrete.grid import Grid, Kind
 
@@ -24,45 +23,34 @@ NO_TARGETS: Final[Targets] = np.zeros((1, 0, 5), np.int64)
 
 
 class Starts(NamedTuple):
-    """How n episodes begin; the arrays of worlds are as in Grid, with a leading dimension."""
+    """How n episodes begin."""
 
-    kind: NDArray[np.int8]
-    yaw: NDArray[np.int8]
-    top: NDArray[np.int16]
-    back: NDArray[np.bool_]
-    cars: NDArray[np.int64]
+    grids: Grid
+    """A batch of n worlds."""
     designs: Targets
     """(n, T, 5)."""
 
     @classmethod
     def of(cls, grids: Sequence[Grid], designs: Targets) -> Starts:
         """Return the starts of some worlds, one or more; ``designs`` (n, T, 5), or (T, 5) for all of them."""
-        return cls(
-            np.stack([grid.kind for grid in grids]),
-            np.stack([grid.yaw for grid in grids]),
-            np.stack([grid.top for grid in grids]),
-            np.stack([grid.back for grid in grids]),
-            np.stack([grid.cars for grid in grids]),
-            np.broadcast_to(designs, (len(grids), *designs.shape[-2:])).copy(),
-        )
+        return cls(Grid.stack(grids), np.broadcast_to(designs, (len(grids), *designs.shape[-2:])).copy())
 
-    @property
-    def worlds(self) -> World:
-        """The worlds, as measures look at them."""
-        return World(self.kind, self.yaw, self.top, self.back, self.cars, RuleFlags())
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.designs)
 
     def take(self, rows: NDArray[np.integer]) -> Starts:
         """Return copies of some of them."""
-        return Starts(*(array[rows] for array in self))
+        return Starts(self.grids[rows], self.designs[rows])
 
     def put(self, rows: NDArray[np.integer], others: Starts) -> None:
         """Replace some of them by others, each by the one of the same place."""
-        for name in self._fields:
-            getattr(self, name)[rows] = getattr(others, name)
+        self.grids.cells[rows], self.grids.cars[rows] = others.grids.cells, others.grids.cars
+        self.designs[rows] = others.designs
 
     def grid(self, i: int) -> Grid:
         """Return a copy of one world."""
-        return Grid(self.kind[i], self.yaw[i], self.cars[i], self.top[i], self.back[i]).copy()
+        return self.grids[i].copy()
 
     def design(self, i: int, name: str) -> Design:
         """Return what is to be built in one world."""
@@ -71,11 +59,12 @@ class Starts(NamedTuple):
 
     def digests(self) -> list[bytes]:
         """Return a digest (SHA-256) of each start with its design; cars are alike, whatever their numbers."""
-        found = []
-        for i in range(len(self.kind)):
-            cars, design = self.cars[i], self.designs[i]
-            one = hashlib.sha256(repr(self.kind[i].shape).encode())
-            one.update(self.kind[i].tobytes() + self.yaw[i].tobytes())
+        found, arrays = [], self.grids.to_arrays()
+        for kind, yaw, cars, design in zip(
+            *(arrays[name] for name in ("kind", "yaw", "cars")), self.designs, strict=True
+        ):
+            one = hashlib.sha256(repr(kind.shape).encode())
+            one.update(kind.tobytes() + yaw.tobytes())
             one.update(cars[np.lexsort(cars.T)].tobytes())
             one.update(design[design[:, 0] != 0].tobytes())
             found.append(one.digest())

@@ -70,12 +70,12 @@ class Episodes:
 
     def begin(self, rows: NDArray[np.integer], starts: Starts) -> None:
         """Start the episodes ``rows`` anew, each as the start of the same place says."""
-        self.worlds.put(rows, starts)
+        self.worlds.put(rows, starts.grids)
         self.designs[rows] = starts.designs
         self.t[rows] = 0
         self.bonus_given[rows] = False
         self.done[rows] = False
-        self.potential[rows] = self.task.reward.measure.of_episodes(starts.worlds, starts.designs)
+        self.potential[rows] = self.task.reward.measure.of_episodes(starts.grids.world(), starts.designs)
 
     def _measured(self, measure: Measure) -> NDArray[np.float64]:
         return measure.of_episodes(self.worlds.arrays, self.designs)

@@ -10,11 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import World, world_at
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.rules.sets import RULE_FLAGS, world_of
+from craftsim.discrete.kernel.state import World, world_at
 from craftsim.discrete.tasks.batches import Targets
 from craftsim.discrete.tasks.scores import (
     NO_FLAG,
@@ -53,9 +52,7 @@ class Measure:
 
     def of(self, grid: Grid) -> float:
         """Return the number of one world."""
-        w = world_of(grid, RULE_FLAGS["physical"])
-        one = World(w.kind[None], w.yaw[None], w.top[None], w.back[None], w.cars[None], w.flags)
-        return float(self.of_worlds(one)[0])
+        return float(self.of_worlds(Grid.stack([grid]).world())[0])
 
 
 class Custom(Measure):
@@ -70,8 +67,8 @@ class Custom(Measure):
 
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
         """Return the numbers of a batch of worlds, shape (B,)."""
-        grids = zip(worlds.kind, worlds.yaw, worlds.cars, worlds.top, worlds.back, strict=True)
-        return np.array([self.of(Grid(*arrays)) for arrays in grids], np.float64)
+        grids = zip(worlds.cells, worlds.cars, strict=True)
+        return np.array([self.of(Grid(cells, cars)) for cells, cars in grids], np.float64)
 
 
 @compiled
@@ -122,9 +119,9 @@ def _add_storeys_and_ramps(worlds: World, storey: float, ramp: float, out: NDArr
 
 def platform_sizes(worlds: World, gears_too: bool, levels: int) -> NDArray[np.float64]:
     """Return the size of the largest platform of each world, shape (B,)."""
-    _, length, width, _ = worlds.kind.shape
+    length, width = worlds.cells.shape[1:3]
     seen, stack = np.empty((length, width), np.bool_), np.empty((length * width, 2), np.int64)
-    out = np.empty(len(worlds.kind))
+    out = np.empty(len(worlds.cells))
     _platforms(worlds, gears_too, levels, seen, stack, out)
     return out
 
@@ -147,11 +144,11 @@ class BuildingMeasure(Measure):
             raise InputError(
                 "this task has a design of its own in each episode; task.for_episode(rng) is the task of one"
             )
-        return self.of_episodes(worlds, np.repeat(self.targets[None], len(worlds.kind), axis=0))
+        return self.of_episodes(worlds, np.repeat(self.targets[None], len(worlds.cells), axis=0))
 
     def of_episodes(self, worlds: World, designs: Targets) -> NDArray[np.float64]:
         """Return the number of each building, shape (B,)."""
-        out = np.empty(len(worlds.kind))
+        out = np.empty(len(worlds.cells))
         self._fill(worlds, designs, out)
         return out
 
@@ -195,7 +192,7 @@ class PaperPlatform(Measure):
 
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
         """Return the number of each world, shape (B,)."""
-        return np.maximum(platform_sizes(worlds, False, worlds.kind.shape[3] - 1) - 1, 0)
+        return np.maximum(platform_sizes(worlds, False, worlds.cells.shape[3] - 1) - 1, 0)
 
 
 class CodePlatform(Measure):
@@ -203,7 +200,7 @@ class CodePlatform(Measure):
 
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
         """Return the number of each world, shape (B,)."""
-        sizes = platform_sizes(worlds, True, worlds.kind.shape[3] - 2)
+        sizes = platform_sizes(worlds, True, worlds.cells.shape[3] - 2)
         return np.where(sizes > 1, sizes, 0.0)
 
 
@@ -215,9 +212,9 @@ class FlagNearness(Measure):
 
     def of_worlds(self, worlds: World) -> NDArray[np.float64]:
         """Return the number of each world, shape (B,)."""
-        out = np.empty(len(worlds.kind))
+        out = np.empty(len(worlds.cells))
         _flag_distances(worlds, self.goal, out)
-        return np.where(out == NO_FLAG, -float(sum(worlds.kind.shape[1:])), -out)
+        return np.where(out == NO_FLAG, -float(sum(worlds.cells.shape[1:4])), -out)
 
 
 class OnePlatform(Measure):

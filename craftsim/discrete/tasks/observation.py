@@ -12,7 +12,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.files.blueprint import NO_CELL, Blueprint
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
     BODY,
@@ -25,12 +29,11 @@ from craftsim.discrete.cells import (
     FLAG,
     FOOT,
     FSLOPE,
+    KIND,
+    YAW,
     World,
+    car_field,
 )
-from craftsim.discrete.files.blueprint import NO_CELL, Blueprint
-from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.kernel.jit import compiled
 
 ROW: Final = 13
 IS_CAR, IS_FSLOPE, IS_BODY, IS_FOOT, IS_BLOCK, IS_FLAG, IS_GOAL = range(3, 10)
@@ -132,34 +135,41 @@ def fill_rows(
     free[IS_FLAG] = 1 if shows_flag else 0
     fits = True
     for car in range(n_cars):
-        write_row(out[car], w.cars[car, F_X], w.cars[car, F_Y], w.cars[car, F_Z], IS_CAR, w.cars[car, F_YAW])
-        flag = type_flag(w.cars[car, F_LOAD])
+        write_row(
+            out[car],
+            car_field(w, car, F_X),
+            car_field(w, car, F_Y),
+            car_field(w, car, F_Z),
+            IS_CAR,
+            car_field(w, car, F_YAW),
+        )
+        flag = type_flag(car_field(w, car, F_LOAD))
         if flag == 0:
             continue
         out[car, IS_LOADED] = 1
         if free[flag] > 0:
             write_row(
                 out[first[flag]],
-                w.cars[car, F_X],
-                w.cars[car, F_Y],
-                w.cars[car, F_Z],
+                car_field(w, car, F_X),
+                car_field(w, car, F_Y),
+                car_field(w, car, F_Z),
                 flag,
-                w.cars[car, F_LOAD_YAW],
+                car_field(w, car, F_LOAD_YAW),
             )
             first[flag] += 1
             free[flag] -= 1
         elif flag != IS_FLAG:
             fits = False
-    for x in range(w.kind.shape[0]):
-        for y in range(w.kind.shape[1]):
-            for z in range(1, w.kind.shape[2]):
-                if w.kind[x, y, z] == AIR:
+    for x in range(w.cells.shape[0]):
+        for y in range(w.cells.shape[1]):
+            for z in range(1, w.cells.shape[2]):
+                if w.cells[x, y, z, KIND] == AIR:
                     continue
-                flag = type_flag(w.kind[x, y, z])
+                flag = type_flag(w.cells[x, y, z, KIND])
                 if flag == 0:
                     continue
                 if free[flag] > 0:
-                    write_row(out[first[flag]], x, y, z, flag, w.yaw[x, y, z])
+                    write_row(out[first[flag]], x, y, z, flag, w.cells[x, y, z, YAW])
                     first[flag] += 1
                     free[flag] -= 1
                 elif flag != IS_FLAG:

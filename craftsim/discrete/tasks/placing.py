@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
     F_X,
@@ -14,15 +15,17 @@ from craftsim.discrete.cells import (
     FLAG,
     FSLOPE,
     GEAR,
+    KIND,
     WALL,
+    YAW,
     World,
+    car_field,
     derive_marks,
     dir_x,
     dir_y,
     kind_at,
     world_at,
 )
-from craftsim.discrete.kernel.jit import compiled
 
 YAWS = 4
 
@@ -33,10 +36,10 @@ def _fits(w: World, slope: bool, place: int, n_cars: int) -> bool:
 
     A slope also takes the cell that its yaw points to for its gear, and no wall is behind it.
     """
-    width = w.kind.shape[1]
-    cells = w.kind.shape[0] * width
+    width = w.cells.shape[1]
+    cells = w.cells.shape[0] * width
     yaw, x, y = place // cells, place % cells // width, place % width
-    if w.kind[x, y, 1] != AIR:
+    if w.cells[x, y, 1, KIND] != AIR:
         return False
     if slope:
         return (
@@ -45,14 +48,14 @@ def _fits(w: World, slope: bool, place: int, n_cars: int) -> bool:
         )
     free = True
     for car in range(n_cars):
-        free &= w.cars[car, F_X] != x or w.cars[car, F_Y] != y
+        free &= car_field(w, car, F_X) != x or car_field(w, car, F_Y) != y
     return free
 
 
 @compiled
 def _choose(w: World, slope: bool, first: int, n_cars: int, chance: float) -> int:
     """Return one of the places from ``first`` on that fit, all as likely; -1 where none does."""
-    most = w.kind.shape[0] * w.kind.shape[1] * (YAWS if slope else 1)
+    most = w.cells.shape[0] * w.cells.shape[1] * (YAWS if slope else 1)
     count = 0
     for place in range(first, most):
         count += _fits(w, slope, place, n_cars)
@@ -68,8 +71,8 @@ def _choose(w: World, slope: bool, first: int, n_cars: int, chance: float) -> in
 @compiled
 def _place(w: World, n_slopes: int, n_blocks: int, flag_x: int, chances: NDArray[np.float64]) -> bool:
     """Place all in one world; return whether there was room."""
-    width = w.kind.shape[1]
-    cells = w.kind.shape[0] * width
+    width = w.cells.shape[1]
+    cells = w.cells.shape[0] * width
     n_flags = 1 if flag_x >= 0 else 0
     for i in range(n_flags + n_slopes + n_blocks):
         slope = n_flags <= i < n_flags + n_slopes
@@ -77,11 +80,11 @@ def _place(w: World, n_slopes: int, n_blocks: int, flag_x: int, chances: NDArray
         if place < 0:
             return False
         yaw, x, y = place // cells, place % cells // width, place % width
-        w.kind[x, y, 1] = FLAG if i < n_flags else FSLOPE if slope else BLOCK
-        w.yaw[x, y, 1] = yaw
+        w.cells[x, y, 1, KIND] = FLAG if i < n_flags else FSLOPE if slope else BLOCK
+        w.cells[x, y, 1, YAW] = yaw
         if slope:
-            w.kind[x + dir_x(yaw), y + dir_y(yaw), 1] = GEAR
-            w.yaw[x + dir_x(yaw), y + dir_y(yaw), 1] = yaw
+            w.cells[x + dir_x(yaw), y + dir_y(yaw), 1, KIND] = GEAR
+            w.cells[x + dir_x(yaw), y + dir_y(yaw), 1, YAW] = yaw
     drawn = n_flags + n_slopes + n_blocks
     for car in range(w.cars.shape[0]):
         place = _choose(w, False, 0, car, chances[drawn + 2 * car])

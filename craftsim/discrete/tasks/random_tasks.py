@@ -69,7 +69,7 @@ class RandomPlacement:
         plan = self.blueprint
         bare = replace(plan, n_cars=0, n_blocks=plan.listed(Kind.BLOCK), n_slopes=0)
         grid = bare.grid(np.random.default_rng(0))
-        grid.cars = np.zeros((plan.n_cars, len(CarField)), np.int64)
+        grid.cars = np.zeros((plan.n_cars, len(CarField)), np.int16)
         grid.cars[:, CarField.Z] = 1
         return Starts.of([grid], target_array(self.task.design))
 
@@ -80,10 +80,10 @@ class RandomPlacement:
         n_things = (self.flag_x >= 0) + plan.n_slopes + blocks
         found_room = np.zeros(n, np.bool_)
         place_all(
-            *(starts.worlds, plan.n_slopes, blocks, self.flag_x),
+            *(starts.grids.world(), plan.n_slopes, blocks, self.flag_x),
             *(rng.random((n, n_things + 2 * plan.n_cars)), found_room),
         )
-        done = self.task.success_measure.of_episodes(starts.worlds, starts.designs) != 0
+        done = self.task.success_measure.of_episodes(starts.grids.world(), starts.designs) != 0
         return starts, np.flatnonzero(~found_room | done | ~belongs(starts.digests(), self.split))
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import (
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
     BODY,
@@ -16,13 +17,15 @@ from craftsim.discrete.cells import (
     FLAG,
     FOOT,
     GEAR,
+    KIND,
+    YAW,
     World,
+    car_field,
     dir_x,
     dir_y,
     kind_at,
     standable,
 )
-from craftsim.discrete.kernel.jit import compiled
 
 NO_FLAG = -1
 
@@ -36,7 +39,7 @@ def is_block(kind: int, gears_too: bool) -> bool:
 @compiled
 def hit(w: World, kind: int, x: int, y: int, z: int, yaw: int) -> bool:
     """Return whether a cell holds a kind, with a yaw if that is not -1."""
-    return kind_at(w, x, y, z) == kind and (yaw < 0 or w.yaw[x, y, z] == yaw)
+    return kind_at(w, x, y, z) == kind and (yaw < 0 or w.cells[x, y, z, YAW] == yaw)
 
 
 @compiled
@@ -81,7 +84,7 @@ def code_score(w: World, targets: NDArray[np.int64], completion: float) -> float
         wanted += 1
         if kind == BLOCK and z == 2:
             score += 1.0
-        if z >= w.kind.shape[2] - 1:
+        if z >= w.cells.shape[2] - 1:
             continue
         there = kind_at(w, x, y, z)
         if there == kind or (kind == BLOCK and is_block(there, True)):
@@ -97,13 +100,13 @@ def largest_platform(
 
     ``seen`` (L, W) and ``stack`` (L * W, 2) are scratch.
     """
-    length, width = w.kind.shape[0], w.kind.shape[1]
+    length, width = w.cells.shape[0], w.cells.shape[1]
     largest = 0
     for z in range(1, levels + 1):
         seen[:] = False
         for x0 in range(length):
             for y0 in range(width):
-                if seen[x0, y0] or not is_block(w.kind[x0, y0, z], gears_too):
+                if seen[x0, y0] or not is_block(w.cells[x0, y0, z, KIND], gears_too):
                     continue
                 seen[x0, y0] = True
                 stack[0, 0], stack[0, 1] = x0, y0
@@ -126,16 +129,16 @@ def largest_platform(
 def flag_distance(w: World, goal: tuple[int, int, int]) -> int:
     """Return the Manhattan distance of the flag, carried or not, to the goal; NO_FLAG if there is no flag."""
     for car in range(w.cars.shape[0]):
-        if w.cars[car, F_LOAD] == FLAG:
+        if car_field(w, car, F_LOAD) == FLAG:
             return (
-                abs(w.cars[car, F_X] - goal[0])
-                + abs(w.cars[car, F_Y] - goal[1])
-                + abs(w.cars[car, F_Z] - goal[2])
+                abs(car_field(w, car, F_X) - goal[0])
+                + abs(car_field(w, car, F_Y) - goal[1])
+                + abs(car_field(w, car, F_Z) - goal[2])
             )
-    for x in range(w.kind.shape[0]):
-        for y in range(w.kind.shape[1]):
-            for z in range(1, w.kind.shape[2]):
-                if w.kind[x, y, z] == FLAG:
+    for x in range(w.cells.shape[0]):
+        for y in range(w.cells.shape[1]):
+            for z in range(1, w.cells.shape[2]):
+                if w.cells[x, y, z, KIND] == FLAG:
                     return abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2])
     return NO_FLAG
 
@@ -144,10 +147,10 @@ def flag_distance(w: World, goal: tuple[int, int, int]) -> int:
 def storeys(w: World) -> int:
     """Return the sum over all blocks of the number of levels they stand above the floor."""
     total = 0
-    for x in range(w.kind.shape[0]):
-        for y in range(w.kind.shape[1]):
-            for z in range(2, w.kind.shape[2]):
-                if w.kind[x, y, z] == BLOCK:
+    for x in range(w.cells.shape[0]):
+        for y in range(w.cells.shape[1]):
+            for z in range(2, w.cells.shape[2]):
+                if w.cells[x, y, z, KIND] == BLOCK:
                     total += z - 1
     return total
 
@@ -156,12 +159,12 @@ def storeys(w: World) -> int:
 def ramps(w: World) -> int:
     """Return the number of unfolded slopes that lead somewhere: a foot below, and a block behind the body."""
     total = 0
-    for x in range(w.kind.shape[0]):
-        for y in range(w.kind.shape[1]):
-            for z in range(1, w.kind.shape[2]):
-                if w.kind[x, y, z] != BODY:
+    for x in range(w.cells.shape[0]):
+        for y in range(w.cells.shape[1]):
+            for z in range(1, w.cells.shape[2]):
+                if w.cells[x, y, z, KIND] != BODY:
                     continue
-                yaw = w.yaw[x, y, z]
+                yaw = w.cells[x, y, z, YAW]
                 fx, fy = x + dir_x(yaw), y + dir_y(yaw)
                 if hit(w, FOOT, fx, fy, z, yaw) and standable(kind_at(w, x - dir_x(yaw), y - dir_y(yaw), z)):
                     total += 1

@@ -11,8 +11,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.cells import World, derive_marks, world_at
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks.batches import Starts
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import STARTS
@@ -59,7 +58,7 @@ class Stored:
 
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n of them."""
-        return self.starts.take(rng.integers(len(self.starts.kind), size=n))
+        return self.starts.take(rng.integers(len(self.starts), size=n))
 
 
 def split_path(task: str, split: Split) -> Path:
@@ -71,11 +70,9 @@ def split_path(task: str, split: Split) -> Path:
 def read_split(task: str, split: Split) -> tuple[Starts, NDArray[np.int64]]:
     """Return the shipped starts of a task and a split, and the ticks of a plan for each."""
     arrays = read_arrays(split_path(task, split), STARTS)
-    kind, yaw = arrays["kind"].astype(np.int8), arrays["yaw"].astype(np.int8)
-    top, back = np.empty(kind.shape, np.int16), np.empty(kind.shape, np.bool_)
-    cars, designs = arrays["cars"].astype(np.int64), arrays["designs"].astype(np.int64)
-    starts = Starts(kind, yaw, top, back, cars, designs)
-    _derive_all_marks(starts.worlds)
+    marks = dict.fromkeys(("top", "back"), np.zeros_like(arrays["kind"]))
+    starts = Starts(Grid.from_arrays({**arrays, **marks}), arrays["designs"].astype(np.int64))
+    starts.grids.derive_marks()
     return starts, arrays["ticks"].astype(np.int64)
 
 
@@ -83,13 +80,8 @@ def write_split(task: str, split: Split, starts: Starts, ticks: NDArray[np.integ
     """Write the starts that are shipped with a task and a split; return the file."""
     path = split_path(task, split)
     path.parent.mkdir(exist_ok=True)
-    arrays = {name: getattr(starts, name).astype(np.int8) for name in ("kind", "yaw", "cars", "designs")}
+    known = starts.grids.to_arrays() | {"designs": starts.designs}
+    arrays = {name: known[name].astype(np.int8) for name in ("kind", "yaw", "cars", "designs")}
     with whole(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays, ticks=ticks.astype(np.int16))
     return path
-
-
-@compiled
-def _derive_all_marks(worlds: World) -> None:
-    for i in range(worlds.kind.shape[0]):
-        derive_marks(world_at(worlds, i))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.grid import CarField, Grid, Kind, beside
+from craftsim.discrete.grid import FILE_DTYPES, CarField, Grid, Kind, beside
 from craftsim.discrete.grid_checks import check_grid
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
@@ -17,7 +17,7 @@ from craftsim.storage.limits import START_WORLDS, STARTS, size_text
 from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.writing import whole
 
-_ARRAYS: Final = tuple(field.name for field in fields(Grid))
+_ARRAYS: Final = tuple(FILE_DTYPES)
 
 
 def save_starts(path: Path, grids: Sequence[Grid]) -> None:
@@ -28,7 +28,7 @@ def save_starts(path: Path, grids: Sequence[Grid]) -> None:
     shapes = {(grid.size, grid.n_cars) for grid in grids}
     if len(shapes) != 1:
         raise InputError(f"{path}: starts must be of one size and number of cars, not {sorted(shapes)}")
-    arrays = {name: np.stack([getattr(grid, name) for grid in grids]) for name in _ARRAYS}
+    arrays = Grid.stack(grids).to_arrays()
     _grids(path, arrays)
     with whole(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
@@ -60,11 +60,14 @@ def _grids(path: Path, arrays: Arrays) -> list[Grid]:
             f"{path}: {n} worlds of {size_text(n_bytes)}; allowed: at most {START_WORLDS} of "
             f"{size_text(STARTS.content_bytes)} together"
         )
+    if len({shapes[name] for name in ("kind", "yaw", "top", "back")}) > 1:
+        raise InputError(
+            f"{path}: not a file of starts: its arrays are of {shapes}; those of cells must agree"
+        )
     grids = []
     for i in range(n):
-        # The rules are compiled for arrays in C order.
-        grid = Grid(*(np.ascontiguousarray(arrays[name][i]) for name in _ARRAYS))
         try:
+            grid = Grid.from_arrays({name: arrays[name][i] for name in _ARRAYS})
             check_grid(grid)
         except InputError as error:
             raise InputError(f"{path}: world {i}: {error}") from None

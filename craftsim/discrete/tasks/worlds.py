@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import Action
-from craftsim.discrete.cells import World, world_at
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import World, world_at
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.planning.planner import empty_queue, run_helper_tick
 from craftsim.discrete.planning.search import Space, fill_reachable, make_space
 from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.rules.sets import Rules, fill_mask, run_tick
-from craftsim.discrete.tasks.batches import Starts, Targets
+from craftsim.discrete.tasks.batches import Targets
 from craftsim.discrete.tasks.observation import ROW, Layout, fill_rows, target_rows
 from craftsim.errors import CraftsimError
 
@@ -87,30 +87,26 @@ class Worlds:
         self.rules = rules
         self.depth = depth
         self.n_cars = grids[0].n_cars
-        self.arrays = World(
-            np.stack([grid.kind for grid in grids]),
-            np.stack([grid.yaw for grid in grids]),
-            np.stack([grid.top for grid in grids]),
-            np.stack([grid.back for grid in grids]),
-            np.stack([grid.cars for grid in grids]),
-            rules.flags,
-        )
+        self.grids = Grid.stack(grids)
+        """All of them, a batch."""
         self.queue = np.stack([empty_queue(self.n_cars, depth or 0) for _ in grids])
         self._space = make_space(grids[0].size)
 
     def __len__(self) -> int:
-        return len(self.arrays.kind)
+        return len(self.grids)
+
+    @property
+    def arrays(self) -> World:
+        """What compiled code sees of them."""
+        return self.grids.world(self.rules.corrections)
 
     def grid(self, i: int) -> Grid:
         """Return a copy of world i."""
-        w = self.arrays
-        return Grid(w.kind[i], w.yaw[i], w.cars[i], w.top[i], w.back[i]).copy()
+        return self.grids[i].copy()
 
-    def put(self, which: int | NDArray[np.integer], grid: Grid | Starts) -> None:
-        """Replace one world or several by copies of a grid, or of a start each, and empty their queues."""
-        w = self.arrays
-        w.kind[which], w.yaw[which], w.cars[which] = grid.kind, grid.yaw, grid.cars
-        w.top[which], w.back[which] = grid.top, grid.back
+    def put(self, which: int | NDArray[np.integer], grids: Grid) -> None:
+        """Replace one world by a copy of a grid, or several by those of a batch, and empty their queues."""
+        self.grids.cells[which], self.grids.cars[which] = grids.cells, grids.cars
         self.queue[which] = -1
 
     def legal(self) -> NDArray[np.bool_]:

@@ -15,8 +15,8 @@ from pydantic import Field
 from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import Seed, compile_world, set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid
+from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, StartError
 from craftsim.models.randomization import RandomizedSite
 from craftsim.models.site import Site

@@ -8,18 +8,18 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules import RULE_FLAGS, Rules, RuleSet
+from craftsim.discrete.kinds import Action, Correction
+from craftsim.discrete.rules import RULE_SETS, Rules, RuleSet
 from craftsim.validation.audit.rows import Row, Situation, action_in, world_of
 from craftsim.validation.audit.scenes import Scene
 
-FLAG_NAMES: Final = RULE_FLAGS["physical"]._fields
+FLAG_NAMES: Final = tuple(Correction.__members__)
 
 
 def corrections(rows: Iterable[Row], rule_set: RuleSet) -> dict[str, tuple[str, ...]]:
     """Return, by the name of each allowed row, the flags that a rule set has off and that would each correct it."""
-    off = [flag for flag in FLAG_NAMES if not getattr(RULE_FLAGS[rule_set], flag)]
+    off = [flag for flag in FLAG_NAMES if Correction[flag] not in RULE_SETS[rule_set]]
     return {
         row.name: tuple(s for s in off if any(_differs(member, rule_set, s) for member in row.members))
         for row in rows
@@ -38,7 +38,7 @@ def _differs(situation: Situation, rule_set: RuleSet, flag: str) -> bool:
     joint = [(car, int(action)) for car, action in enumerate(actions)]
     before, after = (
         rules.tick(grid, joint)
-        for rules in (Rules(rule_set), Rules(rule_set, RULE_FLAGS[rule_set]._replace(**{flag: True})))
+        for rules in (Rules(rule_set), Rules(rule_set, RULE_SETS[rule_set] | Correction[flag]))
     )
     return not (np.array_equal(before[1], after[1]) and before[0].same_visible(after[0]))
 

@@ -18,8 +18,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind
-from craftsim.discrete.rules import RULE_FLAGS, Rules, RuleSet
-from craftsim.discrete.rules.sets import world_of
+from craftsim.discrete.rules import RULE_SETS, Rules, RuleSet
 from craftsim.discrete.rules.table import ACTIONS
 from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.contexts.context import DIRECTION_NAMES
@@ -91,7 +90,7 @@ def nearby(rule_set: RuleSet, verbs: Collection[str] = ()) -> list[tuple[Nearby,
 
 def _has_room(grid: Grid) -> bool:
     """Return whether the physical rules can have led here: with each load clear of all else."""
-    world = world_of(grid, RULE_FLAGS["physical"])
+    world = grid.world(RULE_SETS["physical"])
     return all(has_room(world, grid, car) for car in range(grid.n_cars))
 
 

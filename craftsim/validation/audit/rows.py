@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.validation.audit.intended import NoPredictionError, intended
 from craftsim.validation.audit.nearby import Nearby, nearby

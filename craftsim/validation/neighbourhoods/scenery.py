@@ -77,7 +77,7 @@ def _placed(grid: Grid, scenery: Scenery, supported: bool = True) -> Grid:
             _put(grid, Kind.FOOT, beside(cell, yaw), yaw)
     rows = [(x + MIDDLE, y + MIDDLE, *row) for x, y, *row in scenery.cars]
     cars = [*grid.cars.tolist(), *rows]
-    grid = replace(grid, cars=np.array(cars, np.int64).reshape(-1, len(CarField)))
+    grid = replace(grid, cars=np.array(cars, np.int16).reshape(-1, len(CarField)))
     if supported:
         _support(grid, scenery, {(x, y, z) for x, y, z, *_ in cars})
     return grid

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 import trimesh
 
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.models.parameters import Machines
 from craftsim.validation.contexts.context import BACK, FORWARD, LEFT
 from craftsim.validation.neighbourhoods.bodies import Convex, Solids

@@ -14,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from craftsim.discrete.grid import Cell
-from craftsim.discrete.rules import RULE_FLAGS, Rules
+from craftsim.discrete.rules import RULE_SETS, Rules
 from craftsim.models.parameters import NOMINAL
 from craftsim.storage.writing import write_whole
 from craftsim.validation.neighbourhoods.neighbours import Neighbour, neighbours
@@ -44,7 +44,7 @@ class Entry:
 
 def entries(actions: Collection[str] = ()) -> Iterator[Entry]:
     """Work out the neighbours that matter to these verbs, or to all."""
-    rule_sets = [Rules(name) for name in RULE_FLAGS]
+    rule_sets = [Rules(name) for name in RULE_SETS]
     for one in neighbours(NOMINAL, actions):
         action = one.situation.action
         if one.clearance is None and all(

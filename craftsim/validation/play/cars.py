@@ -7,12 +7,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from craftsim.discrete.cells import Pose, World, pose_of
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
-from craftsim.discrete.rules import RULE_FLAGS
+from craftsim.discrete.kernel.state import Pose, World, pose_of
+from craftsim.discrete.rules import RULE_SETS
 from craftsim.discrete.rules.levels import load_below_walls
 from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_fits
-from craftsim.discrete.rules.sets import world_of
 
 _LOADS: Final = (Kind.BLOCK, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.FSLOPE)
 
@@ -62,7 +61,7 @@ def put_load(grid: Grid, car: int, place: Place, rng: np.random.Generator) -> No
         return
     back = (int(row[CarField.YAW]) + 2) % 4
     row[CarField.LOAD], row[CarField.LOAD_YAW] = load, back if load == Kind.FSLOPE else 0
-    world = world_of(grid, RULE_FLAGS["physical"])
+    world = grid.world(RULE_SETS["physical"])
     if not all(has_room(world, grid, other) for other in range(grid.n_cars)):
         row[CarField.LOAD], row[CarField.LOAD_YAW] = Kind.AIR, 0
 

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.rules.table import ACTIONS
 from craftsim.validation.play.neighbourhood import Doing, doing

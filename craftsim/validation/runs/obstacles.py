@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from craftsim.checking.checked_site import CheckedSite
-from craftsim.discrete.actions import Action
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.reading import PLACE_TOLERANCE_M
 from craftsim.discrete.tasks import Task
 from craftsim.planning.planned import Ticks

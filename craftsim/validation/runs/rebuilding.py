@@ -15,9 +15,9 @@ from craftsim.checking.episode import Ending, Episode, Watch
 from craftsim.checking.recipe import Recipe, Step, do
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, SetUp
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks import Task

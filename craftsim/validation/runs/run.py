@@ -15,10 +15,10 @@ from craftsim.checking.episode import UNWATCHED, Episode, Watch
 from craftsim.checking.recipe import Recipe, Step, do
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, SetUp, set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.plan import write_plan
 from craftsim.discrete.files.saving import blueprint_text, write_blueprint
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.envs.options import Options

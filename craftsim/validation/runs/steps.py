@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from craftsim.checking.recipe import Step
-from craftsim.discrete.actions import Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Constraints
 
 PlanOrder = Literal["sequential", "ticks", "concurrent"]

@@ -17,9 +17,9 @@ from craftsim.checking.recipe import Recipe, do, start
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.timekeeper import OverrunError, Timekeeper
 from craftsim.checking.world import SEED_0, Seed, set_up
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.errors import InputError

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from craftsim.checking.attempt import Result
-from craftsim.discrete.actions import MOVE_DIRECTION, Action
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.rules.table import ACTIONS
 from craftsim.validation.shrinking.pieces import Piece, pieces_of

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from craftsim.discrete.rules import RULE_FLAGS, Rules
+from craftsim.discrete.kinds import Correction
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.rules.explain import CORRECTIONS
 from craftsim.validation.audit.corrections import start_of
 from craftsim.validation.audit.quick import MOST_ROWS, covering, properties, quick_rows
@@ -59,7 +60,7 @@ def test_each_flag_that_forbids_has_rows_on_both_sides(plan, quick):
 @pytest.mark.parametrize("flag", CORRECTIONS)
 def test_a_rule_flag_switched_off_shows_in_what_is_tried(plan, flag):
     """The plan of a rule set without the flag, made from the one with it: the rows it would allow are allowed."""
-    rules = Rules("physical", RULE_FLAGS["physical"]._replace(**{flag: False}))
+    rules = Rules("physical", ~Correction[flag])
     changed, rows = set(), []
     for row in plan:
         freed = set() if row.legal else {member for member in row.members if _allows(rules, member)}

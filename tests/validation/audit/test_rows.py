@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from craftsim.checking.settings import setup_of
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.verdict import describe_car
 from craftsim.validation.audit.intended import NoPredictionError, intended

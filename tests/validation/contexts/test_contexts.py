@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.errors import CraftsimError

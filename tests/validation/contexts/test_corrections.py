@@ -8,10 +8,10 @@ from drawn import draw
 
 from craftsim.checking.settings import Setup, setup_of
 from craftsim.checking.world import Seed, compile_world, set_up
-from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.sets import RULE_FLAGS
+from craftsim.discrete.rules.sets import RULE_SETS
 from craftsim.discrete.verdict import Finding
 
 PUBLISHED: Final = "published"
@@ -162,7 +162,7 @@ FROM_THE_FLAT = [(3, 1, 1, 0)], [*RAMP, (BLOCK, (4, 1, 1))]
 
 
 def test_run_out_alone_forbids_to_drive_off_a_foot_right_under_a_block():
-    flags = RULE_FLAGS[PHYSICAL]
+    flags = RULE_SETS[PHYSICAL]
     for world in (OFF_THE_FOOT, ONE_CELL_FURTHER, FROM_THE_FLAT):
         grid = _world(*world)
         assert Rules(PHYSICAL, flags._replace(run_out=False)).legal(grid, 0, Action.MOVE_RIGHT)

@@ -12,9 +12,9 @@ from synthetic import attempt, audit, episodes, record
 from craftsim.checking.attempt import Result
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.checking.settings import Setup
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import TRAJECTORIES
 from craftsim.validation.audit.audit import Audit

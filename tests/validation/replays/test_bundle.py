@@ -16,9 +16,9 @@ from craftsim import cli
 from craftsim.checking.recipe import Recipe, Step, do, run_up
 from craftsim.checking.settings import Setup, setup_of
 from craftsim.checking.world import Seed, compile_world
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.validation.audit.rows import audit_plan
 from craftsim.validation.audit.trial import Trial, recipe_of, try_it

@@ -8,10 +8,10 @@ import pytest
 from craftsim import cli
 from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.settings import Setup
-from craftsim.discrete.actions import Action
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.validation.audit.scenes import SCENES
 from craftsim.validation.replays.bundle import write_bundle

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kinds import CarField, Kind
+from craftsim.discrete.kinds import CarField, CellField, Correction, Kind
 
 AIR = int(Kind.AIR)
 GROUND = int(Kind.GROUND)
@@ -26,6 +26,11 @@ FOOT = int(Kind.FOOT)
 NOTHING = -1
 OBJECT = -2
 
+KIND = int(CellField.KIND)
+YAW = int(CellField.YAW)
+OCCUPANT = int(CellField.OCCUPANT)
+LANDING = int(CellField.LANDING)
+
 F_X = int(CarField.X)
 F_Y = int(CarField.Y)
 F_Z = int(CarField.Z)
@@ -35,44 +40,29 @@ F_LOAD_YAW = int(CarField.LOAD_YAW)
 F_SLOPE = int(CarField.SLOPE)
 
 
-class RuleFlags(NamedTuple):
-    """The differences between the rule sets, each read in one place of the rules; off is as published."""
-
-    derived_marks: bool = False
-    """Marks follow from what is there instead of from past events."""
-    swinging_flap: bool = False
-    """FOLD and UNFOLD need room for the flap on its way (docs/rules.md#flap)."""
-    turning_load: bool = False
-    """A load turns only where no car stands beside it and no load leans in beside it (docs/rules.md#turning-load)."""
-    leaning_load: bool = False
-    """A load needs room on a ramp, below it and beside one that leans there (docs/rules.md#leaning-load)."""
-    own_ramp: bool = False
-    """On a ramp a car goes on along that ramp alone, and over no crest (docs/rules.md#own-ramp)."""
-    second_ramp: bool = False
-    """Who drives from a ramp's top onto the foot of a second ramp is then on that (docs/rules.md#second-ramp)."""
-    ramp_below_gear: bool = False
-    """A ramp below a gear is driven down in its own direction only (docs/rules.md#through-a-gear)."""
-    run_out: bool = False
-    """Who comes down a ramp does not drive under a block or flag right behind its foot (docs/rules.md#run-out)."""
-    reaching_load: bool = False
-    """Loads and flaps keep clear of loads that reach in from another level (docs/rules.md#reaching-load)."""
-    overhead_wall: bool = False
-    """A wall overhead keeps loads, flaps and climbing cars away (docs/rules.md#overhead-wall)."""
-    crossing_gear: bool = False
-    """A slope is lifted and set down only where its gear crosses nothing (docs/rules.md#crossing-gear)."""
-    lasting_gears: bool = False
-    """A gear gives way to what stands, and lasts as long as its slope (docs/rules.md#lift-erases-gear-cell)."""
+DERIVED_MARKS = int(Correction.derived_marks)
+SWINGING_FLAP = int(Correction.swinging_flap)
+TURNING_LOAD = int(Correction.turning_load)
+LEANING_LOAD = int(Correction.leaning_load)
+OWN_RAMP = int(Correction.own_ramp)
+SECOND_RAMP = int(Correction.second_ramp)
+RAMP_BELOW_GEAR = int(Correction.ramp_below_gear)
+RUN_OUT = int(Correction.run_out)
+REACHING_LOAD = int(Correction.reaching_load)
+OVERHEAD_WALL = int(Correction.overhead_wall)
+CROSSING_GEAR = int(Correction.crossing_gear)
+LASTING_GEARS = int(Correction.lasting_gears)
 
 
 class World(NamedTuple):
-    """The arrays of one world, shaped as in :class:`craftsim.discrete.grid.Grid`, and the flags it obeys."""
+    """One world, or with a leading axis a batch, and the corrections of the rules that hold in it."""
 
-    kind: NDArray[np.int8]
-    yaw: NDArray[np.int8]
-    top: NDArray[np.int16]
-    back: NDArray[np.bool_]
-    cars: NDArray[np.int64]
-    flags: RuleFlags
+    cells: NDArray[np.int16]
+    """(L, W, H + 1, 4): fields as in CellField."""
+    cars: NDArray[np.int16]
+    """(n, 7): fields as in CarField."""
+    corrections: int
+    """A bit each, as in Correction."""
 
 
 class Pose(NamedTuple):
@@ -104,36 +94,42 @@ def dir_y(d: int) -> int:
 @compiled
 def inside(w: World, x: int, y: int, z: int) -> bool:
     """Return whether (x, y, z) is a stored cell, the ground layer included."""
-    return 0 <= x < w.kind.shape[0] and 0 <= y < w.kind.shape[1] and 0 <= z < w.kind.shape[2]
+    return 0 <= x < w.cells.shape[0] and 0 <= y < w.cells.shape[1] and 0 <= z < w.cells.shape[2]
 
 
 @compiled
 def kind_at(w: World, x: int, y: int, z: int) -> int:
     """Return the kind in a cell: wall beside the map, air above it."""
-    if x < 0 or y < 0 or x >= w.kind.shape[0] or y >= w.kind.shape[1]:
+    if x < 0 or y < 0 or x >= w.cells.shape[0] or y >= w.cells.shape[1]:
         return WALL
-    if z >= w.kind.shape[2]:
+    if z >= w.cells.shape[2]:
         return AIR
-    return int(np.int64(w.kind[x, y, z]))
+    return int(np.int64(w.cells[x, y, z, KIND]))
 
 
 @compiled
 def yaw_at(w: World, x: int, y: int, z: int) -> int:
     """Return the yaw of the object in a stored cell."""
-    return int(np.int64(w.yaw[x, y, z]))
+    return int(np.int64(w.cells[x, y, z, YAW]))
+
+
+@compiled
+def car_field(w: World, car: int, field: int) -> int:
+    """Return a field of a car."""
+    return int(np.int64(w.cars[car, field]))
 
 
 @compiled
 def pose_of(w: World, car: int) -> Pose:
     """Return the state of a car."""
     return Pose(
-        w.cars[car, F_X],
-        w.cars[car, F_Y],
-        w.cars[car, F_Z],
-        w.cars[car, F_YAW],
-        w.cars[car, F_LOAD],
-        w.cars[car, F_LOAD_YAW],
-        w.cars[car, F_SLOPE],
+        car_field(w, car, F_X),
+        car_field(w, car, F_Y),
+        car_field(w, car, F_Z),
+        car_field(w, car, F_YAW),
+        car_field(w, car, F_LOAD),
+        car_field(w, car, F_LOAD_YAW),
+        car_field(w, car, F_SLOPE),
     )
 
 
@@ -156,7 +152,12 @@ def derived_top(w: World, x: int, y: int, z: int, ignored: int) -> int:
     Gears and walls in the cell above count as nothing. Of two cars in one cell the higher id is returned.
     """
     for car in range(w.cars.shape[0] - 1, -1, -1):
-        if car != ignored and w.cars[car, F_X] == x and w.cars[car, F_Y] == y and w.cars[car, F_Z] == z + 1:
+        if (
+            car != ignored
+            and car_field(w, car, F_X) == x
+            and car_field(w, car, F_Y) == y
+            and car_field(w, car, F_Z) == z + 1
+        ):
             return car
     above = kind_at(w, x, y, z + 1)
     if above in (AIR, GEAR, WALL):
@@ -179,9 +180,9 @@ def top_at(w: World, x: int, y: int, z: int, me: int) -> int:
     """Return the mark "what is on me" of a cell as car ``me`` reads it (never itself, when derived)."""
     if not inside(w, x, y, z):
         return NOTHING
-    if w.flags.derived_marks:
+    if w.corrections & DERIVED_MARKS:
         return derived_top(w, x, y, z, me)
-    return int(np.int64(w.top[x, y, z]))
+    return int(np.int64(w.cells[x, y, z, OCCUPANT]))
 
 
 @compiled
@@ -189,26 +190,35 @@ def back_at(w: World, x: int, y: int, z: int) -> bool:
     """Return the mark "I am the landing of a ramp" of a cell."""
     if not inside(w, x, y, z):
         return False
-    if w.flags.derived_marks:
+    if w.corrections & DERIVED_MARKS:
         return kind_at(w, x, y, z) == BLOCK and derived_back(w, x, y, z)
-    return bool(w.back[x, y, z])
+    return bool(w.cells[x, y, z, LANDING])
 
 
 @compiled
 def derive_marks(w: World) -> None:
     """Overwrite both marks of every cell with what follows from the visible state."""
-    for x in range(w.kind.shape[0]):
-        for y in range(w.kind.shape[1]):
-            for z in range(w.kind.shape[2]):
+    for x in range(w.cells.shape[0]):
+        for y in range(w.cells.shape[1]):
+            for z in range(w.cells.shape[2]):
                 above = kind_at(w, x, y, z + 1)
-                w.top[x, y, z] = NOTHING if above in (AIR, GEAR, WALL) else OBJECT
-                w.back[x, y, z] = w.kind[x, y, z] == BLOCK and derived_back(w, x, y, z)
+                w.cells[x, y, z, OCCUPANT] = NOTHING if above in (AIR, GEAR, WALL) else OBJECT
+                w.cells[x, y, z, LANDING] = w.cells[x, y, z, KIND] == BLOCK and derived_back(w, x, y, z)
     for car in range(w.cars.shape[0]):
-        if inside(w, w.cars[car, F_X], w.cars[car, F_Y], w.cars[car, F_Z] - 1):
-            w.top[w.cars[car, F_X], w.cars[car, F_Y], w.cars[car, F_Z] - 1] = car
+        if inside(w, car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z) - 1):
+            w.cells[car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z) - 1, OCCUPANT] = (
+                car
+            )
 
 
 @compiled
 def world_at(worlds: World, i: int) -> World:
     """Return one world of a batch, whose arrays have a leading dimension over worlds."""
-    return World(worlds.kind[i], worlds.yaw[i], worlds.top[i], worlds.back[i], worlds.cars[i], worlds.flags)
+    return World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+
+
+@compiled
+def derive_all_marks(cells: NDArray[np.int16], cars: NDArray[np.int16]) -> None:
+    """Do the same in each world of a batch."""
+    for i in range(cells.shape[0]):
+        derive_marks(World(cells[i], cars[i], 0))

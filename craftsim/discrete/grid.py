@@ -157,7 +157,7 @@ class Grid:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Return the grid of arrays as :meth:`to_arrays` gives them; raise InputError for others than of small integers."""
+        """Return the grid of arrays as :meth:`to_arrays` gives them; InputError for those not of small integers."""
         for name in FILE_DTYPES:
             array = arrays[name]
             if array.dtype.kind not in "biu":

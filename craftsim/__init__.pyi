@@ -12,7 +12,7 @@ from .discrete.files.saving import write_blueprint as write_blueprint
 from .discrete.grid import Grid as Grid
 from .discrete.grid import Kind as Kind
 from .discrete.kinds import Action as Action
-from .discrete.rules.sets import Rules as Rules
+from .discrete.rules import Rules as Rules
 from .discrete.tasks.random_tasks import random_task as random_task
 from .discrete.tasks.registry import register_task as register_task
 from .discrete.tasks.task import Task as Task

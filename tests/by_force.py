@@ -11,7 +11,7 @@ import numpy as np
 from craftsim.discrete.durations import nominal_durations, situation
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 
 
 def least_work_by_force(

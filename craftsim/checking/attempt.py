@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 from craftsim.checking.contact_log import Contact
 from craftsim.checking.safety import Hazard
 from craftsim.checking.settings import Thresholds
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.discrete.verdict import Finding, Verdict, describe_car
 from craftsim.skills.outcome import Outcome

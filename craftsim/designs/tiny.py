@@ -12,7 +12,7 @@ from craftsim.discrete.files.blueprint import Blueprint
 from craftsim.discrete.files.design import design_in
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 
 SIZE: Final = (4, 4, 2)
 _MOST_CARS: Final = 2

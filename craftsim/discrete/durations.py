@@ -13,9 +13,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.errors import suggestion
 
 SITUATIONS: Final = ("flat", "flat_loaded", "slope", "slope_loaded")

@@ -2,7 +2,7 @@
 
 Two actions of different cars may run at the same time when neither sweeps space that the other sweeps, neither changes
 an object that the other relies on, and no two loads in motion pass side by side, where 2.5 mm of air are too little
-for two moving machines. The table of actions (:mod:`craftsim.discrete.rules.table`) says which function is whose.
+for two moving machines. The table of actions (:mod:`craftsim.discrete.actions`) says which function is whose.
 """
 
 from __future__ import annotations

@@ -12,11 +12,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from craftsim.discrete.actions import footprint
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.sets import Rules
-from craftsim.discrete.rules.table import footprint
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.terrain import inclines_of, is_tight
 
 Order = Literal["sequential", "concurrent", "until-wrong", "at-once"]

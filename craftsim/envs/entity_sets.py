@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.state import F_X, F_YAW, F_Z, World
 from craftsim.discrete.kinds import CellField
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.batches import Targets
 from craftsim.discrete.tasks.measures import target_array

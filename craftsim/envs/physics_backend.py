@@ -17,8 +17,7 @@ from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.planning.planner import Planner
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import Helper, Rules
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
 from craftsim.envs.pictures import Pictures, has_display
@@ -59,7 +58,7 @@ class PhysicsBackend:
         """
         self.setup, self.goals = setup, tuple(goals)
         self.observers, self.watch_contacts = observers, watch_contacts
-        self._planner = None if helper_depth is None else Planner(Rules(setup.rules), helper_depth)
+        self._planner = None if helper_depth is None else Helper(Rules(setup.rules), helper_depth)
         self._start: Grid | None = None
         self._pictures, self._records, self._images = pictures or Pictures(), records, images
         self._view: LiveView | None = None

@@ -17,7 +17,7 @@ import numpy as np
 
 from craftsim.discrete.grid import Grid, Kind, beside
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.planning.things import BuildingPart, put, take, with_car
 from craftsim.planning.ways import FAR, Maps, Nodes, Ways, is_free
 

@@ -15,13 +15,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.durations import nominal_durations
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import LEGAL, apply, why
 from craftsim.discrete.kernel.state import AIR, F_SLOPE, KIND, YAW, World, car_field, pose_of
 from craftsim.discrete.kinds import Action, Correction
-from craftsim.discrete.rules.sets import Rules
-from craftsim.discrete.rules.table import ACTIONS, apply, legal
+from craftsim.discrete.rules import Rules
 from craftsim.planning.goals import BuildingGoal
 from craftsim.planning.least import least_left
 from craftsim.planning.things import things_in
@@ -207,7 +208,7 @@ def _expand(
     for car in range(w.cars.shape[0]):
         for i in range(actions.shape[0]):
             pose = pose_of(w, car)
-            if not legal(w, car, pose, actions[i]):
+            if why(w, car, pose, actions[i]) != LEGAL:
                 continue
             apply(w, car, actions[i])
             sloping = pose.slope > 0 or car_field(w, car, F_SLOPE) > 0

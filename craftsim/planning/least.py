@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import DROP, FOLD, LIFT, UNFOLD
 from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
@@ -24,7 +25,6 @@ from craftsim.discrete.kernel.state import (
     kind_at,
 )
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.table import DROP, FOLD, LIFT, UNFOLD
 
 _UNKNOWN: Final = 1 << 40
 _MOVE: Final = int(Action.MOVE_FORWARD)

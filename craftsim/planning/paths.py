@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import LEGAL, why
+from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
 from craftsim.discrete.kernel.state import F_X, F_Y, F_Z, FSLOPE, Pose, World, car_field, world_at
-from craftsim.discrete.planning.search import SUCCESSORS, after, node_of
-from craftsim.discrete.rules.table import legal
 from craftsim.planning.ways import FAR, HALF_TURN, N_STEPS, Nodes, slope_state
 
 WAIT: Final = -1
@@ -161,7 +161,7 @@ def _find(
             if i == -2 and not (arrived and last >= 0):
                 continue
             action = last if i == -2 else (WAIT if i == -1 else SUCCESSORS[i])
-            if i != -1 and not (legal(now, me, car, action) and legal(then, me, car, action)):
+            if i != -1 and (why(now, me, car, action) != LEGAL or why(then, me, car, action) != LEGAL):
                 continue
             if i == -2:
                 return int(state)

@@ -7,7 +7,7 @@ from typing import Final
 
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.timetable import makespan, timetable
 from craftsim.planning.goals import BuildingGoal

@@ -8,7 +8,7 @@ import numpy as np
 
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError

@@ -13,7 +13,7 @@ import numpy as np
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Correction
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.planning.assembly import Assembly, Order, State
 from craftsim.planning.bounds import makespan_bound
 from craftsim.planning.building import Construction, Style, Turn

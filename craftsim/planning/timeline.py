@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import act
 from craftsim.discrete.kernel.state import (
     AIR,
     DERIVED_MARKS,
@@ -24,7 +25,7 @@ from craftsim.discrete.kernel.state import (
     world_at,
 )
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.sets import Rules, act
+from craftsim.discrete.rules import Rules
 
 NOTHING_DONE: Final = -1
 _NOWHERE: Final = -9

@@ -1,6 +1,6 @@
 """Ways of one car alone in a world that stands still: which state follows which, and how far it is.
 
-States are those of the action helper's search (:mod:`craftsim.discrete.planning.search`): cell and yaw. Legality is
+States are those of the action helper's search (:mod:`craftsim.discrete.kernel.search`): cell and yaw. Legality is
 asked of the rules; distances are counted in actions.
 """
 
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import LEGAL, why
+from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
 from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, Pose, World, kind_at, standable
 from craftsim.discrete.kinds import CellField, Correction
-from craftsim.discrete.planning.search import SUCCESSORS, after, node_of
-from craftsim.discrete.rules.sets import Rules
-from craftsim.discrete.rules.table import legal
+from craftsim.discrete.rules import Rules
 
 Nodes = NDArray[np.int32]
 
@@ -157,7 +157,7 @@ def _fill_steps(w: World, load: int, steps: Nodes) -> None:
                     car = Pose(x, y, z, yaw, load, load_yaw, slope)
                     node = node_of(w, car)
                     for i in range(N_STEPS):
-                        if legal(w, 0, car, SUCCESSORS[i]):
+                        if why(w, 0, car, SUCCESSORS[i]) == LEGAL:
                             steps[node, i] = node_of(w, after(w, car, SUCCESSORS[i]))
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from craftsim.checking.attempt import Attempt
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.rendering.trajectory import Trajectory
 
 SHOWN_S: Final = 6.0

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.schedule import Schedule, ScheduledAction
 from craftsim.discrete.timetable import makespan, timetable
 from craftsim.rendering.captions import Caption, CarCaption

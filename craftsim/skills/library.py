@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
+from craftsim.discrete.actions import check_complete
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.discrete.rules.table import check_complete
 from craftsim.errors import InputError
 from craftsim.skills.driving import Move, Rotate
 from craftsim.skills.folding import Fold, Unfold

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel.rules import N_ACTIONS
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.discrete.rules.legality import N_ACTIONS
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.planning.planned import Ticks

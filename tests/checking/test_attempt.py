@@ -13,9 +13,9 @@ from craftsim.checking.forces import impact_limit_n
 from craftsim.checking.safety import Hazard
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.world import set_up
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.verdict import Finding, Verdict
 from craftsim.skills.outcome import Outcome, Reason
 

@@ -10,11 +10,11 @@ from collections import deque
 from collections.abc import Iterator
 
 from craftsim.designs.growth import Ramp
+from craftsim.discrete.actions import apply, legal
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.kernel.state import pose_of
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.sets import RULE_SETS, act, world_of
-from craftsim.discrete.rules.table import apply, legal
+from craftsim.discrete.rules import RULE_SETS, act, world_of
 
 DRIVING = [int(action) for action in Action if action.name.startswith(("MOVE_", "ROTATE"))][:6]
 

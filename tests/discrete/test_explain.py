@@ -5,11 +5,12 @@ import pytest
 
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action, Correction
+from craftsim.discrete.reasons import REASONS
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.explain import CORRECTIONS
 
 from .worldgen import play, random_world
 
+FORBIDDING = [reason.correction for reason in REASONS.values() if reason.correction is not None]
 BLOCK, WALL, FSLOPE, BODY = Kind.BLOCK, Kind.WALL, Kind.FSLOPE, Kind.BODY
 
 
@@ -54,17 +55,15 @@ def test_every_forbidden_action_has_a_reason_and_every_legal_one_is_said_to_be_l
 
 def test_without_the_flag_that_is_named_the_action_is_legal_or_has_another_reason():
     rules, rng = Rules("physical"), np.random.default_rng(7)
-    named = dict.fromkeys(CORRECTIONS, 0)
+    named = dict.fromkeys(FORBIDDING, 0)
     for _ in range(3000):
         grid = _dense_world(rng)
-        legal = Rules("published", Correction(sum(c for c in Correction if c.name not in CORRECTIONS))).mask(
-            grid
-        )
+        legal = Rules("published", Correction(sum(set(Correction) - set(FORBIDDING)))).mask(grid)
         for car, action in np.argwhere(legal & ~rules.mask(grid)):
             told = rules.explain(grid, int(car), Action(action))
-            assert told.flag is not None
-            named[told.flag] += 1
-            other = Rules("physical", ~Correction[told.flag])
+            assert told.correction is not None
+            named[told.correction] += 1
+            other = Rules("physical", ~told.correction)
             assert other.explain(grid, int(car), Action(action)).reason != told.reason
         if min(named.values()) > 2:
             break
@@ -72,8 +71,9 @@ def test_without_the_flag_that_is_named_the_action_is_legal_or_has_another_reaso
 
 
 def test_the_flags_that_are_explained_are_those_of_the_physical_rules_that_forbid():
-    effects = {"derived_marks", "second_ramp", "lasting_gears"}
-    assert set(CORRECTIONS) == set(Correction.__members__) - effects
+    effects = {Correction.derived_marks, Correction.second_ramp, Correction.lasting_gears}
+    assert set(FORBIDDING) == set(Correction) - effects
+    assert len(FORBIDDING) == len(set(FORBIDDING))
 
 
 def test_reasons_name_the_cells(scene, car):
@@ -90,7 +90,7 @@ def test_reasons_name_the_cells(scene, car):
     assert str(rules.explain(walled, 0, Action.STOP)) == "STOP is legal"
     flap = scene([(FSLOPE, (4, 3, 1), 2), (BLOCK, (2, 3, 1))], [car(4, 3)])
     told = rules.explain(flap, 0, Action.UNFOLD)
-    assert told.flag == "swinging_flap"
+    assert told.correction == Correction.swinging_flap
     assert told.cells == ((2, 3, 1),)
     assert str(told) == (
         "UNFOLD is forbidden: the flap would meet something on its way: a block is in (2, 3, 1) "

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from craftsim.discrete.actions import footprint
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.table import footprint
 from craftsim.discrete.schedule import make_schedule
 
 from .worldgen import play, random_world

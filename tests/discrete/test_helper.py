@@ -4,12 +4,11 @@ import heapq
 
 import numpy as np
 import pytest
+from craftsim.discrete.planning.heap import heapify, pop, push
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.planning.heap import heapify, pop, push
-from craftsim.discrete.planning.planner import Planner, empty_queue
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import Helper, Rules, empty_queue
 
 BLOCK = Kind.BLOCK
 RIGHT = Action.MOVE_RIGHT
@@ -47,7 +46,7 @@ def test_the_heap_keeps_ties_in_the_order_of_pythons_heapq():
 
 def test_a_move_out_from_under_a_block_sideways_is_planned_with_turns(scene, car):
     grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
-    planner = Planner(Rules("physical"))
+    planner = Helper(Rules("physical"))
     assert not planner.rules.legal(grid, 0, RIGHT)
     assert planner.plan_move(grid, 0, RIGHT) == (Action.ROTATE_RIGHT, RIGHT)
     assert planner.reachable(grid)[0, RIGHT]
@@ -56,14 +55,14 @@ def test_a_move_out_from_under_a_block_sideways_is_planned_with_turns(scene, car
 @pytest.mark.parametrize(("depth", "found"), [(0, False), (1, True)])
 def test_a_plan_has_at_most_one_step_more_than_the_search_depth(depth, found, scene, car):
     grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
-    planner = Planner(Rules("physical"), depth)
+    planner = Helper(Rules("physical"), depth)
     assert (planner.plan_move(grid, 0, RIGHT) is not None) == found
     assert planner.reachable(grid)[0, RIGHT] == found
 
 
 def test_a_way_to_a_cell_leads_up_a_ramp(scene, car):
     grid = scene([(Kind.BODY, (3, 3, 1), 2), (BLOCK, (4, 3, 1))], [car(1, 3)])
-    planner = Planner(Rules("physical"))
+    planner = Helper(Rules("physical"))
     assert planner.plan_to(grid, 0, (4, 3, 2)) == (RIGHT, RIGHT, RIGHT)
     assert planner.plan_to(grid, 0, (4, 3, 3)) is None
     assert planner.plan_to(grid, 0, (1, 3, 1)) == ()
@@ -71,12 +70,12 @@ def test_a_way_to_a_cell_leads_up_a_ramp(scene, car):
 
 def test_only_moves_are_planned(scene, car):
     with pytest.raises(ValueError, match="LIFT"):
-        Planner(Rules("physical")).plan_move(scene([], [car(3, 3)]), 0, Action.LIFT)
+        Helper(Rules("physical")).plan_move(scene([], [car(3, 3)]), 0, Action.LIFT)
 
 
 def test_the_queue_goes_on_whatever_the_car_is_told(scene, car):
     grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
-    planner, queue = Planner(Rules("physical")), empty_queue(1, 10)
+    planner, queue = Helper(Rules("physical")), empty_queue(1, 10)
     grid, queue, applied = planner.tick(grid, queue, [(0, RIGHT)])
     assert applied.tolist() == [True]
     assert queue[0, :2].tolist() == [RIGHT, -1]
@@ -88,7 +87,7 @@ def test_the_queue_goes_on_whatever_the_car_is_told(scene, car):
 
 def test_a_queue_whose_next_step_became_illegal_is_thrown_away(scene, car):
     grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1), car(4, 4)])
-    planner, queue = Planner(Rules("physical")), empty_queue(2, 10)
+    planner, queue = Helper(Rules("physical")), empty_queue(2, 10)
     grid, queue, _ = planner.tick(grid, queue, [(0, RIGHT), (1, Action.MOVE_BACK)])
     assert queue[0, 0] == RIGHT
     grid, queue, applied = planner.tick(grid, queue, [(0, RIGHT), (1, Action.STOP)])
@@ -99,7 +98,7 @@ def test_a_queue_whose_next_step_became_illegal_is_thrown_away(scene, car):
 
 def test_a_move_without_a_plan_is_a_stop(scene, car):
     grid = scene([], [car(0, 0)])
-    planner, queue = Planner(Rules("physical")), empty_queue(1, 10)
+    planner, queue = Helper(Rules("physical")), empty_queue(1, 10)
     after, queue, applied = planner.tick(grid, queue, [(0, Action.MOVE_LEFT)])
     assert applied.tolist() == [True]
     assert after.same_visible(grid)
@@ -108,13 +107,13 @@ def test_a_move_without_a_plan_is_a_stop(scene, car):
 
 def test_other_actions_act_at_once(scene, car):
     grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3)])
-    after, _, applied = Planner(Rules("physical")).tick(grid, empty_queue(1, 10), [(0, Action.LIFT)])
+    after, _, applied = Helper(Rules("physical")).tick(grid, empty_queue(1, 10), [(0, Action.LIFT)])
     assert applied.tolist() == [True]
     assert after.cars[0, CarField.LOAD] == BLOCK
 
 
 def test_a_queue_of_another_depth_and_a_negative_depth_are_refused(scene, car):
     with pytest.raises(ValueError, match=r"queue has shape \(1, 6\); it must be \(1, 11\)"):
-        Planner(Rules("physical"), 10).tick(scene([], [car(3, 3)]), empty_queue(1, 5), [(0, RIGHT)])
+        Helper(Rules("physical"), 10).tick(scene([], [car(3, 3)]), empty_queue(1, 5), [(0, RIGHT)])
     with pytest.raises(ValueError, match="search depth is -1"):
         empty_queue(1, -1)

@@ -4,8 +4,7 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.discrete.planning.planner import Planner, empty_queue
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import Helper, Rules, empty_queue
 
 BOTH = pytest.mark.parametrize(
     "rules", [Rules("published"), Rules("physical")], ids=["published", "physical"]
@@ -252,7 +251,7 @@ def test_a_tick_leaves_the_world_it_was_given_alone(rules, scene, car):
 @BOTH
 @pytest.mark.parametrize("number", [-1, 1, 99])
 def test_a_car_that_is_not_there_is_refused(rules, scene, car, number):
-    grid, planner = scene([], [car(3, 3)]), Planner(rules)
+    grid, planner = scene([], [car(3, 3)]), Helper(rules)
     calls = [
         lambda: rules.legal(grid, number, Action.STOP),
         lambda: rules.tick(grid, [(number, Action.STOP)]),

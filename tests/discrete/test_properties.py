@@ -6,8 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.grid import SECOND_PART, CarField, Kind, beside
-from craftsim.discrete.planning.planner import Planner
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import Helper, Rules
 
 from .worldgen import MIRRORED_ACTIONS, TURNED_ACTIONS, mirrored, play, random_world, turned
 
@@ -112,7 +111,7 @@ def test_applied_means_legal_at_its_turn_and_the_illegal_changes_nothing(seed):
 def test_a_plan_leads_step_by_legal_step_to_the_cell_asked_for(seed):
     rng = np.random.default_rng(seed)
     grid = random_world(rng)
-    planner = Planner(PHYSICAL, 12)
+    planner = Helper(PHYSICAL, 12)
     grid = list(play(PHYSICAL, grid, rng, 5))[-1][1]
     reachable, legal = planner.reachable(grid), PHYSICAL.mask(grid)
     assert (reachable >= legal).all()

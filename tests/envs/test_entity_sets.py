@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import craftsim
 from craftsim.designs.tasks import with_reflections
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import as_task
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.entity_sets import FILLED, OWN, WHAT, X, Y, Z, entity_sets, observe_entities

@@ -87,7 +87,13 @@ def _explained(rules: Rules, n: int, ticks: int) -> dict[str, Any]:
                 for action in Action:
                     why = rules.explain(grid, car, action)
                     said.append(f"{car} {why}")
-                    kinds["legal" if why.legal else str(why.flag or "the published rules")] += 1
+                    kinds[
+                        "legal"
+                        if why.legal
+                        else why.correction.name
+                        if why.correction
+                        else "the published rules"
+                    ] += 1
         worlds.append(digest("\n".join(said)))
     return {
         "by correction": dict(kinds),

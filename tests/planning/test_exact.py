@@ -7,7 +7,7 @@ from by_force import least_work_by_force
 from craftsim.designs.tiny import tiny_world
 from craftsim.discrete.files.design import design_in
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.exact import is_small, least_work

@@ -10,7 +10,7 @@ from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.planning import NoPlanError, plan_building

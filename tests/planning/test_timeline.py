@@ -4,7 +4,7 @@ import numpy as np
 
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning.assembly import Assembly, Placing
 from craftsim.planning.things import BuildingPart, without_things

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.timetable import timetable
 from craftsim.planning import plan_building

@@ -10,10 +10,10 @@ import pytest
 from craftsim.checking.forces import impact_limit_n
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.cli import main
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.errors import InputError
 from craftsim.rendering.plots.figures import plots_of, write_figures
 from craftsim.rendering.plots.signals import Signals, path_points, thinned

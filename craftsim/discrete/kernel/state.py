@@ -146,27 +146,7 @@ def is_air_or_gear(kind: int) -> bool:
 
 
 @compiled
-def derived_top(w: World, x: int, y: int, z: int, ignored: int) -> int:
-    """Return what is really on a cell: a car's id (``ignored`` is not seen), OBJECT or NOTHING.
-
-    Gears and walls in the cell above count as nothing. Of two cars in one cell the higher id is returned.
-    """
-    for car in range(w.cars.shape[0] - 1, -1, -1):
-        if (
-            car != ignored
-            and car_field(w, car, F_X) == x
-            and car_field(w, car, F_Y) == y
-            and car_field(w, car, F_Z) == z + 1
-        ):
-            return car
-    above = kind_at(w, x, y, z + 1)
-    if above in (AIR, GEAR, WALL):
-        return NOTHING
-    return OBJECT
-
-
-@compiled
-def derived_back(w: World, x: int, y: int, z: int) -> bool:
+def derived_landing(w: World, x: int, y: int, z: int) -> bool:
     """Return whether a cell is the landing of a ramp: a neighbour in direction d holds a body with yaw d."""
     for d in range(4):
         nx, ny = x + dir_x(d), y + dir_y(d)
@@ -176,23 +156,30 @@ def derived_back(w: World, x: int, y: int, z: int) -> bool:
 
 
 @compiled
-def top_at(w: World, x: int, y: int, z: int, me: int) -> int:
-    """Return the mark "what is on me" of a cell as car ``me`` reads it (never itself, when derived)."""
+def occupant_of(w: World, x: int, y: int, z: int, me: int) -> int:
+    """Return what is on a cell as car ``me`` sees it: a car's number, OBJECT or NOTHING.
+
+    By the mark "what is on me", or, where marks are derived, what is really there: never ``me`` itself, of two cars in
+    one cell the higher number, and nothing where there is a gear or a wall.
+    """
     if not inside(w, x, y, z):
         return NOTHING
-    if w.corrections & DERIVED_MARKS:
-        return derived_top(w, x, y, z, me)
-    return int(np.int64(w.cells[x, y, z, OCCUPANT]))
+    if not w.corrections & DERIVED_MARKS:
+        return int(np.int64(w.cells[x, y, z, OCCUPANT]))
+    for car in range(w.cars.shape[0] - 1, -1, -1):
+        if car != me and w.cars[car, F_X] == x and w.cars[car, F_Y] == y and w.cars[car, F_Z] == z + 1:
+            return car
+    return NOTHING if kind_at(w, x, y, z + 1) in (AIR, GEAR, WALL) else OBJECT
 
 
 @compiled
-def back_at(w: World, x: int, y: int, z: int) -> bool:
-    """Return the mark "I am the landing of a ramp" of a cell."""
+def is_landing(w: World, x: int, y: int, z: int) -> bool:
+    """Return whether a cell is the landing of a ramp: by its mark, or, where marks are derived, really."""
     if not inside(w, x, y, z):
         return False
-    if w.corrections & DERIVED_MARKS:
-        return kind_at(w, x, y, z) == BLOCK and derived_back(w, x, y, z)
-    return bool(w.cells[x, y, z, LANDING])
+    if not w.corrections & DERIVED_MARKS:
+        return bool(w.cells[x, y, z, LANDING] != 0)
+    return kind_at(w, x, y, z) == BLOCK and derived_landing(w, x, y, z)
 
 
 @compiled
@@ -203,7 +190,7 @@ def derive_marks(w: World) -> None:
             for z in range(w.cells.shape[2]):
                 above = kind_at(w, x, y, z + 1)
                 w.cells[x, y, z, OCCUPANT] = NOTHING if above in (AIR, GEAR, WALL) else OBJECT
-                w.cells[x, y, z, LANDING] = w.cells[x, y, z, KIND] == BLOCK and derived_back(w, x, y, z)
+                w.cells[x, y, z, LANDING] = w.cells[x, y, z, KIND] == BLOCK and derived_landing(w, x, y, z)
     for car in range(w.cars.shape[0]):
         if inside(w, car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z) - 1):
             w.cells[car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z) - 1, OCCUPANT] = (

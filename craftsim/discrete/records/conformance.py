@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.state import Correction
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.planning.planner import Planner
 from craftsim.discrete.records.schema import TASKS, Record
 from craftsim.discrete.records.traces import recorded_grid
-from craftsim.discrete.rules.sets import Rules
+from craftsim.discrete.rules import Helper, Rules
 from craftsim.discrete.tasks.batches import NO_TARGETS
 from craftsim.discrete.tasks.measures import FlagNearness
 from craftsim.discrete.tasks.observation import Layout
@@ -86,7 +85,7 @@ class Checker:
         self.exact = rules.rule_set == "published"
         self.uncorrected = Rules(rules.rule_set, Correction.derived_marks)
         """The physical rules before physics corrected them: nothing but the bookkeeping differs from published."""
-        self._planner = Planner(rules)
+        self._planner = Helper(rules)
 
     def check(self, line: int, record: Record) -> None:
         """Compare one record, of a tick or of plans."""
@@ -151,7 +150,7 @@ class Checker:
 
     def _plans(self, where: str, record: Record, before: Grid) -> None:
         if self._planner.depth != record["depth"]:
-            self._planner = Planner(self.rules, record["depth"])
+            self._planner = Helper(self.rules, record["depth"])
         planner = self._planner
         masks = [car["mask"] for car in record["cars"]]
         self._masks(where, "reachable", masks, planner.reachable(before), before)

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.planning.planner import DEFAULT_DEPTH
-from craftsim.discrete.rules.sets import Rules, RuleSet
+from craftsim.discrete.rules import DEFAULT_DEPTH, Rules, RuleSet
 from craftsim.discrete.tasks.batches import Starts
 from craftsim.discrete.tasks.measures import Measure
 from craftsim.discrete.tasks.observation import car_vectors

@@ -8,51 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel import batch
+from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import N_ACTIONS
+from craftsim.discrete.kernel.search import search_buffers
 from craftsim.discrete.kernel.state import World, world_at
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.planning.planner import empty_queue, run_helper_tick
-from craftsim.discrete.planning.search import Space, fill_reachable, make_space
-from craftsim.discrete.rules.legality import N_ACTIONS
-from craftsim.discrete.rules.sets import Rules, fill_mask, run_tick
+from craftsim.discrete.rules import Rules, empty_queue
 from craftsim.discrete.tasks.batches import Targets
 from craftsim.discrete.tasks.observation import ROW, Layout, fill_rows, target_rows
 from craftsim.errors import CraftsimError
-
-
-@compiled
-def _fill_masks(worlds: World, out: NDArray[np.bool_]) -> None:
-    for i in range(out.shape[0]):
-        fill_mask(world_at(worlds, i), out[i])
-
-
-@compiled
-def _fill_reachable(worlds: World, space: Space, limit: int, out: NDArray[np.bool_]) -> None:
-    for i in range(out.shape[0]):
-        fill_mask(world_at(worlds, i), out[i])
-        fill_reachable(world_at(worlds, i), space, limit, out[i])
-
-
-@compiled
-def _tick(
-    worlds: World, order: NDArray[np.int64], actions: NDArray[np.int64], applied: NDArray[np.bool_]
-) -> None:
-    for i in range(order.shape[0]):
-        run_tick(world_at(worlds, i), order[i], actions[i], applied[i])
-
-
-@compiled
-def _helper_tick(
-    worlds: World,
-    order: NDArray[np.int64],
-    actions: NDArray[np.int64],
-    applied: NDArray[np.bool_],
-    queues: NDArray[np.int8],
-    space: Space,
-    limit: int,
-) -> None:
-    for i in range(order.shape[0]):
-        run_helper_tick(world_at(worlds, i), order[i], actions[i], applied[i], queues[i], space, limit)
 
 
 @compiled
@@ -90,7 +56,7 @@ class Worlds:
         self.grids = Grid.stack(grids)
         """All of them, a batch."""
         self.queue = np.stack([empty_queue(self.n_cars, depth or 0) for _ in grids])
-        self._space = make_space(grids[0].size)
+        self._space = search_buffers(grids[0].size)
 
     def __len__(self) -> int:
         return len(self.grids)
@@ -111,14 +77,12 @@ class Worlds:
 
     def legal(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what each car could do at once."""
-        out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
-        _fill_masks(self.arrays, out)
-        return out
+        return self.reachable(NO_HELPER)
 
     def reachable(self, depth: int) -> NDArray[np.bool_]:
         """Return (B, n, 15): what is legal, and the moves that a helper of a given depth has a plan for."""
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
-        _fill_reachable(self.arrays, self._space, depth, out)
+        batch.masks(*self.arrays, self._space, depth, out)
         return out
 
     def offered(self) -> NDArray[np.bool_]:
@@ -145,10 +109,8 @@ class Worlds:
             raise ValueError(f"an order must name each of the cars 0 to {self.n_cars - 1} once")
         acting = np.take_along_axis(acts, turns, axis=1)
         in_order = np.empty(turns.shape, np.bool_)
-        if self.depth is None:
-            _tick(self.arrays, turns, acting, in_order)
-        else:
-            _helper_tick(self.arrays, turns, acting, in_order, self.queue, self._space, self.depth)
+        depth = NO_HELPER if self.depth is None else self.depth
+        batch.step(*self.arrays, turns, acting, in_order, self.queue, self._space, depth)
         applied = np.empty_like(in_order)
         np.put_along_axis(applied, turns, in_order, axis=1)
         return applied

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.colours import Rgb
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.schedule import Schedule
 from craftsim.discrete.timetable import makespan, timetable
 from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper

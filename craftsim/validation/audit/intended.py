@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
-from craftsim.discrete.kernel.state import pose_of
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.discrete.rules import RULE_SETS
-from craftsim.discrete.rules.table import ACTIONS, apply
+from craftsim.discrete.rules import Rules
 
 _LEVEL: Final = (Kind.GROUND, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
 """What has a level top at the height of the next floor, whether the rules let anything stand on it or not."""
@@ -25,11 +24,9 @@ def intended(grid: Grid, car: int, action: Action) -> Grid:
 
     Raises NoPredictionError where there is nothing to do, no room for what would be there, or no such state.
     """
-    world = grid.world(RULE_SETS["physical"])
-    if nothing := ACTIONS[action].no_goal(world, pose_of(world, car)):
+    if nothing := ACTIONS[action].nothing_to_try(grid, car):
         raise NoPredictionError(nothing)
-    after = grid.copy()
-    apply(after.world(RULE_SETS["physical"]), car, int(action))
+    after = Rules("physical").enforce(grid, car, action)
     if action in MOVE_DIRECTION:
         ax, ay, az = (int(v) for v in after.cars[car, : CarField.Z + 1])
         _check_target(grid, (ax, ay, az), Kind(grid.cars[car, CarField.LOAD]))

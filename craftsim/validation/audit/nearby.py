@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind
-from craftsim.discrete.rules import RULE_SETS, Rules, RuleSet
-from craftsim.discrete.rules.table import ACTIONS
+from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.contexts.context import DIRECTION_NAMES
 from craftsim.validation.neighbourhoods.occupants import occupants
@@ -77,7 +77,7 @@ def nearby(rule_set: RuleSet, verbs: Collection[str] = ()) -> list[tuple[Nearby,
         legal = rules.legal(grid, 0, situation.action)
         if not legal and not rules.legal(without(grid, here), 0, situation.action):
             continue
-        if legal and rule_set == "physical" and not _has_room(grid):
+        if legal and rule_set == "physical" and not has_room(grid):
             continue
         key = (entry.situation, _TURNS.sub("", entry.occupant), legal, *_met(entry))
         if key not in found:
@@ -86,12 +86,6 @@ def nearby(rule_set: RuleSet, verbs: Collection[str] = ()) -> list[tuple[Nearby,
             size, things, cars = _cropped(grid)
             found[key] = Nearby(name, things, cars, (situation.action,), None, size, clearance), legal
     return list(found.values())
-
-
-def _has_room(grid: Grid) -> bool:
-    """Return whether the physical rules can have led here: with each load clear of all else."""
-    world = grid.world(RULE_SETS["physical"])
-    return all(has_room(world, grid, car) for car in range(grid.n_cars))
 
 
 def _met(entry: Entry) -> tuple[object, ...]:

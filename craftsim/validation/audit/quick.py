@@ -132,4 +132,4 @@ def _reason(situation: Situation, rule_set: RuleSet) -> str:
     grid, actions = start_of(situation, rule_set)
     said = Rules(rule_set).explain(grid, 0, actions[0])
     verb = properties(situation.id)["action"].partition("-")[0]
-    return f"{verb}: {said.flag or _CELLS.sub('', kind_of(said.reason))}"
+    return f"{verb}: {said.correction.name if said.correction else _CELLS.sub('', kind_of(said.reason))}"

@@ -12,10 +12,10 @@ from typing import Final
 import yaml
 
 from craftsim.checking.recipe import Step
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Grid, Kind, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.discrete.schedule import Order
 from craftsim.discrete.verdict import HEADINGS
 from craftsim.validation.audit.intended import NoPredictionError, intended

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Final
 
+from craftsim.discrete.actions import ACTIONS, VERBS, Variation
 from craftsim.discrete.grid import KINDS_WITH_YAW, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.table import ACTIONS, VERBS, Variation
 from craftsim.errors import InputError
 
 FORWARD, LEFT, BACK, RIGHT = range(4)

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.models.parameters import Machines
 from craftsim.models.placement import placements
 from craftsim.validation.contexts.worlds import ImpossibleError

@@ -8,10 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
-from craftsim.discrete.kernel.state import Pose, World, pose_of
+from craftsim.discrete.kernel import batch
 from craftsim.discrete.rules import RULE_SETS
-from craftsim.discrete.rules.levels import load_below_walls
-from craftsim.discrete.rules.reach import car_in, carried_gear_in, load_fits
 
 _LOADS: Final = (Kind.BLOCK, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.FSLOPE)
 
@@ -61,8 +59,7 @@ def put_load(grid: Grid, car: int, place: Place, rng: np.random.Generator) -> No
         return
     back = (int(row[CarField.YAW]) + 2) % 4
     row[CarField.LOAD], row[CarField.LOAD_YAW] = load, back if load == Kind.FSLOPE else 0
-    world = grid.world(RULE_SETS["physical"])
-    if not all(has_room(world, grid, other) for other in range(grid.n_cars)):
+    if not has_room(grid):
         row[CarField.LOAD], row[CarField.LOAD_YAW] = Kind.AIR, 0
 
 
@@ -121,20 +118,7 @@ def _free(grid: Grid, cell: Cell) -> bool:
     return grid.kind_at((x, y, z - 1)) in (Kind.GROUND, Kind.BLOCK)
 
 
-def has_room(w: World, grid: Grid, me: int) -> bool:
-    """Return whether what a car carries is clear of all else by the rules: else no play of them leads there."""
-    car: Pose = pose_of(w, me)
-    if car.load == Kind.AIR:
-        return True
-    if not (load_below_walls(w, car, car) and load_fits(w, me, car, car)):
-        return False
-    if car.load != Kind.FSLOPE:
-        return True
-    gear = beside((int(car.x), int(car.y), int(car.z)), int(car.load_yaw))
-    length, width, _ = grid.size
-    if not (0 <= gear[0] < length and 0 <= gear[1] < width):
-        return False
-    if car.slope:
-        return True
-    crowded = car_in(w, me, *gear, True) or carried_gear_in(w, me, *gear, -1)
-    return grid.kind_at(gear) == Kind.AIR and not crowded
+def has_room(grid: Grid) -> bool:
+    """Return whether what each car carries is clear of all else by the rules: else no play of them leads there."""
+    arrays = grid.cells, grid.cars, int(RULE_SETS["physical"])
+    return all(batch.has_room(*arrays, car) for car in range(grid.n_cars))

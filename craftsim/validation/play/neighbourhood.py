@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.footprint import cell_of
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules.table import ACTIONS
 
 _AROUND: Final = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 _THINGS: Final = {

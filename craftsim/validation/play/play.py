@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.validation.play.neighbourhood import Doing, doing
 
 Joint = tuple[tuple[int, Action], ...]

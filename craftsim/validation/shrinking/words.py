@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from craftsim.checking.attempt import Result
+from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.table import ACTIONS
 from craftsim.validation.shrinking.pieces import Piece, pieces_of
 from craftsim.validation.shrinking.shrink import Smallest
 

@@ -10,8 +10,7 @@ from craftsim.checking.settings import Setup, setup_of
 from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.sets import RULE_SETS
+from craftsim.discrete.rules import RULE_SETS, Rules
 from craftsim.discrete.verdict import Finding
 
 PUBLISHED: Final = "published"

@@ -1,7 +1,6 @@
 """The action helper's A* search, with the ties and limits of CraftEnv's (docs/rules.md#action-helper).
 
-Nodes are (x, y, z, yaw) of one car; all else stands still. A car's slope state and the yaw of its load follow
-along.
+Nodes are (x, y, z, yaw) of one car; all else stands still. A car's slope state and the yaw of its load follow along.
 """
 
 from __future__ import annotations
@@ -12,26 +11,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import (
+    FIRST_MOVE,
+    LAST_MOVE,
+    LEGAL,
+    ROTATE_LEFT,
+    ROTATE_RIGHT,
+    STOP,
+    act,
+    move_direction,
+    moved,
+    turned,
+    why,
+)
 from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.planning.heap import heapify, pop, push
-from craftsim.discrete.rules.effects import turned
-from craftsim.discrete.rules.legality import FIRST_MOVE, ROTATE_LEFT, ROTATE_RIGHT, move_direction
-from craftsim.discrete.rules.moves import moved
-from craftsim.discrete.rules.table import legal
 
-MOVE_FORWARD = int(Action.MOVE_FORWARD)
-MOVE_BACK = int(Action.MOVE_BACK)
-MOVE_LEFT = int(Action.MOVE_LEFT)
-MOVE_RIGHT = int(Action.MOVE_RIGHT)
-
-SUCCESSORS = (MOVE_FORWARD, MOVE_BACK, MOVE_RIGHT, MOVE_LEFT, ROTATE_RIGHT, ROTATE_LEFT)
+SUCCESSORS = (
+    int(Action.MOVE_FORWARD),
+    int(Action.MOVE_BACK),
+    int(Action.MOVE_RIGHT),
+    int(Action.MOVE_LEFT),
+    int(Action.ROTATE_RIGHT),
+    int(Action.ROTATE_LEFT),
+)
 """Order in which a node's successors are tried; it decides between equally good plans."""
 
 UNSEEN, OPEN, CLOSED = 0, 1, 2
+UNKNOWN = -1
+"""Legal successors that are not worked out yet."""
 
 
-class Space(NamedTuple):
+class SearchBuffers(NamedTuple):
     """Scratch arrays of a search, one entry a node, made once for a map size and used again and again."""
 
     state: NDArray[np.int8]
@@ -43,34 +54,75 @@ class Space(NamedTuple):
     parent: NDArray[np.int32]
     action: NDArray[np.int8]
     heap: NDArray[np.int32]
-    ways: NDArray[np.int8]
-    """Legal successors as bits, known for one car in one world; -1 where not worked out yet."""
-    ways_slope: NDArray[np.int8]
-    """The slope state for which ``ways`` holds."""
+    legal: NDArray[np.int8]
+    """Legal successors as bits in the order of SUCCESSORS, known for one car in one world; else UNKNOWN."""
+    legal_slope: NDArray[np.int8]
+    """The slope state for which ``legal`` holds."""
 
 
-def make_space(size: tuple[int, int, int]) -> Space:
+def search_buffers(size: tuple[int, int, int]) -> SearchBuffers:
     """Return scratch arrays for maps of size (L, W, H); a car can be at levels 0 to H + 1."""
     nodes = size[0] * size[1] * (size[2] + 2) * 4
+    narrow = {
+        "state": np.int8,
+        "action": np.int8,
+        "legal": np.int8,
+        "legal_slope": np.int8,
+        "slope": np.int64,
+    }
+    return SearchBuffers(*(np.zeros(nodes, narrow.get(name, np.int32)) for name in SearchBuffers._fields))
 
-    def small() -> NDArray[np.int8]:
-        return np.zeros(nodes, np.int8)
 
-    def large() -> NDArray[np.int32]:
-        return np.zeros(nodes, np.int32)
+# A binary heap of nodes ordered by their rank. The sifting is that of Python's heapq, because which of two equally good
+# plans is found depends on it.
 
-    return Space(
-        state=small(),
-        cost=large(),
-        rank=large(),
-        depth=large(),
-        slope=np.zeros(nodes, np.int64),
-        parent=large(),
-        action=small(),
-        heap=large(),
-        ways=small(),
-        ways_slope=small(),
-    )
+
+@compiled
+def rise(heap: NDArray[np.int32], top: int, place: int, rank: NDArray[np.int32]) -> None:
+    """Let an item rise to its place, not above ``top``."""
+    item = heap[place]
+    while place > top:
+        parent = (place - 1) >> 1
+        if rank[item] >= rank[heap[parent]]:
+            break
+        heap[place] = heap[parent]
+        place = parent
+    heap[place] = item
+
+
+@compiled
+def sink(heap: NDArray[np.int32], size: int, place: int, rank: NDArray[np.int32]) -> None:
+    """Let an item sink to a leaf, and rise from there to its place."""
+    top = place
+    item = heap[place]
+    child = 2 * place + 1
+    while child < size:
+        right = child + 1
+        if right < size and rank[heap[child]] >= rank[heap[right]]:
+            child = right
+        heap[place] = heap[child]
+        place = child
+        child = 2 * place + 1
+    heap[place] = item
+    rise(heap, top, place, rank)
+
+
+@compiled
+def push(heap: NDArray[np.int32], size: int, item: int, rank: NDArray[np.int32]) -> int:
+    """Add an item to a heap of the given size; return the new size."""
+    heap[size] = item
+    rise(heap, 0, size, rank)
+    return size + 1
+
+
+@compiled
+def pop(heap: NDArray[np.int32], size: int, rank: NDArray[np.int32]) -> int:
+    """Take the item of lowest rank from a heap of the given size, which shrinks by one."""
+    item = heap[0]
+    heap[0] = heap[size - 1]
+    if size > 1:
+        sink(heap, size - 1, 0, rank)
+    return int(np.int64(item))
 
 
 @compiled
@@ -84,49 +136,38 @@ def node_of(w: World, car: Pose) -> int:
 def pose_at(w: World, start: Pose, node: int, slope: int) -> Pose:
     """Return the state of the car at a node; a carried slope has turned along with it from the start."""
     layers = w.cells.shape[2] + 1
-    yaw = node & 3
-    rest = node >> 2
-    z = rest % layers
-    rest //= layers
+    yaw, rest = node & 3, node >> 2
+    z, rest = rest % layers, rest // layers
     load_yaw = (start.load_yaw + yaw - start.yaw) & 3 if start.load == FSLOPE else 0
     return Pose(rest // w.cells.shape[1], rest % w.cells.shape[1], z, yaw, start.load, load_yaw, slope)
 
 
 @compiled
-def ways_from(w: World, me: int, space: Space, node: int, car: Pose) -> int:
-    """Return the legal successors of a node as bits in the order of SUCCESSORS, worked out at most once."""
-    if space.ways[node] < 0 or space.ways_slope[node] != car.slope:
-        bits = 0
-        for i in range(len(SUCCESSORS)):
-            if legal(w, me, car, SUCCESSORS[i]):
-                bits |= 1 << i
-        space.ways[node] = bits
-        space.ways_slope[node] = car.slope
-    return int(space.ways[node])
-
-
-@compiled
 def after(w: World, car: Pose, action: int) -> Pose:
     """Return the car's state after one of SUCCESSORS."""
-    if action == ROTATE_LEFT:
-        return turned(car, 1)
-    if action == ROTATE_RIGHT:
-        return turned(car, -1)
+    if action in (ROTATE_LEFT, ROTATE_RIGHT):
+        return turned(car, 1 if action == ROTATE_LEFT else -1)
     return moved(w, car, move_direction(action))
 
 
 @compiled
-def forget_ways(space: Space) -> None:
-    """Forget what is legal where; needed whenever the world or the car searched for is another."""
-    space.ways[:] = -1
+def legal_from(w: World, me: int, space: SearchBuffers, node: int, car: Pose) -> int:
+    """Return the legal successors of a node as bits in the order of SUCCESSORS, worked out at most once."""
+    if space.legal[node] == UNKNOWN or space.legal_slope[node] != car.slope:
+        bits = 0
+        for i in range(len(SUCCESSORS)):
+            if why(w, me, car, SUCCESSORS[i]) == LEGAL:
+                bits |= 1 << i
+        space.legal[node] = bits
+        space.legal_slope[node] = car.slope
+    return int(np.int64(space.legal[node]))
 
 
 @compiled
-def search(w: World, me: int, space: Space, goal_x: int, goal_y: int, goal_z: int, limit: int) -> int:
+def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, goal_z: int, limit: int) -> int:
     """Search a way for car ``me`` to a cell; return the node reached, or -1 if there is none.
 
-    The whole search fails as soon as a node deeper than ``limit`` is taken up, so a way has at most limit + 1
-    steps.
+    The whole search fails as soon as a node deeper than ``limit`` is taken up, so a way has at most limit + 1 steps.
     """
     start = pose_of(w, me)
     space.state[:] = UNSEEN
@@ -147,9 +188,9 @@ def search(w: World, me: int, space: Space, goal_x: int, goal_y: int, goal_z: in
         if space.depth[node] > limit:
             return -1
         space.state[node] = CLOSED
-        ways = ways_from(w, me, space, node, car)
+        legal = legal_from(w, me, space, node, car)
         for i in range(len(SUCCESSORS)):
-            if not ways & (1 << i):
+            if not legal & (1 << i):
                 continue
             new = after(w, car, SUCCESSORS[i])
             next_node = node_of(w, new)
@@ -166,7 +207,8 @@ def search(w: World, me: int, space: Space, goal_x: int, goal_y: int, goal_z: in
             space.slope[next_node] = new.slope
             if was_open:
                 # The depth stays that of the first way found (docs/rules.md#action-helper).
-                heapify(space.heap, size, space.rank)
+                for place in range(size // 2 - 1, -1, -1):
+                    sink(space.heap, size, place, space.rank)
             else:
                 space.depth[next_node] = space.depth[node] + 1
                 space.state[next_node] = OPEN
@@ -175,17 +217,17 @@ def search(w: World, me: int, space: Space, goal_x: int, goal_y: int, goal_z: in
 
 
 @compiled
-def write_plan(space: Space, node: int, out: NDArray[np.int8]) -> int:
+def write_plan(space: SearchBuffers, node: int, out: NDArray[np.int8]) -> int:
     """Write the actions that lead to a node into out; return how many there are."""
     length = 0
-    walker = node
+    walker = np.int64(node)
     while space.parent[walker] >= 0:
-        walker = space.parent[walker]
+        walker = np.int64(space.parent[walker])
         length += 1
-    walker = node
+    walker = np.int64(node)
     for i in range(length - 1, -1, -1):
         out[i] = space.action[walker]
-        walker = space.parent[walker]
+        walker = np.int64(space.parent[walker])
     return length
 
 
@@ -201,7 +243,7 @@ def goal_level(w: World, car: Pose, m: int) -> int:
 
 
 @compiled
-def plan_move(w: World, me: int, space: Space, action: int, limit: int) -> int:
+def plan_move(w: World, me: int, space: SearchBuffers, action: int, limit: int) -> int:
     """Search a way for a MOVE; return the node reached, or -1."""
     car = pose_of(w, me)
     m = move_direction(action)
@@ -209,11 +251,11 @@ def plan_move(w: World, me: int, space: Space, action: int, limit: int) -> int:
 
 
 @compiled
-def near_enough(w: World, me: int, space: Space, limit: int) -> int:
+def near_enough(w: World, me: int, space: SearchBuffers, limit: int) -> int:
     """Return, as bits for the four MOVEs, whose goal cell may lie within limit + 1 steps: a quick sieve.
 
-    Floods outwards step by step. All bits are set if some node is met in two slope states, for then what can
-    be reached depends on the order of the search.
+    Floods outwards step by step. All bits are set if some node is met in two slope states, for then what can be reached
+    depends on the order of the search.
     """
     start = pose_of(w, me)
     goals = 0
@@ -224,24 +266,21 @@ def near_enough(w: World, me: int, space: Space, limit: int) -> int:
     space.depth[space.heap[0]] = 0
     head, tail = 0, 1
     while head < tail:
-        node = space.heap[head]
+        node = int(np.int64(space.heap[head]))
         head += 1
         car = pose_at(w, start, node, space.slope[node])
         for i in range(4):
             m = move_direction(FIRST_MOVE + i)
-            if (
-                car.x == start.x + dir_x(m)
-                and car.y == start.y + dir_y(m)
-                and car.z == goal_level(w, start, m)
-            ):
+            there = car.x == start.x + dir_x(m) and car.y == start.y + dir_y(m)
+            if there and car.z == goal_level(w, start, m):
                 goals |= 1 << i
         if goals == 15:
             return 15
         if space.depth[node] > limit:
             continue
-        ways = ways_from(w, me, space, node, car)
+        legal = legal_from(w, me, space, node, car)
         for i in range(len(SUCCESSORS)):
-            if not ways & (1 << i):
+            if not legal & (1 << i):
                 continue
             new = after(w, car, SUCCESSORS[i])
             next_node = node_of(w, new)
@@ -257,7 +296,7 @@ def near_enough(w: World, me: int, space: Space, limit: int) -> int:
 
 
 @compiled
-def fill_reachable(w: World, space: Space, limit: int, mask: NDArray[np.bool_]) -> None:
+def add_reachable(w: World, space: SearchBuffers, limit: int, mask: NDArray[np.bool_]) -> None:
     """Turn a mask (n, 15) of legal actions into the helper's: a MOVE with a plan is on, too."""
     for me in range(w.cars.shape[0]):
         missing = 0
@@ -266,8 +305,43 @@ def fill_reachable(w: World, space: Space, limit: int, mask: NDArray[np.bool_]) 
                 missing |= 1 << i
         if missing == 0:
             continue
-        forget_ways(space)
+        space.legal[:] = UNKNOWN
         wanted = missing & near_enough(w, me, space, limit)
         for i in range(4):
             if wanted & (1 << i):
                 mask[me, FIRST_MOVE + i] = plan_move(w, me, space, FIRST_MOVE + i, limit) >= 0
+
+
+@compiled
+def advance(queue: NDArray[np.int8]) -> int:
+    """Take the first action from one car's queue."""
+    action = int(np.int64(queue[0]))
+    for i in range(len(queue) - 1):
+        queue[i] = queue[i + 1]
+    queue[-1] = -1
+    return action
+
+
+@compiled
+def act_with_helper(
+    w: World, car: int, action: int, queue: NDArray[np.int8], space: SearchBuffers, limit: int
+) -> bool:
+    """Let one car act: by its queue if it has one, else by a new plan for a MOVE, else by the action.
+
+    Returns whether the primitive that was due was legal; if a queued one was not, the queue is thrown away.
+    """
+    queued = queue[0] >= 0
+    due = action
+    if queued:
+        due = advance(queue)
+    elif FIRST_MOVE <= action <= LAST_MOVE:
+        space.legal[:] = UNKNOWN
+        node = plan_move(w, car, space, action, limit)
+        due = STOP
+        if node >= 0:
+            write_plan(space, node, queue)
+            due = advance(queue)
+    applied = act(w, car, due)
+    if queued and not applied:
+        queue[:] = -1
+    return applied

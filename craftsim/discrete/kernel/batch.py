@@ -1,0 +1,149 @@
+"""What Python calls: the rules and the helper's search, on batches of worlds whose arrays have a leading axis."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import (
+    LEGAL,
+    STOP,
+    act,
+    apply,
+    car_in,
+    carried_gear_in,
+    load_below_walls,
+    load_fits,
+    why,
+)
+from craftsim.discrete.kernel.search import (
+    UNKNOWN,
+    SearchBuffers,
+    act_with_helper,
+    add_reachable,
+    plan_move,
+    search,
+    write_plan,
+)
+from craftsim.discrete.kernel.state import (
+    AIR,
+    DERIVED_MARKS,
+    FSLOPE,
+    World,
+    derive_marks,
+    dir_x,
+    dir_y,
+    inside,
+    kind_at,
+    pose_of,
+)
+
+NO_HELPER = -1
+"""A search depth: the action helper is off."""
+
+Cells = NDArray[np.int16]
+Cars = NDArray[np.int16]
+Mask = NDArray[np.bool_]
+Queues = NDArray[np.int8]
+
+
+@compiled
+def masks(cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, depth: int, out: Mask) -> None:
+    """Write into out (B, n, 15) what each car could do, all judged on the same state.
+
+    With a search depth moves that the helper finds a plan for are on, too; NO_HELPER leaves them out.
+    """
+    out[:] = False
+    for i in range(cells.shape[0]):
+        w = World(cells[i], cars[i], corrections)
+        for car in range(w.cars.shape[0]):
+            pose = pose_of(w, car)
+            for action in range(STOP + 1):
+                out[i, car, action] = why(w, car, pose, action) == LEGAL
+        if depth != NO_HELPER:
+            add_reachable(w, space, depth, out[i])
+
+
+@compiled
+def step(
+    cells: Cells,
+    cars: Cars,
+    corrections: int,
+    order: NDArray[np.int64],
+    actions: NDArray[np.int64],
+    applied: Mask,
+    queues: Queues,
+    space: SearchBuffers,
+    depth: int,
+) -> None:
+    """Let the cars order[i] of each world act one after the other, each judged on what the earlier ones left.
+
+    ``actions`` (B, k) are in this order, as is ``applied``: whether each action was legal when its turn came. With a
+    search depth ``queues`` (B, n, depth + 1) hold what the helper still has to do; NO_HELPER leaves it out.
+    """
+    for i in range(cells.shape[0]):
+        w = World(cells[i], cars[i], corrections)
+        for turn in range(order.shape[1]):
+            car = order[i, turn]
+            if depth == NO_HELPER:
+                applied[i, turn] = act(w, car, actions[i, turn])
+            else:
+                applied[i, turn] = act_with_helper(w, car, actions[i, turn], queues[i, car], space, depth)
+        if corrections & DERIVED_MARKS:
+            derive_marks(w)
+
+
+@compiled
+def reason(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> int:
+    """Return why a car of a single world could not do an action now, as :func:`why` does."""
+    w = World(cells, cars, corrections)
+    return why(w, car, pose_of(w, car), action)
+
+
+@compiled
+def enforce(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> None:
+    """Change a single world as an action does, whether it is legal or not."""
+    apply(World(cells, cars, corrections), car, action)
+
+
+@compiled
+def plan(
+    cells: Cells,
+    cars: Cars,
+    corrections: int,
+    car: int,
+    action: int,
+    goal: tuple[int, int, int],
+    space: SearchBuffers,
+    depth: int,
+    out: NDArray[np.int8],
+) -> int:
+    """Write the primitives of the helper's plan for a MOVE, or with action -1 to a cell; return how many, -1 if none."""
+    w = World(cells, cars, corrections)
+    space.legal[:] = UNKNOWN
+    if action >= 0:
+        node = plan_move(w, car, space, action, depth)
+    else:
+        node = search(w, car, space, goal[0], goal[1], goal[2], depth)
+    return write_plan(space, node, out) if node >= 0 else -1
+
+
+@compiled
+def has_room(cells: Cells, cars: Cars, corrections: int, me: int) -> bool:
+    """Return whether what a car of a single world carries is clear of all else, as in all that play leads to."""
+    w = World(cells, cars, corrections)
+    car = pose_of(w, me)
+    if car.load == AIR:
+        return True
+    if not (load_below_walls(w, car, car) and load_fits(w, me, car, car)):
+        return False
+    if car.load != FSLOPE:
+        return True
+    x, y = car.x + dir_x(car.load_yaw), car.y + dir_y(car.load_yaw)
+    if not inside(w, x, y, 0):
+        return False
+    if car.slope != 0:
+        return True
+    crowded = car_in(w, me, x, y, car.z, True) >= 0 or carried_gear_in(w, me, x, y, car.z, -1)
+    return kind_at(w, x, y, car.z) == AIR and not crowded

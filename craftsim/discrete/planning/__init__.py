@@ -1,1 +1,0 @@
-"""The action helper: a search over moves and turns, and the queue that carries its plans out."""

@@ -1,0 +1,310 @@
+"""Why an action is forbidden, in words: one table, :data:`REASONS`, with a row for each code of the compiled rules.
+
+The published rules' reasons come first. Where only a correction of the physical set forbids, it is also said which
+single thing or car nearby is in the way: one without which the action is legal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.kernel import batch
+from craftsim.discrete.kernel import rules as code
+from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction
+
+_NEAR: Final = 3
+"""How many columns away, and how many levels, something may be that a correction looks at."""
+
+
+@dataclass(frozen=True)
+class Reason:
+    """A row of the table."""
+
+    words: str
+    """Its fields are places of :data:`_PLACES`: ``{place}`` is their cell, ``{place:what}`` what is there, see
+    :class:`_Place`. ``{car}`` is the car that the reason names, ``{load}`` the own load."""
+    cells: tuple[str, ...] = ("own",)
+    """The places concerned."""
+    correction: Correction | None = None
+    """What forbids it where the published rules do not."""
+    heading: str = ""
+    """Of docs/rules.md, where the correction is explained."""
+
+
+def _stands_on(place: str) -> Reason:
+    return Reason(f"something stands on {{{place}}}: {{{place}:occupant}}", (place, f"above {place}"))
+
+
+REASONS: Final[dict[int, Reason]] = {
+    code.NEVER: Reason("cars do not move diagonally"),
+    code.ON_SLOPE: Reason("on a slope a car can only move forward"),
+    code.CARRIES: Reason("the car carries {load}"),
+    code.CARRIES_NOTHING: Reason("the car carries nothing"),
+    code.NOTHING_TO_LIFT: Reason("there is nothing to lift in {own}{own:if any}"),
+    code.THING_ON_TOP: _stands_on("own"),
+    code.ABOVE_TOP_LEVEL: Reason("{own} is above the top level, where nothing can be put down"),
+    code.NO_RAMP_HERE: Reason("there is no unfolded slope in {own}: {own:what}"),
+    code.CAR_ON_OWN_FOOT: Reason("car {car} is on the foot in {foot}", ("foot",)),
+    code.NO_SLOPE_HERE: Reason("there is no folded slope in {own}: {own:what}"),
+    code.FOOT_BLOCKED: Reason("the foot has no room in {foot}: {foot:what}", ("foot",)),
+    code.FOOT_UNSUPPORTED: Reason(
+        "the foot has nothing to stand on in {under foot}: {under foot:what}", ("foot",)
+    ),
+    code.LANDING_BELOW_FOOT: Reason("{under foot} is the landing of a ramp", ("under foot",)),
+    code.LANDING_BELOW_BODY: Reason("{under own} is the landing of a ramp", ("under own",)),
+    code.TURN_UNDER_SLOPE: Reason("a car cannot turn under {own:what} in {own}"),
+    code.LOAD_HITS_THING: Reason("the load would hit {side:what} in {side}", ("side",)),
+    code.SLOPE_HITS_CORNER: Reason("the slope would hit {corner:what} in {corner}", ("corner",)),
+    code.LOAD_HITS_LOAD: Reason("the load would hit that of car {car} in {other}", ("other",)),
+    code.LOAD_HITS_GEAR: Reason(
+        "the load would hit the gear that car {car} carries in {other gear}", ("other gear",)
+    ),
+    code.FORWARD_ONLY: Reason("from under {own:what} in {own} a car can only move forward"),
+    code.NOT_SIDEWAYS: Reason("from under {own:what} in {own} a car cannot move sideways"),
+    code.NO_FLOOR: Reason("there is nothing to stand on in {under target}: {under target:what}", ("target",)),
+    code.IN_THE_WAY: Reason("{target:what} is in {target}", ("target",)),
+    code.CAR_THERE: Reason("car {car} is in {target}", ("target",)),
+    code.GEAR_THERE: Reason("another car carries a gear in {target}", ("target",)),
+    code.GEAR_NO_ROOM: Reason("the gear of the load has no room in {swept}: {swept:blocker}", ("swept",)),
+    code.LOAD_NOT_UNDER: Reason("a load does not fit under {target:what} in {target}", ("target",)),
+    code.ENTERED_SIDEWAYS: Reason("{target:what} in {target} cannot be entered sideways", ("target",)),
+    code.HIGH_SIDE_ONLY: Reason(
+        "{target:what} in {target} is entered backwards, from its high side only", ("target",)
+    ),
+    code.LOAD_NOT_THROUGH_GEAR: Reason("a load does not pass {target:what} in {target}", ("target",)),
+    code.NO_DESCENT_FROM: Reason("from a cell with {own:what} no ramp is driven down"),
+    code.DOWN_FORWARD_ONLY: Reason(
+        "the ramp in {under target} is driven down forward, in its own direction, only", ("under target",)
+    ),
+    code.THING_ON_BODY_BELOW: _stands_on("under target"),
+    code.CAR_ON_FOOT_BELOW: Reason(
+        "car {car} is on the foot of the ramp in {under second}", ("under second",)
+    ),
+    code.NO_FLOOR_AT_END: Reason(
+        "the ramp ends in {under third}, where there is nothing to stand on", ("under third",)
+    ),
+    code.THING_AT_END: _stands_on("under under third"),
+    code.NO_ASCENT_FROM: Reason("from a cell with {own:what} no ramp is driven up"),
+    code.UP_FORWARD_ONLY: Reason(
+        "the ramp in {target} is driven up forward, from its low end, only", ("target",)
+    ),
+    code.CAR_ON_FOOT: Reason("car {car} is on the foot of the ramp in {target}", ("target",)),
+    code.THING_ON_BODY: _stands_on("second"),
+    code.NO_LANDING: Reason("the ramp has no landing in {third}: {third:what}", ("third",)),
+    code.CAR_ON_LANDING: Reason("car {car} is on the landing, in {above third}", ("above third",)),
+    code.NO_ROOM_ON_LANDING: Reason(
+        "there is no room above the landing, in {above third}: {above third:what}", ("above third",)
+    ),
+    code.FLAP_HITS: Reason(
+        "the flap would meet something on its way", correction=Correction.swinging_flap, heading="flap"
+    ),
+    code.TURNING_LOAD_HITS: Reason(
+        "the load would hit a car, or a load that leans, as it turns",
+        correction=Correction.turning_load,
+        heading="turning-load",
+    ),
+    code.LEANING_LOAD_HITS: Reason(
+        "a load that leans on a ramp would meet something",
+        correction=Correction.leaning_load,
+        heading="leaning-load",
+    ),
+    code.OTHER_RAMP: Reason(
+        "on a ramp a car goes on along that ramp only", correction=Correction.own_ramp, heading="own-ramp"
+    ),
+    code.RAMP_UNDER_GEAR: Reason(
+        "a ramp below a gear is driven down in its own direction only",
+        correction=Correction.ramp_below_gear,
+        heading="through-a-gear",
+    ),
+    code.REACHING_LOAD_HITS: Reason(
+        "something would meet a load that reaches in from another level",
+        correction=Correction.reaching_load,
+        heading="reaching-load",
+    ),
+    code.WALL_OVERHEAD: Reason(
+        "there is a wall overhead", correction=Correction.overhead_wall, heading="overhead-wall"
+    ),
+    code.GEARS_CROSS: Reason(
+        "the gear of the slope would cross something",
+        correction=Correction.crossing_gear,
+        heading="crossing-gear",
+    ),
+    code.UNDER_THING_AT_END: Reason(
+        "who comes down a ramp does not drive under what stands right behind its foot",
+        correction=Correction.run_out,
+        heading="run-out",
+    ),
+}
+"""Why an action is forbidden, by code; published rules first, then corrections."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why an action is forbidden, or that it is not; ``str()`` gives it in one line."""
+
+    action: Action
+    legal: bool
+    reason: str = ""
+    """In words; empty if the action is legal."""
+    correction: Correction | None = None
+    """The correction that forbids it; None where the published rules do, too."""
+    cells: tuple[Cell, ...] = ()
+    """The cells concerned."""
+    heading: str = ""
+    """Of docs/rules.md, where the correction is explained."""
+
+    def __str__(self) -> str:
+        if self.legal:
+            return f"{self.action.name} is legal"
+        return f"{self.action.name} is forbidden: {self.why}"
+
+    @property
+    def why(self) -> str:
+        """The reason, and the correction with its place in the docs where one forbids the action."""
+        if self.correction is None:
+            return self.reason
+        return f"{self.reason} ({self.correction.name}, docs/rules.md#{self.heading})"
+
+
+def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanation:
+    """Return why an action of a car is forbidden under some corrections, or that it is legal."""
+
+    def why(cells: object, cars: object) -> int:
+        return int(batch.reason(cells, cars, int(corrections), car, int(action)))  # type: ignore[arg-type]
+
+    found = why(grid.cells, grid.cars)
+    if found == code.LEGAL:
+        return Explanation(action, True)
+    reason = REASONS[found & ((1 << code.DETAIL_BITS) - 1)]
+    case = _Case(grid, car, action, found >> code.DETAIL_BITS)
+    if reason.correction is None:
+        cells = tuple(case.place(name) for name in reason.cells)
+        return Explanation(action, False, reason.words.format_map(case), None, cells)
+    things = list(_in_the_way(grid, car, lambda cells, cars: why(cells, cars) == code.LEGAL))
+    named = "; ".join(text for _, text in things)
+    words = reason.words + (f": {named}" if named else "")
+    cells = tuple(dict.fromkeys(cell for cell, _ in things)) or (case.place("own"),)
+    return Explanation(action, False, words, reason.correction, cells, reason.heading)
+
+
+def _in_the_way(grid: Grid, car: int, legal: Callable[[object, object], bool]) -> Iterator[tuple[Cell, str]]:
+    """Yield each thing and each other car nearby without which the action is legal, with its cell."""
+    x, y, z = grid.cars[car, : CarField.YAW].tolist()
+    for other, row in enumerate(grid.cars.tolist()):
+        cell = (row[CarField.X], row[CarField.Y], row[CarField.Z])
+        if other == car or max(abs(cell[0] - x), abs(cell[1] - y)) > _NEAR:
+            continue
+        without = grid.copy()
+        without.cars[other, CarField.Z] += grid.size[2] + 1 + _NEAR
+        if legal(without.cells, without.cars):
+            load = "" if row[CarField.LOAD] == Kind.AIR else f" with {NAMES[Kind(row[CarField.LOAD])]}"
+            yield cell, f"car {other}{load} is in {cell}"
+    length, width, height = grid.size
+    for cx in range(max(x - _NEAR, 0), min(x + _NEAR + 1, length)):
+        for cy in range(max(y - _NEAR, 0), min(y + _NEAR + 1, width)):
+            for cz in range(max(z - 1, 1), min(z + 3, height + 1)):
+                kind = Kind(grid.kind[cx, cy, cz])
+                if kind == Kind.AIR or (cx, cy, cz) == (x, y, z):
+                    continue
+                without = grid.copy()
+                without.kind[cx, cy, cz] = Kind.AIR
+                if legal(without.cells, without.cars):
+                    yield (cx, cy, cz), f"{NAMES[kind]} is in {(cx, cy, cz)}"
+
+
+class _Case:
+    """A forbidden action; as a mapping it gives the fields of a reason's words."""
+
+    def __init__(self, grid: Grid, car: int, action: Action, detail: int) -> None:
+        self.grid, self.car, self.detail = grid, car, detail
+        self.own: Cell = tuple(grid.cars[car, : CarField.YAW].tolist())
+        _, _, _, self.yaw, self.load, self.load_yaw, _ = grid.cars[car].tolist()
+        self.direction = MOVE_DIRECTION.get(action, 0)
+        self.turn = 1 if action == Action.ROTATE_LEFT else -1
+
+    def __getitem__(self, name: str) -> object:
+        if name == "car":
+            return self.detail
+        return NAMES[Kind(self.load)] if name == "load" else _Place(self, self.place(name))
+
+    def place(self, name: str) -> Cell:
+        """Return the cell of a place."""
+        beyond, _, rest = name.partition(" ")
+        if beyond in ("above", "under"):
+            x, y, z = self.place(rest)
+            return x, y, z + (1 if beyond == "above" else -1)
+        return _PLACES[name](self)
+
+    def kind(self, cell: Cell) -> Kind:
+        """Return what is in a cell; beside the map there is wall, above it air."""
+        length, width, _ = self.grid.size
+        inside = 0 <= cell[0] < length and 0 <= cell[1] < width
+        return self.grid.kind_at(cell) if inside else Kind.WALL
+
+    def ahead(self, cells: int) -> Cell:
+        """Return the cell so many ahead in the direction of a move."""
+        cell = self.own
+        for _ in range(cells):
+            cell = beside(cell, self.direction)
+        return cell
+
+    def car_of(self, column: CarField) -> int:
+        """Return a column of the car that the reason names."""
+        return int(self.grid.cars[self.detail, column])
+
+
+def _other(case: _Case) -> Cell:
+    return case.car_of(CarField.X), case.car_of(CarField.Y), case.car_of(CarField.Z)
+
+
+_PLACES: Final[dict[str, Callable[[_Case], Cell]]] = {
+    "own": lambda case: case.own,
+    "foot": lambda case: beside(case.own, int(case.grid.yaw[case.own])),
+    "side": lambda case: beside(case.own, case.detail),
+    "corner": lambda case: beside(beside(case.own, case.load_yaw), case.load_yaw + case.turn),
+    "other": _other,
+    "other gear": lambda case: beside(_other(case), case.car_of(CarField.LOAD_YAW)),
+    "swept": lambda case: beside(beside(case.own, case.yaw + 2), case.direction),
+    "target": lambda case: case.ahead(1),
+    "second": lambda case: case.ahead(2),
+    "third": lambda case: case.ahead(3),
+}
+"""The places that reasons name; ``above`` and ``under`` may precede each.
+
+``foot`` is that of the slope in the own cell, ``side`` and ``other`` are named by the reason's detail, ``swept`` is
+passed by the gear of a carried slope, the last three lie in the direction of a move.
+"""
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A cell in a reason's words."""
+
+    case: _Case
+    cell: Cell
+
+    def __format__(self, what: str) -> str:
+        """Return the cell, ``what`` is there, that after a colon ``if any``, its ``occupant``, or what ``blocker`` it has."""
+        x, y, z = self.cell
+        length, width, _ = self.case.grid.size
+        kind = self.case.kind(self.cell)
+        named = NAMES[kind] if 0 <= x < length and 0 <= y < width else "the end of the map"
+        if what == "what":
+            return named
+        if what == "if any":
+            return "" if kind == Kind.AIR else f": {named}"
+        if what == "occupant":
+            if self.case.detail >= 0:
+                return f"car {self.case.detail}"
+            above = f"{_Place(self.case, (x, y, z + 1)):what}"
+            return "so says its mark, left by past events" if above == "nothing" else above
+        if what == "blocker":
+            places = self.case.grid.cars[:, : CarField.YAW].tolist()
+            for car, place in enumerate(places):
+                if car != self.case.car and tuple(place) == self.cell:
+                    return f"car {car}"
+            return "a gear that another car carries" if named == "nothing" else named
+        return str(self.cell)

@@ -1,0 +1,204 @@
+"""The two rule sets on single worlds: what is legal, why not, what follows; and the action helper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kernel import batch
+from craftsim.discrete.kernel.batch import NO_HELPER
+from craftsim.discrete.kernel.rules import N_ACTIONS
+from craftsim.discrete.kernel.search import SearchBuffers, search_buffers
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action, Correction
+from craftsim.discrete.reasons import Explanation, explain
+from craftsim.errors import InputError, suggestion
+
+RuleSet = Literal["published", "physical"]
+
+RULE_SETS: Final[dict[RuleSet, Correction]] = {"published": Correction(0), "physical": ~Correction(0)}
+"""The corrections of each rule set. What physics shows to be wrong is one more correction, read in its rule."""
+
+DEFAULT_DEPTH: Final = 10
+"""Search depth of CraftEnv's environment; its published training settings use 20."""
+
+Joint = Sequence[tuple[int, int]]
+"""(car, action) in acting order; a car that is not listed does nothing."""
+
+_NO_SPACE: Final = search_buffers((1, 1, 1))
+_NO_QUEUES: Final = np.full((1, 1, 1), -1, np.int8)
+
+
+class Rules:
+    """A rule set at work on single worlds; grids passed in are never changed.
+
+    Methods raise ValueError for a car that a world does not have.
+
+    Example:
+        >>> import craftsim
+        >>> rules = craftsim.Rules("physical")
+        >>> grid = craftsim.Grid.empty((3, 1, 1), n_cars=1)
+        >>> rules.legal(grid, 0, craftsim.Action.MOVE_RIGHT), rules.legal(grid, 0, craftsim.Action.LIFT)
+        (True, False)
+        >>> rules.apply(grid, 0, craftsim.Action.MOVE_RIGHT).cars[0, :3].tolist()
+        [1, 0, 1]
+    """
+
+    def __init__(self, rule_set: RuleSet, corrections: Correction | None = None) -> None:
+        """Make a rule set; ``corrections`` gives others than its own, to see what a single one changes."""
+        if rule_set not in RULE_SETS:
+            known = ", ".join(get_args(RuleSet))
+            raise InputError(
+                f"unknown rule set '{rule_set}'; there are {known}{suggestion(rule_set, RULE_SETS)}"
+            )
+        self.rule_set: RuleSet = rule_set
+        self.corrections = RULE_SETS[rule_set] if corrections is None else corrections
+
+    def mask(self, grid: Grid) -> NDArray[np.bool_]:
+        """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state."""
+        out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
+        batch.masks(grid.cells[None], grid.cars[None], int(self.corrections), _NO_SPACE, NO_HELPER, out)
+        return out[0]
+
+    def legal(self, grid: Grid, car: int, action: int) -> bool:
+        """Return whether one car could do one action now."""
+        _check_car(grid, car)
+        return not batch.reason(grid.cells, grid.cars, int(self.corrections), car, int(action))
+
+    def explain(self, grid: Grid, car: int, action: int) -> Explanation:
+        """Return which rule forbids an action of a car now, in words, with the cells concerned; or that it is legal.
+
+        ``str()`` of it is one line, such as ``LIFT is forbidden: something stands on (3, 2, 1): a block``. Raises
+        ValueError for a car or an action that there is not.
+        """
+        _check_car(grid, car)
+        return explain(grid, self.corrections, car, Action(action))
+
+    def apply(self, grid: Grid, car: int, action: int) -> Grid:
+        """Return the world after one car's action; an illegal action changes nothing."""
+        return self.tick(grid, [(car, action)])[0]
+
+    def enforce(self, grid: Grid, car: int, action: int) -> Grid:
+        """Return the world as an action's effect would change it, whether the action is legal or not."""
+        _check_car(grid, car)
+        after = grid.copy()
+        batch.enforce(after.cells, after.cars, int(self.corrections), car, int(action))
+        return after
+
+    def tick(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:
+        """Let cars act one after the other, each judged on what the earlier ones left.
+
+        Returns the world after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
+        """
+        after, _, applied = _tick(self, grid, joint, _NO_QUEUES, _NO_SPACE, NO_HELPER)
+        return after, applied
+
+
+class Helper:
+    """The action helper: a MOVE means "get to the neighbour cell", by whatever moves and turns lead there.
+
+    ``legal`` (Rules.mask) says what a car can do at once, ``reachable`` what the helper can bring about; they are never
+    mixed. What is left of a plan is kept in a queue that everybody can see, and that a reset empties. Methods raise
+    ValueError for a car that a world does not have.
+    """
+
+    def __init__(self, rules: Rules, depth: int = DEFAULT_DEPTH) -> None:
+        """Take the rules and the search depth."""
+        self.rules = rules
+        self.depth = depth
+        self._last: tuple[Cell, SearchBuffers] | None = None
+
+    def empty_queue(self, n_cars: int) -> NDArray[np.int8]:
+        """Return queues of n cars, shape (n_cars, depth + 1), with nothing in them (-1)."""
+        return empty_queue(n_cars, self.depth)
+
+    def plan_move(self, grid: Grid, car: int, action: Action) -> tuple[Action, ...] | None:
+        """Return the primitives that a MOVE stands for now, or None if the helper finds no way."""
+        if action not in MOVE_DIRECTION:
+            raise ValueError(f"{action!r} is not one of the four moves")
+        return self._plan(grid, car, int(action), (0, 0, 0))
+
+    def plan_to(self, grid: Grid, car: int, cell: Cell) -> tuple[Action, ...] | None:
+        """Return the primitives that bring a car to a cell, or None if the helper finds no way."""
+        return self._plan(grid, car, -1, cell)
+
+    def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
+        """Return the primitive that an action stands for now, and leave in ``queue`` what is to follow it.
+
+        As :meth:`tick` chooses it, for physical execution.
+        """
+        if queue[car, 0] >= 0:
+            due, queue[car, :-1], queue[car, -1] = int(queue[car, 0]), queue[car, 1:].copy(), -1
+            return Action(due)
+        if action not in MOVE_DIRECTION:
+            return action
+        first, *rest = self.plan_move(grid, car, action) or (Action.STOP,)
+        queue[car, : len(rest)] = rest
+        return first
+
+    def reachable(self, grid: Grid) -> NDArray[np.bool_]:
+        """Return (n_cars, 15): legal actions, and moves that are not legal but have a plan."""
+        out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
+        arrays = grid.cells[None], grid.cars[None]
+        batch.masks(*arrays, int(self.rules.corrections), self._space(grid), self.depth, out)
+        return out[0]
+
+    def tick(
+        self, grid: Grid, queue: NDArray[np.int8], joint: Joint
+    ) -> tuple[Grid, NDArray[np.int8], NDArray[np.bool_]]:
+        """Let cars act in the order given, helper on; return world, queues and which primitives applied.
+
+        A car whose queue is not empty ignores the action it is given. ``queue`` has shape (n_cars, depth + 1) with -1
+        where nothing is queued.
+        """
+        if queue.shape != (grid.n_cars, self.depth + 1):
+            raise ValueError(f"queue has shape {queue.shape}; it must be {(grid.n_cars, self.depth + 1)}")
+        after, queues, applied = _tick(
+            self.rules, grid, joint, queue[None].copy(), self._space(grid), self.depth
+        )
+        return after, queues[0], applied
+
+    def _space(self, grid: Grid) -> SearchBuffers:
+        """Return scratch arrays; those of one map size are kept, and no more: they may take 20 MB each."""
+        if self._last is None or self._last[0] != grid.size:
+            self._last = grid.size, search_buffers(grid.size)
+        return self._last[1]
+
+    def _plan(self, grid: Grid, car: int, action: int, cell: Cell) -> tuple[Action, ...] | None:
+        _check_car(grid, car)
+        steps = np.empty(self.depth + 1, np.int8)
+        arrays = grid.cells, grid.cars, int(self.rules.corrections)
+        length = batch.plan(*arrays, car, action, cell, self._space(grid), self.depth, steps)
+        return None if length < 0 else tuple(Action(step) for step in steps[:length].tolist())
+
+
+def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
+    """Return queues of n cars, shape (n_cars, depth + 1), with nothing in them (-1).
+
+    Raises ValueError for a negative search depth.
+    """
+    if depth < 0:
+        raise ValueError(f"the search depth is {depth}; allowed: 0 or more")
+    return np.full((n_cars, depth + 1), -1, np.int8)
+
+
+def _check_car(grid: Grid, car: int) -> None:
+    """Raise ValueError if a world has no such car: compiled code would read past its arrays."""
+    if not 0 <= car < grid.n_cars:
+        raise ValueError(f"no car {car}; the world has {grid.n_cars}, counted from 0")
+
+
+def _tick(
+    rules: Rules, grid: Grid, joint: Joint, queues: NDArray[np.int8], space: SearchBuffers, depth: int
+) -> tuple[Grid, NDArray[np.int8], NDArray[np.bool_]]:
+    for car, _ in joint:
+        _check_car(grid, car)
+    order = np.array([car for car, _ in joint], np.int64)[None]
+    actions = np.array([int(action) for _, action in joint], np.int64)[None]
+    after, applied = grid.copy(), np.zeros(order.shape, np.bool_)
+    arrays = after.cells[None], after.cars[None]
+    batch.step(*arrays, int(rules.corrections), order, actions, applied, queues, space, depth)
+    return after, queues, applied[0]

@@ -115,6 +115,10 @@ class Grid:
             raise TypeError("this is a single world, not a batch")
         return len(self.cells)
 
+    def __bool__(self) -> bool:
+        """Return that there is a world, or a batch of them, whatever its length."""
+        return True
+
     def __getitem__(self, which: Any) -> Self:
         """Return a world of a batch, or some of them; a view where NumPy gives one."""
         return type(self)(self.cells[which], self.cars[which])

@@ -287,7 +287,7 @@ class _Place:
     cell: Cell
 
     def __format__(self, what: str) -> str:
-        """Return the cell, ``what`` is there, that after a colon ``if any``, its ``occupant``, or what ``blocker`` it has."""
+        """Return the cell, ``what`` is there, after a colon ``if any``, its ``occupant``, or a ``blocker``."""
         x, y, z = self.cell
         length, width, _ = self.case.grid.size
         kind = self.case.kind(self.cell)

@@ -29,7 +29,6 @@ Joint = Sequence[tuple[int, int]]
 """(car, action) in acting order; a car that is not listed does nothing."""
 
 _NO_SPACE: Final = search_buffers((1, 1, 1))
-_NO_QUEUES: Final = np.full((1, 1, 1), -1, np.int8)
 
 
 class Rules:
@@ -93,8 +92,10 @@ class Rules:
 
         Returns the world after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
         """
-        after, _, applied = _tick(self, grid, joint, _NO_QUEUES, _NO_SPACE, NO_HELPER)
-        return after, applied
+        after = grid.copy()
+        acting = _in_order(grid, joint)
+        batch.step(after.cells[None], after.cars[None], int(self.corrections), *acting)
+        return after, acting[-1][0]
 
 
 class Helper:
@@ -156,10 +157,11 @@ class Helper:
         """
         if queue.shape != (grid.n_cars, self.depth + 1):
             raise ValueError(f"queue has shape {queue.shape}; it must be {(grid.n_cars, self.depth + 1)}")
-        after, queues, applied = _tick(
-            self.rules, grid, joint, queue[None].copy(), self._space(grid), self.depth
-        )
-        return after, queues[0], applied
+        after, queues = grid.copy(), queue[None].copy()
+        acting = _in_order(grid, joint)
+        arrays = after.cells[None], after.cars[None], int(self.rules.corrections)
+        batch.step_with_helper(*arrays, *acting, queues, self._space(grid), self.depth)
+        return after, queues[0], acting[-1][0]
 
     def _space(self, grid: Grid) -> SearchBuffers:
         """Return scratch arrays; those of one map size are kept, and no more: they may take 20 MB each."""
@@ -191,14 +193,13 @@ def _check_car(grid: Grid, car: int) -> None:
         raise ValueError(f"no car {car}; the world has {grid.n_cars}, counted from 0")
 
 
-def _tick(
-    rules: Rules, grid: Grid, joint: Joint, queues: NDArray[np.int8], space: SearchBuffers, depth: int
-) -> tuple[Grid, NDArray[np.int8], NDArray[np.bool_]]:
+def _in_order(grid: Grid, joint: Joint) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Return, each (1, len(joint)), the cars as they act, what each does, and room for whether that was legal."""
     for car, _ in joint:
         _check_car(grid, car)
     order = np.array([car for car, _ in joint], np.int64)[None]
-    actions = np.array([int(action) for _, action in joint], np.int64)[None]
-    after, applied = grid.copy(), np.zeros(order.shape, np.bool_)
-    arrays = after.cells[None], after.cars[None]
-    batch.step(*arrays, int(rules.corrections), order, actions, applied, queues, space, depth)
-    return after, queues, applied[0]
+    return (
+        order,
+        np.array([int(action) for _, action in joint], np.int64)[None],
+        np.zeros(order.shape, np.bool_),
+    )

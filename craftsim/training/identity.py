@@ -68,9 +68,11 @@ def starts_digest(task: Task) -> str:
     """Return a digest of the stored worlds that a task's episodes start with; empty where it has none."""
     arrays: list[tuple[str, NDArray[Any]]] = []
     if isinstance(task, StoredStarts):
-        arrays = [(field.name, getattr(grid, field.name)) for grid in task.grids for field in fields(grid)]
+        arrays = [item for grid in task.grids for item in grid.to_arrays().items()]
     elif isinstance(task, VariedTask) and isinstance(task.source, HalfShown):
-        arrays = list(task.source.others._asdict().items())
+        others = task.source.others
+        known = others.grids.to_arrays() | {"designs": others.designs}
+        arrays = [(name, known[name]) for name in ("kind", "yaw", "top", "back", "cars", "designs")]
     digest = hashlib.sha256()
     for name, array in arrays:
         digest.update(f"{name} {array.dtype} {array.shape}".encode())

@@ -10,18 +10,17 @@ from collections import deque
 from collections.abc import Iterator
 
 from craftsim.designs.growth import Ramp
-from craftsim.discrete.actions import apply, legal
 from craftsim.discrete.grid import Cell, Grid, Kind
-from craftsim.discrete.kernel.state import pose_of
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import RULE_SETS, act, world_of
+from craftsim.discrete.rules import Rules
 
+RULES = Rules("physical")
 DRIVING = [int(action) for action in Action if action.name.startswith(("MOVE_", "ROTATE"))][:6]
 
 
 def poses(grid: Grid) -> Iterator[tuple[int, ...]]:
     """Yield the poses that car 0 can drive to as it is, the nearest first; the grid shows each while it is yielded."""
-    world, row = world_of(grid, RULE_SETS["physical"]), grid.cars[0]
+    row = grid.cars[0]
     start = tuple(row.tolist())
     seen, waiting = {start}, deque([start])
     while waiting:
@@ -30,9 +29,8 @@ def poses(grid: Grid) -> Iterator[tuple[int, ...]]:
         yield pose
         for action in DRIVING:
             row[:] = pose
-            if legal(world, 0, pose_of(world, 0), action):
-                apply(world, 0, action)
-                after = tuple(row.tolist())
+            if RULES.legal(grid, 0, action):
+                after = tuple(RULES.enforce(grid, 0, action).cars[0].tolist())
                 if after not in seen:
                     seen.add(after)
                     waiting.append(after)
@@ -41,8 +39,12 @@ def poses(grid: Grid) -> Iterator[tuple[int, ...]]:
 
 def do(grid: Grid, *actions: Action) -> bool:
     """Let car 0 act in place; return whether the rules let it."""
-    world = world_of(grid, RULE_SETS["physical"])
-    return all(act(world, 0, int(action)) for action in actions)
+    for action in actions:
+        after, applied = RULES.tick(grid, [(0, action)])
+        grid.cells[:], grid.cars[:] = after.cells, after.cars
+        if not applied[0]:
+            return False
+    return True
 
 
 def bring(grid: Grid, step: Cell | Ramp, done: set[Cell]) -> Grid | None:

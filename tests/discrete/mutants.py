@@ -1,11 +1,13 @@
 """Change one rule at a time, and see which tests notice. Run by ``make mutants``; takes a few seconds a mutant.
 
-The rules are copied, changed in one place and tested uncompiled, which is slower to run but needs no compiling.
+One mutant for each reason: the rules never give it, and so allow what it forbids. Others change details of rules and
+effects. The package is copied, changed and tested uncompiled, which is slower to run but needs no compiling.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,8 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from craftsim.discrete.reasons import REASONS
+
 ROOT: Final = Path(__file__).parents[2]
 TESTS: Final = (
+    "test_reasons.py",
     "test_actions_in_place.py",
     "test_moves.py",
     "test_marks.py",
@@ -26,206 +31,125 @@ TESTS: Final = (
 
 @dataclass(frozen=True)
 class Mutant:
-    """A rule, and the text of the source that is changed to break it."""
+    """A rule, and what of the source, a regular expression, is changed to break it."""
 
     rule: str
-    file: str
     old: str
     new: str
+    file: str = "kernel/rules.py"
+
+    def change(self, source: str) -> str:
+        """Return a file's text with the change."""
+        return re.sub(self.old, self.new, source)
 
 
+def never(code: str) -> str:
+    """Return the regular expression of where a reason is given."""
+    return rf"because\({code}, \w+\)|\b{code}\b(?!,)"
+
+
+def _text(rule: str, old: str, new: str, file: str = "kernel/rules.py") -> Mutant:
+    return Mutant(rule, re.escape(old), new, file)
+
+
+_SOURCE: Final = (ROOT / "craftsim" / "discrete" / "kernel" / "rules.py").read_text()
+_NAMES: Final = re.findall(r"^    ([A-Z_]+),$", _SOURCE.partition("\n(\n")[2].partition(")")[0], re.MULTILINE)
 MUTANTS: Final = (
-    Mutant(
-        "LIFT needs nothing on top",
-        "rules/legality.py",
-        "    if own not in (BLOCK, FLAG, FSLOPE):\n        return False\n",
-        "    if own not in (BLOCK, FLAG, FSLOPE):\n        return False\n    return True\n",
-    ),
-    Mutant(
-        "a loaded car lifts nothing",
-        "rules/legality.py",
-        "    if car.load != AIR:\n        return False\n    own = ",
-        "    own = ",
-    ),
-    Mutant(
-        "UNFOLD needs a folded slope",
-        "rules/legality.py",
-        "if car.load != AIR or kind_at(w, car.x, car.y, car.z) != FSLOPE:",
-        "if car.load != AIR:",
-    ),
-    Mutant(
+    *(Mutant(f"never {_NAMES[code]}", never(_NAMES[code]), "LEGAL") for code in REASONS),
+    _text(
         "a block turns past what stands at the corners",
-        "rules/legality.py",
-        "if carries_slope and not is_air_or_gear(",
-        "if not is_air_or_gear(",
+        "if car.load == FSLOPE and not is_air_or_gear(kind_at(w, corner_x",
+        "if not is_air_or_gear(kind_at(w, corner_x",
     ),
-    Mutant(
-        "a carried gear stops a turn beside it only",
-        "rules/legality.py",
-        "if beside and not points_at_me:",
-        "if not points_at_me:",
-    ),
-    Mutant(
-        "FOLD needs no car on the foot",
-        "rules/legality.py",
-        "if top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) >= 0:",
-        "if False:",
-    ),
-    Mutant(
-        "UNFOLD needs support below the foot",
-        "rules/legality.py",
-        " or not standable(kind_at(w, nx, ny, car.z - 1)):",
-        ":",
-    ),
-    Mutant(
-        "UNFOLD builds on no landing",
-        "rules/legality.py",
-        "if back_at(w, nx, ny, car.z - 1) or back_at(w, car.x, car.y, car.z - 1):",
-        "if back_at(w, nx, ny, car.z - 1):",
-    ),
-    Mutant(
-        "a gear beside a turning load must point at it",
-        "rules/legality.py",
-        "if yaw_at(w, nx, ny, car.z) != (d + 2) & 3:",
-        "if yaw_at(w, nx, ny, car.z) == d:",
-    ),
-    Mutant(
-        "a turning slope sweeps the corner on its own side",
-        "rules/legality.py",
-        "corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)",
-        "corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw - turn)",
-    ),
-    Mutant(
-        "a car leaves a block along its yaw",
-        "rules/moves.py",
-        "if own in (BLOCK, FLAG) and not (forward or backward):",
-        "if own in (BLOCK, FLAG) and False:",
-    ),
-    Mutant(
+    _text(
         "a carried gear needs room beside it",
-        "rules/moves.py",
-        "return not car_in(w, me, sx, sy, car.z, True) and",
-        "return",
+        "return car_in(w, me, x, y, car.z, True) < 0 and not carried_gear_in(w, me, x, y, car.z, facing)",
+        "return not carried_gear_in(w, me, x, y, car.z, facing)",
     ),
-    Mutant(
-        "a descent needs its exit free",
-        "rules/moves.py",
-        "return standable(kind_at(w, x3, y3, car.z - 2)) and top_at(w, x3, y3, car.z - 2, me) == NOTHING",
-        "return standable(kind_at(w, x3, y3, car.z - 2))",
-    ),
-    Mutant(
+    _text(
         "no loaded climb under a block",
-        "rules/moves.py",
         "(over in (BLOCK, FLAG) and car.load == AIR)",
         "over in (BLOCK, FLAG)",
     ),
-    Mutant("a climb goes up one level", "rules/moves.py", "z, slope = car.z + 1, 2", "z, slope = car.z, 2"),
-    Mutant(
+    _text("a climb goes up one level", "z, slope = car.z + 1, 2", "z, slope = car.z, 2"),
+    _text(
         "a gear left behind is marked as an object",
-        "rules/effects.py",
         "left_air = kind_at(w, car.x, car.y, car.z) == AIR",
         "left_air = kind_at(w, car.x, car.y, car.z) in (AIR, GEAR)",
     ),
-    Mutant(
-        "a flap needs the cell beyond the foot",
-        "rules/reach.py",
-        "if beyond not in (AIR, GEAR) and not",
-        "if False and not",
+    _text(
+        "a flap needs the cell beyond the foot", "if not is_air_or_gear(beyond) and not", "if False and not"
     ),
-    Mutant(
+    _text(
         "a flap meets a gear above the foot",
-        "rules/reach.py",
-        "for z in (car.z, car.z + 1):\n        if gear_across(w, me, fx, fy, z, yaw):",
-        "for z in (car.z,):\n        if gear_across(w, me, fx, fy, z, yaw):",
+        "for z in range(car.z, car.z + 2):",
+        "for z in range(car.z, car.z + 1):",
     ),
-    Mutant(
-        "a load turns beside no car",
-        "rules/legality.py",
-        "if next_to_me and (not bare or w.corrections & TURNING_LOAD):",
-        "if next_to_me and not bare:",
+    _text("a load turns beside no car", " or car_in(w, me, x, y, car.z, False) >= 0", ""),
+    _text(
+        "a load leans on no other load",
+        "if car_in(w, me, x, y, new.z, True) >= 0 or gear_across(w, me, x, y, new.z, downhill):",
+        "if gear_across(w, me, x, y, new.z, downhill):",
     ),
-    Mutant(
-        "a load that leans straight towards a turning one has room",
-        "rules/legality.py",
-        "leans_into(w, me, nx, ny, car.z, (d + 2) & 3)",
-        "leans_into(w, me, nx, ny, car.z, -1)",
-    ),
-    Mutant(
-        "a load leans onto no load",
-        "rules/reach.py",
-        "car_in(w, me, x, y, new.z, True)\n        or",
-        "False\n        or",
-    ),
-    Mutant(
+    _text(
         "a gear keeps away from where a load leans",
-        "rules/reach.py",
         "if new.load == FSLOPE and leans_into",
         "if False and leans_into",
     ),
-    Mutant(
+    _text(
         "a load turns above none that reaches up",
-        "rules/levels.py",
-        "if reaches_up(w, me, x, y, car.z, legs_mm) or",
-        "if",
+        "reaching = reaches_up(w, me, x, y, car.z, legs_mm) or leans_into",
+        "reaching = leans_into",
     ),
-    Mutant(
+    _text(
         "no load passes below one that leans over",
-        "rules/levels.py",
         "if below_leaning(w, me, old) or below_leaning(w, me, new):",
         "if False:",
     ),
-    Mutant(
+    _text(
         "a load on a foot leans below no wall",
-        "rules/levels.py",
-        "return not wall_over(w, new.x + dir_x(downhill), new.y + dir_y(downhill), new.z)",
+        "return kind_at(w, new.x + dir_x(downhill), new.y + dir_y(downhill), new.z + 1) != WALL",
         "return True",
     ),
-    Mutant(
+    _text(
         "a flap passes above no load that reaches up",
-        "rules/levels.py",
-        "return not reaches_up(w, me, fx + dir_x(yaw), fy + dir_y(yaw), car.z, LIP_MM)",
-        "return True",
+        "if reaches_up(w, me, bx, by, car.z, LIP_MM):",
+        "if False:",
     ),
-    Mutant(
+    _text(
         "a gear comes down on no side of a foot",
-        "rules/reach.py",
-        "return kind_at(w, x, y, car.z) != FOOT or (yaw_at(w, x, y, car.z) - yaw) & 1 == 0",
-        "return True",
+        "return GEARS_CROSS if kind_at(w, x, y, car.z) == FOOT",
+        "return GEARS_CROSS if False",
     ),
-    Mutant(
+    _text(
         "a car goes on to its own ramp's body only",
-        "rules/moves.py",
-        "return yaw_at(w, nx, ny, car.z) == (m + 2) & 3 and not",
-        "return not",
+        "if up and not (yaw_at(w, x, y, car.z) == (m + 2) & 3 and car_in(w, me, x, y, car.z + 1, False) < 0):",
+        "if up and not car_in(w, me, x, y, car.z + 1, False) < 0:",
     ),
-    Mutant(
-        "a gear lasts as long as its slope",
-        "rules/effects.py",
-        "put(w, x, y, z, GEAR if gear >= 0 else AIR, max(gear, 0))",
-        "put(w, x, y, z, AIR, 0)",
-    ),
-    Mutant(
+    _text("a gear lasts as long as its slope", "kind, yaw = GEAR, d", "kind, yaw = AIR, 0"),
+    _text(
         "the helper tries to turn right before it tries to turn left",
-        "planning/search.py",
-        "MOVE_LEFT, ROTATE_RIGHT, ROTATE_LEFT)",
-        "MOVE_LEFT, ROTATE_LEFT, ROTATE_RIGHT)",
+        "    int(Action.ROTATE_RIGHT),\n    int(Action.ROTATE_LEFT),\n",
+        "    int(Action.ROTATE_LEFT),\n    int(Action.ROTATE_RIGHT),\n",
+        "kernel/search.py",
     ),
 )
 
 
-def tests_that_fail(mutant: Mutant) -> list[str]:
-    """Return the names of the tests that fail with a mutant's change."""
+def tests_that_fail(mutant: Mutant | None) -> list[str]:
+    """Return the names of the tests that fail with a mutant's change, or without any."""
     with tempfile.TemporaryDirectory() as place:
         copy = Path(place)
-        shutil.copytree(ROOT / "craftsim" / "discrete", copy / "craftsim" / "discrete")
-        for name in ("__init__.py", "__init__.pyi", "version.py"):
-            shutil.copy(ROOT / "craftsim" / name, copy / "craftsim")
-        (copy / "tests").mkdir()
-        shutil.copytree(ROOT / "tests" / "discrete", copy / "tests" / "discrete")
-        source = copy / "craftsim" / "discrete" / mutant.file
-        source.write_text(source.read_text().replace(mutant.old, mutant.new, 1))
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / "craftsim", copy / "craftsim", ignore=ignored)
+        shutil.copytree(ROOT / "tests" / "discrete", copy / "tests" / "discrete", ignore=ignored)
+        (copy / "tests" / "data").mkdir()
+        shutil.copy(ROOT / "tests" / "data" / "reasons.jsonl", copy / "tests" / "data")
+        if mutant is not None:
+            source = copy / "craftsim" / "discrete" / mutant.file
+            source.write_text(mutant.change(source.read_text()))
         environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(copy)}
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tb=no", "-rf"]
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--tb=no", "-rf"]
         command += ["--import-mode=importlib", "--rootdir", place]
         command += [f"tests/discrete/{name}" for name in TESTS]
         run = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=False)
@@ -236,16 +160,15 @@ def tests_that_fail(mutant: Mutant) -> list[str]:
 
 
 def main() -> int:
-    """Print for each mutant which tests notice it; return 1 if one goes unnoticed, or if the rules alone fail."""
-    if failures := tests_that_fail(Mutant("none", "rules/moves.py", "", "")):
+    """Print for each mutant a test that notices it; return 1 if one goes unnoticed, or if the rules alone fail."""
+    if failures := tests_that_fail(None):
         print(f"the rules fail without any change: {failures}")
         return 1
     survivors = 0
     for mutant in MUTANTS:
         failures = tests_that_fail(mutant)
         survivors += not failures
-        first = f"{failures[0]} and {len(failures) - 1} more" if failures else "UNNOTICED"
-        print(f"{mutant.rule} ({mutant.file}): {first}", flush=True)
+        print(f"{mutant.rule} ({mutant.file}): {failures[0] if failures else 'UNNOTICED'}", flush=True)
     print(f"{len(MUTANTS)} mutants, {survivors} unnoticed")
     return 1 if survivors else 0
 

@@ -4,9 +4,9 @@ import heapq
 
 import numpy as np
 import pytest
-from craftsim.discrete.planning.heap import heapify, pop, push
 
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kernel.search import pop, push, sink
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Helper, Rules, empty_queue
 
@@ -36,7 +36,8 @@ def test_the_heap_keeps_ties_in_the_order_of_pythons_heapq():
             size -= 1
         if rng.random() < 0.2 and size:
             ranks[heap[rng.integers(size)]] -= 1
-            heapify(heap, size, ranks)
+            for place in range(size // 2 - 1, -1, -1):
+                sink(heap, size, place, ranks)
             heapq.heapify(model)
         assert heap[:size].tolist() == [entry.item for entry in model]
     while size:

@@ -25,7 +25,7 @@ def test_in_the_cars_frame_a_turned_world_looks_the_same() -> None:
     task = as_task("designs")
     starts = task.draw_starts(np.random.default_rng(0), 8)
     turned = with_reflections(starts)
-    worlds = Worlds(Rules("physical"), [turned.grid(i) for i in range(len(turned.kind))])
+    worlds = Worlds(Rules("physical"), [turned.grid(i) for i in range(len(turned))])
     seen = entity_sets(worlds, task.layout, turned.designs)
     for turn in (16, 32, 48):  # the reflected ones stand between
         for i in range(8):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.records.conformance import Checker
 from craftsim.discrete.records.traces import read_records
 from craftsim.discrete.rules import Rules
@@ -42,8 +43,7 @@ def recording(rng: np.random.Generator, folder: Path) -> None:
 @cache
 def _starts() -> dict[str, np.ndarray]:
     grid = make_task("strip").draw(np.random.default_rng(0))
-    names = ("kind", "yaw", "cars", "top", "back")
-    return {name: np.stack([getattr(grid, name)] * 2) for name in names}
+    return Grid.stack([grid] * 2).to_arrays()
 
 
 def starts(rng: np.random.Generator, folder: Path) -> None:

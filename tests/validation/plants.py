@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import resource
 import shutil
 import subprocess
@@ -18,7 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.discrete.rules.explain import CORRECTIONS
+from craftsim.discrete.kinds import Correction
+from craftsim.discrete.reasons import REASONS
+
+sys.path.append(str(Path(__file__).parents[1]))
+from discrete.mutants import never
 
 ROOT: Final = Path(__file__).parents[2]
 COMMAND: Final = (
@@ -44,61 +49,50 @@ print(json.dumps({member.id: row.name for row in plan if row.legal for member in
 
 @dataclass(frozen=True)
 class Plant:
-    """What a rule set allows by mistake, and the text of the source that is changed to that end."""
+    """What a rule set allows by mistake, and what is changed in the source to that end: a regular expression."""
 
     rule: str
     file: str
     old: str
     new: str
+    places: int = 1
+    """How many places match."""
 
 
-def _off(flag: str) -> Plant:
-    return Plant(f"{flag} off", "sets.py", f"{flag}=True", f"{flag}=False")
+def _without(correction: Correction) -> Plant:
+    name = correction.name
+    return Plant(
+        f"{name} off", "rules.py", re.escape('"physical": ~Correction(0)'), f'"physical": ~Correction.{name}'
+    )
+
+
+def _never(what: str, code: str, places: int = 1) -> Plant:
+    """Return a plant in which the rules never give a reason."""
+    return Plant(what, "kernel/rules.py", never(code), "LEGAL", places)
 
 
 PLANTS: Final = (
     # Coming down a ramp under a block goes wrong in few of many trials: no quick look need find it.
-    *(_off(flag) for flag in CORRECTIONS if flag != "run_out"),
-    Plant(
-        "lifting with something on top",
-        "legality.py",
-        "    if own not in (BLOCK, FLAG, FSLOPE):\n        return False\n",
-        "    if own not in (BLOCK, FLAG, FSLOPE):\n        return False\n    return True\n",
+    *(
+        _without(reason.correction)
+        for reason in REASONS.values()
+        if reason.correction not in (None, Correction.run_out)
     ),
-    Plant(
-        "driving loaded through a block",
-        "moves.py",
-        "return not loaded and (forward or backward)",
-        "return forward or backward",
-    ),
-    Plant(
-        "driving sideways under a block",
-        "moves.py",
-        "return not loaded and (forward or backward)",
-        "return not loaded",
-    ),
-    Plant("driving loaded through a gear", "moves.py", "return not loaded and through", "return through"),
-    Plant("turning under a slope", "legality.py", "return own not in (FSLOPE, BODY)", "return True"),
-    Plant("leaving a slope sideways", "moves.py", "if own in (FSLOPE, BODY) and not forward:", "if False:"),
+    _never("lifting or folding with something on top", "THING_ON_TOP", 2),
+    _never("driving loaded under a block", "LOAD_NOT_UNDER"),
+    _never("driving sideways under a block", "ENTERED_SIDEWAYS"),
+    _never("driving loaded through a gear", "LOAD_NOT_THROUGH_GEAR"),
+    _never("turning under a slope", "TURN_UNDER_SLOPE"),
+    _never("leaving a slope sideways", "FORWARD_ONLY"),
     Plant(
         "unfolding onto a car",
-        "reach.py",
-        "if car_in(w, me, fx, fy, car.z, False) or car_in(w, me, bx, by, car.z, True):",
-        "if car_in(w, me, bx, by, car.z, True):",
+        "kernel/rules.py",
+        re.escape("if car_in(w, me, fx, fy, car.z, False) >= 0 or "),
+        "if ",
     ),
-    Plant(
-        "folding with a car on the foot",
-        "legality.py",
-        "if top_at(w, car.x + dir_x(slope_yaw), car.y + dir_y(slope_yaw), car.z - 1, me) >= 0:",
-        "if False:",
-    ),
-    Plant("driving into a car's cell", "moves.py", "if car_in(w, me, nx, ny, car.z, False):", "if False:"),
-    Plant(
-        "standing on what has no top",
-        "moves.py",
-        "if not standable(below) and below != BODY:",
-        "if False:",
-    ),
+    _never("folding with a car on the foot", "CAR_ON_OWN_FOOT"),
+    _never("driving into a car's cell", "CAR_THERE"),
+    _never("standing on what has no top", "NO_FLOOR"),
 )
 
 
@@ -120,8 +114,8 @@ class Look:
 def copy_of(package: Path, place: Path, plant: Plant) -> Path:
     """Copy the package with a plant in its rules into a folder, and return the file that was changed."""
     shutil.copytree(package, place / "craftsim", ignore=shutil.ignore_patterns("__pycache__"))
-    source = place / "craftsim" / "discrete" / "rules" / plant.file
-    source.write_text(source.read_text().replace(plant.old, plant.new, 1))
+    source = place / "craftsim" / "discrete" / plant.file
+    source.write_text(re.sub(plant.old, plant.new, source.read_text()))
     return source
 
 

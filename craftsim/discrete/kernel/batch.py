@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import (
-    LEGAL,
     STOP,
     act,
     apply,
     car_in,
     carried_gear_in,
+    legal_actions,
     load_below_walls,
     load_fits,
     why,
@@ -58,9 +58,9 @@ def masks(cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, dept
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
         for car in range(w.cars.shape[0]):
-            pose = pose_of(w, car)
+            legal = legal_actions(w, car, pose_of(w, car), 0, STOP)
             for action in range(STOP + 1):
-                out[i, car, action] = why(w, car, pose, action) == LEGAL
+                out[i, car, action] = legal & (1 << action) != 0
         if depth != NO_HELPER:
             add_reachable(w, space, depth, out[i])
 
@@ -73,23 +73,37 @@ def step(
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
     applied: Mask,
-    queues: Queues,
-    space: SearchBuffers,
-    depth: int,
 ) -> None:
     """Let the cars order[i] of each world act one after the other, each judged on what the earlier ones left.
 
-    ``actions`` (B, k) are in this order, as is ``applied``: whether each action was legal when its turn came. With a
-    search depth ``queues`` (B, n, depth + 1) hold what the helper still has to do; NO_HELPER leaves it out.
+    ``actions`` (B, k) are in this order, as is ``applied``: whether each action was legal when its turn came.
     """
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
         for turn in range(order.shape[1]):
+            applied[i, turn] = act(w, order[i, turn], actions[i, turn])
+        if corrections & DERIVED_MARKS:
+            derive_marks(w)
+
+
+@compiled
+def step_with_helper(
+    cells: Cells,
+    cars: Cars,
+    corrections: int,
+    order: NDArray[np.int64],
+    actions: NDArray[np.int64],
+    applied: Mask,
+    queues: Queues,
+    space: SearchBuffers,
+    depth: int,
+) -> None:
+    """Do the same with the action helper; ``queues`` (B, n, depth + 1) hold what it still has to do."""
+    for i in range(cells.shape[0]):
+        w = World(cells[i], cars[i], corrections)
+        for turn in range(order.shape[1]):
             car = order[i, turn]
-            if depth == NO_HELPER:
-                applied[i, turn] = act(w, car, actions[i, turn])
-            else:
-                applied[i, turn] = act_with_helper(w, car, actions[i, turn], queues[i, car], space, depth)
+            applied[i, turn] = act_with_helper(w, car, actions[i, turn], queues[i, car], space, depth)
         if corrections & DERIVED_MARKS:
             derive_marks(w)
 
@@ -119,7 +133,7 @@ def plan(
     depth: int,
     out: NDArray[np.int8],
 ) -> int:
-    """Write the primitives of the helper's plan for a MOVE, or with action -1 to a cell; return how many, -1 if none."""
+    """Write the primitives of the helper's plan for a MOVE, with action -1 to a cell; return how many, -1 if none."""
     w = World(cells, cars, corrections)
     space.legal[:] = UNKNOWN
     if action >= 0:

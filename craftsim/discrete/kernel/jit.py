@@ -1,125 +1,274 @@
-"""How rules and controllers are compiled: numba in nopython mode, cached on disk only when the cache is safe.
-
-Numba stamps a cached function with the time of the one file that defines it, so a function that calls into
-another of our files would go on using a stale copy after that file changes. The cache of all
-our compiled functions therefore has a version that holds a digest of every source file of their room and of the rooms
-below it; where numba does not let us, nothing is cached. One process at a time compiles a function: numba's own cache
-is not made for two that write to it, and would let each of the workers of a campaign compile everything.
+"""How rules and controllers are compiled: numba in nopython mode, one signature a function, kept in a cache.
 
 Compiled functions may not make arrays; they work on those they are given. So numba needs no reference counting in
 them, which would otherwise take ten times as long as the rules themselves (``_nrt``), and all of them can be inlined.
+
+What Python calls needs a wrapper that takes Python's objects apart, which takes as long to compile as the function
+itself. So a function has none until Python calls it; those that only other compiled functions call never have one.
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
-import os
-import zlib
+import logging
+import math
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from functools import cache
-from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from contextlib import contextmanager
+from enum import Enum
+from functools import cached_property
+from types import CodeType, ModuleType
+from typing import Any, Final, TypeVar, cast, overload
 
-import numba
 import numpy as np
+from numba.core import config, sigutils, types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
-_ROOMS: Final = ("discrete", "models", "skills", "checking", "planning")
-"""Those that hold compiled functions; each calls functions of its own and of those before it."""
-_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
+from craftsim.discrete.kernel import code_cache
+
+LOG: Final = logging.getLogger("craftsim.compiling")
+"""Says at level INFO how far compiling is, at most once a second; its arguments are the numbers of functions."""
+_OPTIONS: Final[dict[str, Any]] = {
+    "nopython": True,
+    "error_model": "numpy",
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+}
 
 F = TypeVar("F", bound=Callable[..., Any])
 Record = Any
 """One of :func:`records` in a compiled function: its fields are attributes, and writing to them changes the array."""
 
 
-@cache
-def _source_digest(room: str) -> str:
-    """Return the digest of the sources of a room and of those before it, all of them for a room that is not listed."""
-    before = _ROOMS[: _ROOMS.index(room)] if room in _ROOMS else _ROOMS
-    digest = hashlib.sha256()
-    if before:
-        digest.update(_source_digest(before[-1]).encode())
-    if room in _ROOMS:
-        for path in sorted((Path(__file__).parents[2] / room).rglob("*.py")):
-            digest.update(path.name.encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+@overload
+def compiled(function: F) -> F: ...
+@overload
+def compiled(*, inline: bool) -> Callable[[F], F]: ...
+def compiled(function: F | None = None, *, inline: bool = True) -> F | Callable[[F], F]:
+    """Compile a function with numba at its first call; NUMBA_DISABLE_JIT=1 leaves it plain Python.
 
-
-def compiled(function: F) -> F:
-    """Compile a function with numba at its first call; NUMBA_DISABLE_JIT=1 leaves it plain Python."""
-    dispatcher: Any = numba.njit(function, **_OPTIONS)
-    if dispatcher is function:
-        return function
-    try:
-        with _cache_of_the_environment():
-            dispatcher.enable_caching()
-        cache_file = dispatcher._cache._cache_file
-        # Read before anything else of a cache file: what an older craftsim left there may not even unpickle.
-        room = function.__module__.partition(".")[2].partition(".")[0]
-        cache_file._version = f"{cache_file._version} {_source_digest(room)}"
-        _one_process_at_a_time(dispatcher, Path(cache_file._index_path))
-    except (AttributeError, RuntimeError):
-        dispatcher = numba.njit(function, **_OPTIONS)
-    return cast(F, dispatcher)
-
-
-@contextmanager
-def _cache_of_the_environment() -> Iterator[None]:
-    """Let the environment alone say where the cache is.
-
-    Numba heeds the file .numba_config.yaml of the working folder, too, and it unpickles what it finds in a cache.
+    Args:
+        function: what is to be compiled.
+        inline: whether its code becomes part of each function that calls it. A large one that many call is better
+            called: it is compiled once then.
     """
-    names = [name for name in ("CACHE_DIR", "CACHE_LOCATOR_CLASSES") if hasattr(numba.config, name)]
-    usual = {name: getattr(numba.config, name) for name in names}
-    for name in names:
-        setattr(numba.config, name, os.environ.get(f"NUMBA_{name}", ""))
-    try:
-        yield
-    finally:
-        for name in names:
-            setattr(numba.config, name, usual[name])
+
+    def decorate(function: F) -> F:
+        return function if config.DISABLE_JIT else cast(F, _Compiled(function, {}, {"forceinline": inline}))
+
+    return decorate if function is None else decorate(function)
 
 
-def _one_process_at_a_time(dispatcher: Any, index: Path) -> None:
-    """Let the processes that need a function wait for the one that compiles it, and read what it leaves."""
-    compile_or_read = dispatcher.compile
+class _Compiled(CPUDispatcher):
+    """A compiled function: numba's, with signatures without literals and enums, and with our cache."""
 
-    def compile_alone(signature: Any) -> Any:
-        with _locked(index):
-            return compile_or_read(signature)
+    def __init__(self, py_func: Callable[..., Any], locals: Any, targetoptions: dict[str, Any]) -> None:
+        super().__init__(py_func, locals, _OPTIONS | targetoptions)
+        self._for_python = False
+        """Whether Python has called it: what is compiled from then on has a wrapper."""
+        self._wrapped: set[tuple[types.Type, ...]] = set()
 
-    dispatcher.compile = compile_alone
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        """Compile it for a call from Python."""
+        self._for_python = True
+        return super()._compile_for_args(*args, **kws)
+
+    def compile(self, sig: Any) -> Any:
+        """Compile it for a signature, or read from the cache what has been compiled; return what Python calls."""
+        arguments = tuple(map(_plain, sigutils.normalize_signature(sig)[0]))
+        with global_compiler_lock:
+            if arguments not in (self._wrapped if self._for_python else self.overloads):
+                self._load_or_compile(arguments)
+            return self.overloads[arguments].entry_point
+
+    def _load_or_compile(self, arguments: tuple[types.Type, ...]) -> None:
+        name = f"{self.py_func.__module__}.{self.__name__} {self.content} {arguments} {self._for_python}"
+        if self._load(name):
+            return
+        with _progress.of(self), code_cache.alone():
+            # Another process may have compiled it in the meantime.
+            if self._load(name):
+                return
+            self.overloads.pop(arguments, None)
+            self._compiler.pipeline_class = Compiler if self._for_python else _PartCompiler
+            self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
+            super().compile(arguments)
+            code_cache.save(name, self.overloads[arguments])
+
+    def _load(self, name: str) -> bool:
+        result = code_cache.load(name, self.targetctx)
+        if result is not None:
+            self._insert_into_context(result)
+            self.add_overload(result)
+        return result is not None
+
+    def _insert_into_context(self, result: Any) -> None:
+        self.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
+
+    def add_overload(self, result: Any) -> None:
+        """Take what has been compiled for a signature; Python may call it if there is a wrapper."""
+        if self._for_python:
+            self._wrapped.add(tuple(result.signature.args))
+            super().add_overload(result)
+            return
+        if result.entry_point is None:
+            # What tells it from others in numba's table.
+            result = result._replace(entry_point=object())
+            self._insert_into_context(result)
+        self.overloads[tuple(result.signature.args)] = result
+
+    @cached_property
+    def content(self) -> str:
+        """A digest of all that its compiled code depends on: its own code, and the compiled functions and the constants
+        that it refers to, and so on. Comments, docstrings and whatever else is in these files do not count."""
+        code = _text(self.py_func.__code__.replace(co_consts=self._constants()))
+        parts = (_OPTIONS, self.targetoptions, code, *map(_text, self._refers_to()))
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+    def _constants(self) -> tuple[Any, ...]:
+        code = self.py_func.__code__
+        return tuple(None if one is self.py_func.__doc__ else one for one in code.co_consts)
+
+    def _refers_to(self) -> Iterator[Any]:
+        function = self.py_func
+        yield function.__defaults__
+        for cell in function.__closure__ or ():
+            yield cell.cell_contents
+        for name in _names(function.__code__):
+            if name in function.__globals__:
+                value = function.__globals__[name]
+                yield value
+                if isinstance(value, ModuleType):
+                    yield from (getattr(value, n, None) for n in _names(function.__code__))
+
+    def calls(self) -> set[_Compiled]:
+        """Return all compiled functions that it calls, and that these call, and so on; and itself."""
+        found, left = {self}, [self]
+        while left:
+            for value in left.pop()._refers_to():
+                if isinstance(value, _Compiled) and value not in found:
+                    found.add(value)
+                    left.append(value)
+        return found
 
 
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Keep other processes out of the block for the same path; where there are no locks, none are kept out."""
-    place = zlib.crc32(path.name.encode())
-    number = None
-    # The system refuses a lock that two processes would wait for each other with.
-    with suppress(OSError):
-        number = _lock_file(path.parent)
-        fcntl.lockf(number, fcntl.LOCK_EX, 1, place)
-    try:
-        yield
-    finally:
-        if number is not None:
-            fcntl.lockf(number, fcntl.LOCK_UN, 1, place)
+class _Part(JITCodeLibrary):
+    """Code that becomes a part of others': it is made machine code with each of those, and not by itself."""
+
+    inline = True
+
+    def _optimize_final_module(self) -> None:
+        """Inline what it calls; what is inlined itself is optimised where it ends up."""
+        if not self.inline:
+            super()._optimize_final_module()
+            return
+        passes, builder = self._codegen._module_pass_manager(
+            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
+        )
+        passes.run(self._final_module, builder)
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def serialize_using_object_code(self) -> Any:
+        """Return its code as it stands."""
+        return self.serialize_using_bitcode()
 
 
-@cache
-def _lock_file(folder: Path) -> int:
-    """Return the number of an open file with a byte for each function; it stays open as long as the process lives."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return os.open(folder / "compiling.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+class _PartCompiler(Compiler):
+    """Compiles a function that Python does not call."""
+
+    def __init__(
+        self,
+        typingctx: Any,
+        targetctx: Any,
+        library: None,
+        args: Any,
+        return_type: Any,
+        flags: Any,
+        locals: Any,
+    ) -> None:
+        flags.no_compile = True
+        part = _Part(targetctx.codegen(), "part")
+        part.inline = flags.forceinline
+        super().__init__(typingctx, targetctx, part, args, return_type, flags, locals)
+
+
+class _Progress:
+    """How many functions this process had to compile so far, and how many there are as far as is known."""
+
+    def __init__(self) -> None:
+        self._done = self._total = self._depth = 0
+        self._said = -math.inf
+
+    @contextmanager
+    def of(self, function: _Compiled) -> Iterator[None]:
+        """Compile a function in the block, and in blocks within it all that it calls."""
+        outermost = not self._depth
+        if outermost:
+            self._total += 1 + sum(not one.overloads for one in function.calls() - {function})
+            self._say(now=True)
+        self._depth += 1
+        try:
+            yield
+        finally:
+            self._depth -= 1
+            self._done += 1
+            if outermost:
+                # Others need not have been compiled, for they were in the cache.
+                self._total = self._done
+            self._say(now=outermost)
+
+    def _say(self, now: bool) -> None:
+        if now or time.monotonic() - self._said >= 1:
+            self._said = time.monotonic()
+            LOG.info("compiling, on the first run only: %d of %d functions", self._done, self._total)
+
+
+_progress: Final = _Progress()
+
+
+def _plain(kind: types.Type) -> types.Type:
+    """Return the type of a value whatever that value is: an integer for a literal one and for a member of an enum."""
+    kind = types.unliteral(kind)
+    return types.int64 if isinstance(kind, types.IntEnumMember) else kind
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """Yield the names that a code reads, as globals or attributes."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+def _text(value: Any) -> str:
+    """Return a text that differs where compiled code that refers to the value differs."""
+    if isinstance(value, _Compiled):
+        return value.content
+    if isinstance(value, CodeType):
+        return repr((value.co_code, value.co_names, value.co_varnames, [*map(_text, value.co_consts)]))
+    if isinstance(value, tuple):
+        return repr([*map(_text, value)])
+    if isinstance(value, np.ndarray):
+        return repr((value.dtype, value.shape, value.tobytes()))
+    if isinstance(value, type) and issubclass(value, Enum):
+        return repr([(member.name, member.value) for member in value])
+    if isinstance(value, Enum):
+        return repr((type(value).__qualname__, value.name, value.value))
+    if isinstance(value, int | float | complex | str | bytes | np.generic | np.dtype | None):
+        return f"{type(value).__name__} {value!r}"
+    # Types, modules, and functions of Python's and NumPy's; numba takes no other objects.
+    return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__qualname__)}"
 
 
 def records(count: int, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     """Return zeroed records for compiled functions, which read and write ``array[i].field``."""
     array = np.zeros(count, dtype)
     # Without the compiler, records need a type of their own for that; with it, that type is slow to recognise.
-    return array.view(np.recarray) if numba.config.DISABLE_JIT else array  # type: ignore[attr-defined]
+    return array.view(np.recarray) if config.DISABLE_JIT else array

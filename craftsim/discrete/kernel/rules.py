@@ -646,7 +646,7 @@ def why(w: World, me: int, car: Pose, action: int) -> int:
     """Return why car ``me``, were it in the state ``car``, could not do a primitive action now; 0 if it could."""
     if FIRST_MOVE <= action <= LAST_MOVE:
         return why_move(w, me, car, move_direction(action))
-    if action > STOP:
+    if not 0 <= action <= STOP:
         return NEVER
     if car.slope != 0:
         return ON_SLOPE
@@ -661,6 +661,19 @@ def why(w: World, me: int, car: Pose, action: int) -> int:
     if action == STOP:
         return LEGAL
     return why_rotate(w, me, car, 1 if action == ROTATE_LEFT else -1)
+
+
+@compiled(inline=False)
+def legal_actions(w: World, me: int, car: Pose, first: int, last: int) -> int:
+    """Return which of the actions from ``first`` to ``last`` are legal, a bit each, as :func:`why` says.
+
+    It is called, not inlined: so the rules above are compiled once.
+    """
+    legal = 0
+    for action in range(first, last + 1):
+        if why(w, me, car, action) == LEGAL:
+            legal |= 1 << action
+    return legal
 
 
 # What a legal action changes, the event-driven marks included (docs/rules.md#marks)
@@ -775,7 +788,7 @@ def drive(w: World, me: int, car: Pose, m: int) -> None:
     write_pose(w, me, new)
 
 
-@compiled
+@compiled(inline=False)
 def apply(w: World, me: int, action: int) -> None:
     """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
     car = pose_of(w, me)
@@ -792,7 +805,7 @@ def apply(w: World, me: int, action: int) -> None:
 @compiled
 def act(w: World, me: int, action: int) -> bool:
     """Carry out an action if it is legal now, else leave the world as it is; return whether it was."""
-    if why(w, me, pose_of(w, me), action) != LEGAL:
+    if legal_actions(w, me, pose_of(w, me), action, action) == 0:
         return False
     apply(w, me, action)
     return True

@@ -14,15 +14,14 @@ from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import (
     FIRST_MOVE,
     LAST_MOVE,
-    LEGAL,
     ROTATE_LEFT,
     ROTATE_RIGHT,
     STOP,
     act,
+    legal_actions,
     move_direction,
     moved,
     turned,
-    why,
 )
 from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
 from craftsim.discrete.kinds import Action
@@ -35,7 +34,8 @@ SUCCESSORS = (
     int(Action.ROTATE_RIGHT),
     int(Action.ROTATE_LEFT),
 )
-"""Order in which a node's successors are tried; it decides between equally good plans."""
+"""Order in which a node's successors are tried, the actions ROTATE_LEFT to LAST_MOVE; it decides between equally good
+plans."""
 
 UNSEEN, OPEN, CLOSED = 0, 1, 2
 UNKNOWN = -1
@@ -54,8 +54,8 @@ class SearchBuffers(NamedTuple):
     parent: NDArray[np.int32]
     action: NDArray[np.int8]
     heap: NDArray[np.int32]
-    legal: NDArray[np.int8]
-    """Legal successors as bits in the order of SUCCESSORS, known for one car in one world; else UNKNOWN."""
+    legal: NDArray[np.int16]
+    """Legal successors, a bit for each action, known for one car in one world; else UNKNOWN."""
     legal_slope: NDArray[np.int8]
     """The slope state for which ``legal`` holds."""
 
@@ -66,7 +66,7 @@ def search_buffers(size: tuple[int, int, int]) -> SearchBuffers:
     narrow = {
         "state": np.int8,
         "action": np.int8,
-        "legal": np.int8,
+        "legal": np.int16,
         "legal_slope": np.int8,
         "slope": np.int64,
     }
@@ -152,18 +152,14 @@ def after(w: World, car: Pose, action: int) -> Pose:
 
 @compiled
 def legal_from(w: World, me: int, space: SearchBuffers, node: int, car: Pose) -> int:
-    """Return the legal successors of a node as bits in the order of SUCCESSORS, worked out at most once."""
+    """Return the legal successors of a node, a bit for each action, worked out at most once."""
     if space.legal[node] == UNKNOWN or space.legal_slope[node] != car.slope:
-        bits = 0
-        for i in range(len(SUCCESSORS)):
-            if why(w, me, car, SUCCESSORS[i]) == LEGAL:
-                bits |= 1 << i
-        space.legal[node] = bits
+        space.legal[node] = legal_actions(w, me, car, ROTATE_LEFT, LAST_MOVE)
         space.legal_slope[node] = car.slope
     return int(np.int64(space.legal[node]))
 
 
-@compiled
+@compiled(inline=False)
 def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, goal_z: int, limit: int) -> int:
     """Search a way for car ``me`` to a cell; return the node reached, or -1 if there is none.
 
@@ -190,7 +186,7 @@ def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, go
         space.state[node] = CLOSED
         legal = legal_from(w, me, space, node, car)
         for i in range(len(SUCCESSORS)):
-            if not legal & (1 << i):
+            if not legal & (1 << SUCCESSORS[i]):
                 continue
             new = after(w, car, SUCCESSORS[i])
             next_node = node_of(w, new)
@@ -280,7 +276,7 @@ def near_enough(w: World, me: int, space: SearchBuffers, limit: int) -> int:
             continue
         legal = legal_from(w, me, space, node, car)
         for i in range(len(SUCCESSORS)):
-            if not legal & (1 << i):
+            if not legal & (1 << SUCCESSORS[i]):
                 continue
             new = after(w, car, SUCCESSORS[i])
             next_node = node_of(w, new)

@@ -109,8 +109,11 @@ class Worlds:
             raise ValueError(f"an order must name each of the cars 0 to {self.n_cars - 1} once")
         acting = np.take_along_axis(acts, turns, axis=1)
         in_order = np.empty(turns.shape, np.bool_)
-        depth = NO_HELPER if self.depth is None else self.depth
-        batch.step(*self.arrays, turns, acting, in_order, self.queue, self._space, depth)
+        if self.depth is None:
+            batch.step(*self.arrays, turns, acting, in_order)
+        else:
+            helper = self.queue, self._space, self.depth
+            batch.step_with_helper(*self.arrays, turns, acting, in_order, *helper)
         applied = np.empty_like(in_order)
         np.put_along_axis(applied, turns, in_order, axis=1)
         return applied

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from craftsim.discrete.kinds import Correction
+from craftsim.discrete.reasons import REASONS
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.rules.explain import CORRECTIONS
 from craftsim.validation.audit.corrections import start_of
 from craftsim.validation.audit.quick import MOST_ROWS, covering, properties, quick_rows
 from craftsim.validation.audit.rows import audit_plan
@@ -57,7 +57,9 @@ def test_each_flag_that_forbids_has_rows_on_both_sides(plan, quick):
     assert forbidding(quick) == forbidding([row for row in plan if not row.no_prediction])
 
 
-@pytest.mark.parametrize("flag", CORRECTIONS)
+@pytest.mark.parametrize(
+    "flag", [reason.correction.name for reason in REASONS.values() if reason.correction is not None]
+)
 def test_a_rule_flag_switched_off_shows_in_what_is_tried(plan, flag):
     """The plan of a rule set without the flag, made from the one with it: the rows it would allow are allowed."""
     rules = Rules("physical", ~Correction[flag])

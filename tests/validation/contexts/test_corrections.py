@@ -9,7 +9,7 @@ from drawn import draw
 from craftsim.checking.settings import Setup, setup_of
 from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import Action, Correction
 from craftsim.discrete.rules import RULE_SETS, Rules
 from craftsim.discrete.verdict import Finding
 
@@ -164,7 +164,7 @@ def test_run_out_alone_forbids_to_drive_off_a_foot_right_under_a_block():
     flags = RULE_SETS[PHYSICAL]
     for world in (OFF_THE_FOOT, ONE_CELL_FURTHER, FROM_THE_FLAT):
         grid = _world(*world)
-        assert Rules(PHYSICAL, flags._replace(run_out=False)).legal(grid, 0, Action.MOVE_RIGHT)
+        assert Rules(PHYSICAL, flags & ~Correction.run_out).legal(grid, 0, Action.MOVE_RIGHT)
         assert Rules(PHYSICAL).legal(grid, 0, Action.MOVE_RIGHT) is (world is not OFF_THE_FOOT)
 
 

@@ -1,0 +1,141 @@
+"""Where compiled code is kept from one process to the next: a file for each function, named by all that it depends on.
+
+The files lie in the user's cache directory, or where NUMBA_CACHE_DIR says. They are unpickled, which runs code: so a
+folder that others may write to is not used, and nothing but the environment says where it is, while numba's own cache
+would heed a file of the working folder. A wheel may bring code for any processor of the platform it was made on
+(``make wheel``), which is read where the user's folder has none.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import logging
+import os
+import pickle
+import platform
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import llvmlite
+import numba
+import platformdirs
+from numba.core import compiler, config, serialize
+
+SHIPPED: Final = Path(__file__).parents[2] / "data" / "compiled"
+_GENERIC: Final = ("generic", "")
+"""Name and features of the processor that shipped code is for."""
+_MOST: Final = 600
+"""So many files are kept at most, those that were written or read last: several versions of all that is compiled."""
+_DIGEST_BYTES: Final = 32
+
+_LOG: Final = logging.getLogger("craftsim.compiling")
+
+
+def load(name: str, context: Any) -> Any:
+    """Return what was compiled under a name, a ``CompileResult`` of numba; None where there is nothing whole.
+
+    Args:
+        name: differs for whatever differs.
+        context: numba's target context, which takes the code in.
+    """
+    context.refresh()
+    triple, *processor = context.codegen().magic_tuple()
+    files = [SHIPPED / _file(name, triple, *_GENERIC)]
+    own = folder()
+    if own is not None:
+        files.insert(0, own / _file(name, triple, *processor))
+    for file in files:
+        with suppress(OSError):
+            content = file.read_bytes()
+            if hashlib.sha256(content[_DIGEST_BYTES:]).digest() != content[:_DIGEST_BYTES]:
+                continue
+            if own is not None and file.parent == own:
+                os.utime(file)
+            return compiler.CompileResult._rebuild(context, *pickle.loads(content[_DIGEST_BYTES:]))
+    return None
+
+
+def save(name: str, result: Any) -> None:
+    """Keep what was compiled under a name, a ``CompileResult`` of numba, if it can be kept at all."""
+    own = folder()
+    if own is None or result.library.has_dynamic_globals:
+        return
+    data = serialize.dumps(result._reduce())
+    file = own / _file(name, *result.codegen.magic_tuple())
+    with suppress(OSError), tempfile.NamedTemporaryFile(dir=own, delete=False) as partial:
+        partial.write(hashlib.sha256(data).digest() + data)
+        os.replace(partial.name, file)
+
+
+def _file(name: str, triple: str, processor: str, features: str) -> str:
+    versions = (
+        numba.__version__,
+        llvmlite.__version__,
+        platform.python_implementation(),
+        platform.python_version_tuple()[:2],
+    )
+    options = (
+        config.OPT,
+        config.LOOP_VECTORIZE,
+        config.SLP_VECTORIZE,
+        config.BOUNDSCHECK,
+        config.DEBUGINFO_DEFAULT,
+    )
+    text = repr((name, triple, processor, features, versions, options))
+    return f"{name.split()[0]}-{hashlib.sha256(text.encode()).hexdigest()[:32]}"
+
+
+@cache
+def folder() -> Path | None:
+    """Return the folder that this process writes to, which is made; None where there is none that is safe."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    place = Path(named) if named else platformdirs.user_cache_path("craftsim")
+    folder = place / "craftsim-compiled" if named else place / "compiled"
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for path in (folder,) if named else (place, folder):
+            there = path.stat()
+            if there.st_uid != os.geteuid() or there.st_mode & 0o022:
+                raise PermissionError(f"{path} is not yours alone to write to")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(f"cannot write into {folder}")
+    except OSError as error:
+        _LOG.warning("what is compiled is not kept: %s", error)
+        return None
+    return folder
+
+
+_turns = 0
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """Keep other processes from compiling in the block, so that none compiles what another does; blocks may nest."""
+    global _turns
+    own = folder()
+    if own is None or _turns:
+        yield
+        return
+    with open(own / "lock", "w") as lock:
+        # Where there are no locks, none are kept out.
+        with suppress(OSError):
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        _turns += 1
+        try:
+            yield
+        finally:
+            _turns -= 1
+            _remove_old(own)
+
+
+def _remove_old(own: Path) -> None:
+    """Remove what has not been used for longest, beyond so many files."""
+    with suppress(OSError):
+        files = sorted(own.iterdir(), key=lambda file: file.stat().st_mtime, reverse=True)
+        for file in files[_MOST:]:
+            file.unlink()

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any, Final, get_args, get_type_hints
 
 from craftsim.commands.text import complain, drop_output, reader_is_gone, show_what_can_be_shown
+from craftsim.compiling import tell
 from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
 from craftsim.modules import safe_path
 from craftsim.storage.limits import Range
@@ -62,6 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: words after ``craftsim``; those of this process if None.
     """
     show_what_can_be_shown()
+    tell()
     try:
         try:
             with safe_path():

@@ -15,6 +15,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Final
 
+from craftsim.compiling import is_told, tell
 from craftsim.modules import SAFE_PATH, safe_path, set_safe_path
 
 _starting: Final = threading.Lock()
@@ -34,6 +35,7 @@ def spawn_context() -> SpawnContext:
 class _Process(SpawnProcess):
     def start(self) -> None:
         self._inherited = os.environ.get(SAFE_PATH)
+        self._tells = is_told()
         with _safe_path():
             # Its first start would undo the block.
             resource_tracker.ensure_running()
@@ -46,6 +48,8 @@ class _Process(SpawnProcess):
     def run(self) -> None:
         # What code of the user's starts from here looks for its modules as it does elsewhere.
         set_safe_path(self._inherited)
+        if self._tells:
+            tell()
         super().run()
 
 

@@ -69,7 +69,7 @@ ALLOWED = {
 }
 """What each room may import of ours, besides itself, the version and those of SHARED; commands may import all."""
 
-SHARED = {"errors", "extras", "interrupts", "modules", "processes"}
+SHARED = {"compiling", "errors", "extras", "interrupts", "modules", "processes"}
 """What every room may import."""
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}

@@ -11,6 +11,7 @@ from numba import config
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kernel import code_cache
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.rules import Rules
 
@@ -158,7 +159,9 @@ def test_a_file_of_the_working_folder_does_not_say_where_the_cache_is(tmp_path, 
 
 
 @needs_compiler
-def test_a_literal_and_an_enum_make_no_second_signature_and_only_what_python_calls_has_a_wrapper():
+def test_a_literal_and_an_enum_make_no_second_signature_and_only_what_python_calls_has_a_wrapper(monkeypatch):
+    monkeypatch.setattr(code_cache, "folder", lambda: None)
+
     @compiled
     def inner(number):
         return number + 1
@@ -176,7 +179,9 @@ def test_a_literal_and_an_enum_make_no_second_signature_and_only_what_python_cal
 
 
 @needs_compiler
-def test_the_log_tells_how_far_compiling_is(caplog):
+def test_the_log_tells_how_far_compiling_is(caplog, monkeypatch):
+    monkeypatch.setattr(code_cache, "folder", lambda: None)
+
     @compiled
     def inner(number):
         return number + 7

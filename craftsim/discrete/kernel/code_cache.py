@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import logging
 import os
 import pickle
 import platform
@@ -26,14 +25,14 @@ import numba
 import platformdirs
 from numba.core import compiler, config, serialize
 
+from craftsim.compiling import LOG
+
 SHIPPED: Final = Path(__file__).parents[2] / "data" / "compiled"
 _GENERIC: Final = ("generic", "")
 """Name and features of the processor that shipped code is for."""
 _MOST: Final = 600
 """So many files are kept at most, those that were written or read last: several versions of all that is compiled."""
 _DIGEST_BYTES: Final = 32
-
-_LOG: Final = logging.getLogger("craftsim.compiling")
 
 
 def load(name: str, context: Any) -> Any:
@@ -105,7 +104,7 @@ def folder() -> Path | None:
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(f"cannot write into {folder}")
     except OSError as error:
-        _LOG.warning("what is compiled is not kept: %s", error)
+        LOG.warning("what is compiled is not kept: %s", error)
         return None
     return folder
 

@@ -9,8 +9,8 @@ itself. So a function has none until Python calls it; those that only other comp
 
 from __future__ import annotations
 
+import gc
 import hashlib
-import logging
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -28,10 +28,9 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
+from craftsim.compiling import LOG
 from craftsim.discrete.kernel import code_cache
 
-LOG: Final = logging.getLogger("craftsim.compiling")
-"""Says at level INFO how far compiling is, at most once a second; its arguments are the numbers of functions."""
 _OPTIONS: Final[dict[str, Any]] = {
     "nopython": True,
     "error_model": "numpy",
@@ -200,34 +199,39 @@ class _PartCompiler(Compiler):
 
 
 class _Progress:
-    """How many functions this process had to compile so far, and how many there are as far as is known."""
+    """How many functions this process has compiled, of those that it had to compile so far."""
 
     def __init__(self) -> None:
-        self._done = self._total = self._depth = 0
-        self._said = -math.inf
+        self._wanted: set[_Compiled] = set()
+        self._depth, self._said = 0, -math.inf
 
     @contextmanager
     def of(self, function: _Compiled) -> Iterator[None]:
         """Compile a function in the block, and in blocks within it all that it calls."""
         outermost = not self._depth
+        collects = gc.isenabled()
         if outermost:
-            self._total += 1 + sum(not one.overloads for one in function.calls() - {function})
-            self._say(now=True)
+            # An eighth of the time would go into looking for garbage in what numba still needs.
+            gc.disable()
+            self._wanted |= {one for one in function.calls() if not one.overloads}
+            self._say()
         self._depth += 1
         try:
             yield
         finally:
             self._depth -= 1
-            self._done += 1
             if outermost:
-                # Others need not have been compiled, for they were in the cache.
-                self._total = self._done
-            self._say(now=outermost)
+                if collects:
+                    gc.enable()
+                # Others were not called.
+                self._wanted = {one for one in self._wanted if one.overloads}
+            if outermost or time.monotonic() - self._said >= 1:
+                self._say()
 
-    def _say(self, now: bool) -> None:
-        if now or time.monotonic() - self._said >= 1:
-            self._said = time.monotonic()
-            LOG.info("compiling, on the first run only: %d of %d functions", self._done, self._total)
+    def _say(self) -> None:
+        self._said = time.monotonic()
+        done = sum(bool(one.overloads) for one in self._wanted)
+        LOG.info("compiling, on the first run only: %d of %d functions", done, len(self._wanted))
 
 
 _progress: Final = _Progress()

@@ -28,7 +28,7 @@ class Standing:
     def __init__(self, site: Site, poses: PoseReader) -> None:
         """Take the places where everything is now; the reader is one of this Site."""
         self._site = site
-        self._places = poses.places
+        self._places, self._starts = poses.places, poses.places[:, 0].copy()
         n = len(self._places)
         self._left = np.zeros((n, 7))
         self._furthest = np.zeros((n, 2))
@@ -52,7 +52,7 @@ class Standing:
 
     def look(self, _: Site | None = None) -> None:
         """Note how far everything is from its place; call it after each control period."""
-        _note_away(self._site.data.qpos, self._places[:, 0], self._left, self._furthest)
+        _note_away(self._site.data.qpos, self._starts, self._left, self._furthest)
 
     def furthest(self) -> Floats:
         """Return, (n, 2): by how many metres, and by what angle in radians, each has been away since the last begin.
@@ -76,28 +76,21 @@ def _note_away(qpos: Floats, places: Numbers, left: Floats, furthest: Floats) ->
         at = places[i]
         x, y, z = qpos[at] - left[i, 0], qpos[at + 1] - left[i, 1], qpos[at + 2] - left[i, 2]
         furthest[i, 0] = max(furthest[i, 0], math.sqrt(x * x + y * y + z * z))
-        furthest[i, 1] = max(furthest[i, 1], angle_between(qpos[at + 3 : at + 7], left[i, 3:7]))
+        # From one unit quaternion to the other; the arc tangent is exact for small angles too.
+        a, b, c, d = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
+        e, f, g, h = left[i, 3], left[i, 4], left[i, 5], left[i, 6]
+        w = a * e + b * f + c * g + d * h
+        x = a * f - b * e - c * h + d * g
+        y = a * g - c * e - d * f + b * h
+        z = a * h - d * e - b * g + c * f
+        furthest[i, 1] = max(furthest[i, 1], 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w)))
 
 
 def turns(then: Poses, now: Poses) -> Floats:
     """Return, (n,), by what angle in radians each machine turned between two poses."""
     before, after = (np.concatenate((poses.car_quaternions, poses.quaternions)) for poses in (then, now))
-    angles = np.zeros(len(before))
-    _note_turns(before, after, angles)
-    return angles
-
-
-@compiled
-def _note_turns(before: Floats, after: Floats, angles: Floats) -> None:
-    for i in range(len(before)):
-        angles[i] = angle_between(before[i], after[i])
-
-
-@compiled
-def angle_between(one: Floats, other: Floats) -> float:
-    """Return the angle in radians of the rotation from one unit quaternion to another, exact for small ones too."""
-    w = one[0] * other[0] + one[1] * other[1] + one[2] * other[2] + one[3] * other[3]
-    x = one[0] * other[1] - one[1] * other[0] - one[2] * other[3] + one[3] * other[2]
-    y = one[0] * other[2] - one[2] * other[0] - one[3] * other[1] + one[1] * other[3]
-    z = one[0] * other[3] - one[3] * other[0] - one[1] * other[2] + one[2] * other[1]
-    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
+    n, rows = len(before), np.arange(len(before))
+    left, there, furthest = np.zeros((n, 7)), np.zeros((n, 7)), np.zeros((n, 2))
+    left[:, 3:], there[:, 3:] = after, before
+    _note_away(there.ravel(), 7 * rows, left, furthest)
+    return furthest[:, 1].copy()

@@ -68,7 +68,8 @@ class Bearings:
         _follow(
             self._friction,
             self._dry,
-            data.contact.geom,
+            # A copy is laid out the same way however many there are.
+            np.ascontiguousarray(data.contact.geom),
             data.tree_asleep,
             *(self._roller, self._dofs, self._trees),
         )

@@ -101,7 +101,11 @@ def _take(
     oldest = min(n_periods, past.shape[1] - 1)
     for i in range(len(true)):
         car, now = own[i], out[i]
-        _remember(true[i], past[i])
+        real = true[i]
+        for row in range(past.shape[1] - 1, 0, -1):
+            for k in range(4):
+                past[i, row, k] = past[i, row - 1, k]
+        past[i, 0, 0], past[i, 0, 1], past[i, 0, 2], past[i, 0, 3] = real.x, real.y, real.z, real.heading
         if n_periods:
             car.off_x += noise.position_drift_m * normals[i, 1]
             car.off_y += noise.position_drift_m * normals[i, 2]
@@ -124,14 +128,6 @@ def _take(
             if uniforms[i, 1] < noise.outlier_share:
                 now.x += noise.outlier_m * math.cos(2 * math.pi * uniforms[i, 2])
                 now.y += noise.outlier_m * math.sin(2 * math.pi * uniforms[i, 2])
-
-
-@compiled
-def _remember(real: Record, past: Floats) -> None:
-    for row in range(len(past) - 1, 0, -1):
-        for k in range(4):
-            past[row, k] = past[row - 1, k]
-    past[0, 0], past[0, 1], past[0, 2], past[0, 3] = real.x, real.y, real.z, real.heading
 
 
 @compiled

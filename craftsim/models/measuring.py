@@ -133,29 +133,16 @@ def _read_cars(
         for wheel in range(4):
             now.wheel_speeds[wheel] = speeds[car.wheel_speeds[wheel]]
         now.board_m = qpos[car.board]
-        now.board_force_n = _board_force(car, qpos, qvel, act, gains, biases, ranges)
+        # That of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps.
+        motor = car.board_motor
+        force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
+        force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
+        now.board_force_n = min(max(force, ranges[motor, 0]), ranges[motor, 1])
         now.slope = _docked_slope(now, forward, left, up, qpos, plugs, reach[0])
         now.hinge_rad = qpos[plugs[now.slope].hinge] if now.slope >= 0 else 0.0
         now.position_std_m = now.heading_std_rad = 0.0
         now.fresh = 1
         read_lines(now, forward, left, up, lines[i], qpos, crosses, reach[0].above_m)
-
-
-@compiled
-def _board_force(
-    car: Record,
-    qpos: Floats,
-    qvel: Floats,
-    act: Floats,
-    gains: Floats,
-    biases: Floats,
-    ranges: Floats,
-) -> float:
-    """Return the force of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps."""
-    motor = car.board_motor
-    force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
-    force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
-    return min(max(force, ranges[motor, 0]), ranges[motor, 1])
 
 
 @compiled

@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
+
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.measuring import Floats
 
@@ -20,11 +22,9 @@ _SUREST: Final = 0.1
 """Periods: an age is known no better than this, for it is not quite constant."""
 
 
-@compiled
 def assume_age(mismatches: Floats, age: float, std: float) -> None:
     """Begin with what is assumed of the age, in periods; ``mismatches`` has one for each candidate 0, 1, ..."""
-    for k in range(len(mismatches)):
-        mismatches[k] = WINDOW * ((k - age) / std) ** 2
+    mismatches[:] = WINDOW * ((np.arange(len(mismatches)) - age) / std) ** 2
 
 
 @compiled

@@ -70,7 +70,13 @@ def step_cars(
         lead_wheels(leads[car], commands[car].wheels, known.car.wheel_speed_rad_s, known.period_s)
         drive_wheels(commands[car].wheels, wheel_speeds[car], wheel_share, cars[car], ctrl)
         ctrl[cars[car].board_motor] = commands[car].board
-        docked[car] = _turn_hinge(commands[car].hinge, readings[car].slope, docked[car], plugs, ctrl)
+        slope, last = readings[car].slope, docked[car]
+        # A slope that loses its car loses the command.
+        if last >= 0 and last != slope:
+            ctrl[plugs[last].motor] = 0.0
+        if slope >= 0:
+            ctrl[plugs[slope].motor] = commands[car].hinge
+        docked[car] = slope
     return ended
 
 
@@ -110,13 +116,3 @@ def read_paths(tasks: Records, out: Floats) -> None:
         task = tasks[car]
         if task.law == DRIVE and task.status == RUNNING:
             out[car, 0], out[car, 1], out[car, 2] = path_pose(task.drive, task.elapsed_s)
-
-
-@compiled
-def _turn_hinge(speed: float, slope: int, last: int, plugs: Records, ctrl: Floats) -> int:
-    """Command the hinge of the slope that a car is docked to; one that loses its car loses the command."""
-    if last >= 0 and last != slope:
-        ctrl[plugs[last].motor] = 0.0
-    if slope >= 0:
-        ctrl[plugs[slope].motor] = speed
-    return slope

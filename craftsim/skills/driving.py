@@ -13,7 +13,6 @@ import numpy as np
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
 from craftsim.discrete.reading import nearest_yaw
-from craftsim.discrete.rotation import wrap
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.driving_law import drive_law
 from craftsim.skills.mecanum import Triple
@@ -41,7 +40,7 @@ class DrivingSkill(CompiledSkill):
         self._loaded = self.feels_load(now)
         self._load_kg = max(0.0, now.board_force_n) / GRAVITY if self._loaded else 0.0
         x, y, heading = self._target(now)
-        self._delta = (x - now.x, y - now.y, wrap(heading - now.heading))
+        self._delta = (x - now.x, y - now.y, math.remainder(heading - now.heading, math.tau))
         profile = self._make_profile()
         travel = profile.distance(profile.duration_s)
         drive = self.task[0]["drive"]

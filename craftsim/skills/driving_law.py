@@ -12,10 +12,9 @@ import math
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.rotation import wrap
 from craftsim.models.measuring import Floats, Records
-from craftsim.models.sensing import PerWheel
 from craftsim.skills.health import check_load, end
 from craftsim.skills.mecanum import Triple, body_twist, wheel_speeds, wheel_torques
-from craftsim.skills.profile import acceleration_at, distance_at, speed_at
+from craftsim.skills.profile import distance_at, motion_at
 from craftsim.skills.progress import length, progress
 from craftsim.skills.state import GRAVITY, MOVES_OFF_TARGET, RESTS_OFF_TARGET, RUNNING, SUCCEEDED
 
@@ -29,35 +28,32 @@ def drive_law(
     drive, gains = task.drive, known.drive
     if drive.loaded:
         check_load(readings, tasks, constants, car)
-    error = _error(now, drive, task.elapsed_s)
+    x, y, heading = path_pose(drive, task.elapsed_s)
+    error = x - now.x, y - now.y, wrap(heading - now.heading)
     _check_progress(now, task, known, error)
     if task.elapsed_s >= drive.profile.duration_s:
         _check_arrival(now, task, known, error)
-    wheels = 0.0, 0.0, 0.0, 0.0
+    told = commands[car].wheels
     if task.status == RUNNING and drive.there_periods <= gains.brake_periods:
-        wheels = _wheels(now, drive, known, error, task.elapsed_s)
-    commanded, told = drive.commanded, commands[car].wheels
-    commanded[0], commanded[1], commanded[2], commanded[3] = wheels
-    told[0], told[1], told[2], told[3] = wheels
+        _command_wheels(now, drive, known, error, task.elapsed_s, told)
+    else:
+        told[0] = told[1] = told[2] = told[3] = 0.0
+    for wheel in range(4):
+        drive.commanded[wheel] = told[wheel]
 
 
 @compiled
 def path_pose(drive: Record, t: float) -> Triple:
     """Return where on its path a car should be at time t: x and y in metres, and heading."""
-    profile, start, step = drive.profile, drive.origin, drive.direction
-    way = distance_at(profile.cruise_speed, profile.ramp_s, profile.duration_s, t)
+    start, step, way = drive.origin, drive.direction, distance_at(drive.profile, t)
     return start.x + step.x * way, start.y + step.y * way, start.heading + step.heading * way
 
 
 @compiled
-def _error(now: Record, drive: Record, t: float) -> Triple:
-    """Return the way from a car's pose to that of its path at time t."""
-    x, y, heading = path_pose(drive, t)
-    return x - now.x, y - now.y, wrap(heading - now.heading)
-
-
-@compiled
-def _wheels(now: Record, drive: Record, known: Record, error: Triple, elapsed_s: float) -> PerWheel:
+def _command_wheels(
+    now: Record, drive: Record, known: Record, error: Triple, elapsed_s: float, wheels: Floats
+) -> None:
+    """Write into ``wheels`` what speeds in rad/s to command."""
     gains, car, step, integral = known.drive, known.car, drive.direction, drive.integral
     profile, period_s = drive.profile, known.period_s
     # The command holds for one period, so the path's motion in the middle of that period is fed forward.
@@ -67,7 +63,7 @@ def _wheels(now: Record, drive: Record, known: Record, error: Triple, elapsed_s:
         integral.x += gains.integral_gain * error[0] * period_s
         integral.y += gains.integral_gain * error[1] * period_s
         integral.heading += gains.integral_gain * error[2] * period_s
-    speed = speed_at(profile.cruise_speed, profile.ramp_s, profile.duration_s, t)
+    speed, pull = motion_at(profile, t)
     velocity = (
         step.x * speed + gains.position_gain * error[0] + integral.x,
         step.y * speed + gains.position_gain * error[1] + integral.y,
@@ -82,7 +78,6 @@ def _wheels(now: Record, drive: Record, known: Record, error: Triple, elapsed_s:
     load_kg = max(0.0, now.board_force_n) / GRAVITY if drive.loaded else 0.0
     mass = car.mass_kg + load_kg
     weight, inertia = mass * GRAVITY, mass + car.spin_mass_kg
-    pull = acceleration_at(profile.cruise_speed, profile.ramp_s, profile.duration_s, t)
     forward, left, turn = _to_body((step.x * pull, step.y * pull, step.heading * pull), now)
     torques = wheel_torques(
         car.lever_m,
@@ -91,12 +86,11 @@ def _wheels(now: Record, drive: Record, known: Record, error: Triple, elapsed_s:
         inertia * left + weight * math.sin(now.roll),
         car.turn_inertia_kgm2 * turn,
     )
-    return (
-        _command(speeds[0] * front, torques[0], known),
-        _command(speeds[1] * front, torques[1], known),
-        _command(speeds[2] * rear, torques[2], known),
-        _command(speeds[3] * rear, torques[3], known),
-    )
+    for wheel in range(4):
+        turning = speeds[wheel] * (front if wheel < 2 else rear)
+        torque = torques[wheel] + car.gear_friction_nm * math.tanh(turning / gains.friction_speed)
+        # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
+        wheels[wheel] = turning + torque / car.wheel_gain_nms_rad
 
 
 @compiled
@@ -114,14 +108,6 @@ def _shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tup
         return 0.0, 0.0
     speed = gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
     return -speed * error[1], speed * error[0]
-
-
-@compiled
-def _command(speed: float, torque: float, known: Record) -> float:
-    """Return the speed to command to a wheel's servo for a speed in rad/s and a torque in Nm beyond friction's."""
-    torque += known.car.gear_friction_nm * math.tanh(speed / known.drive.friction_speed)
-    # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
-    return speed + torque / known.car.wheel_gain_nms_rad
 
 
 @compiled
@@ -150,8 +136,9 @@ def _check_progress(now: Record, task: Record, known: Record, error: Triple) -> 
     # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
     # Localisations jitter, so they do not tell.
     rolled = length(car.lever_m, body_twist(car.lever_m, car.radius_m, fl, fr, rl, rr))
-    third = _second_of(abs(fl), abs(fr), abs(rl), abs(rr))
-    drive.at_rest = rolled < gains.speed_at_rest or third < gains.wheels_at_rest
+    fl, fr, rl, rr = abs(fl), abs(fr), abs(rl), abs(rr)
+    second_fastest = max(min(max(fl, fr), max(rl, rr)), min(fl, fr), min(rl, rr))
+    drive.at_rest = rolled < gains.speed_at_rest or second_fastest < gains.wheels_at_rest
     status = progress(now, drive, known, _to_body(error, now), car.mass_kg + drive.load_kg)
     before = drive.before
     before.x, before.y, before.heading = now.x, now.y, now.heading
@@ -159,13 +146,7 @@ def _check_progress(now: Record, task: Record, known: Record, error: Triple) -> 
         drive.wheels_before[wheel] = now.wheel_speeds[wheel]
     if status != RUNNING:
         behind = math.hypot(error[0], error[1]) + car.lever_m * abs(error[2])
-        end(task, status, behind * 1e3)
-
-
-@compiled
-def _second_of(a: float, b: float, c: float, d: float) -> float:
-    """Return the second largest of four numbers."""
-    return max(min(max(a, b), max(c, d)), min(a, b), min(c, d))
+        end(task, status, behind * 1e3, 0.0)
 
 
 @compiled
@@ -177,7 +158,7 @@ def _check_arrival(now: Record, task: Record, known: Record, error: Triple) -> N
     drive.there_periods = drive.there_periods + 1 if there and sure else 0
     drive.rest_periods = drive.rest_periods + 1 if drive.there_periods and drive.at_rest else 0
     if drive.rest_periods >= gains.rest_periods:
-        end(task, SUCCEEDED)
+        end(task, SUCCEEDED, 0.0, 0.0)
     elif task.elapsed_s > drive.profile.duration_s + gains.settle_allowance:
         end(task, RESTS_OFF_TARGET if drive.at_rest else MOVES_OFF_TARGET, offset * 1e3, turn * 1e3)
 

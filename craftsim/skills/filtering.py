@@ -27,7 +27,7 @@ FILTER: Final = np.dtype(
 
 
 @compiled
-def correct(known: Record, off: float, variance: float, first_held: int = _N, n_held: int = 0) -> bool:
+def correct(known: Record, off: float, variance: float, first_held: int, n_held: int) -> bool:
     """Take a measurement into a FILTER; return False for an outlier.
 
     Args:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.kernel.jit import Record, compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.health import end
@@ -26,30 +26,23 @@ def hinge_law(
         # A plug may chatter.
         hinge.undocked_s += known.period_s
         if hinge.undocked_s > gains.undocked:
-            end(task, UNDOCKED)
+            end(task, UNDOCKED, 0.0, 0.0)
         return
     hinge.undocked_s = 0.0
-    still = _still(hinge, past[car], now.hinge_rad, gains.still * gains.still_time)
+    # The angle of some periods ago stands where the one after this will be noted.
+    angles = past[car]
+    angles[hinge.n_past % len(angles)] = now.hinge_rad
+    hinge.n_past += 1
+    moved = abs(now.hinge_rad - angles[hinge.n_past % len(angles)])
+    still = hinge.n_past >= len(angles) and moved < gains.still * gains.still_time
     remaining = hinge.target_rad - now.hinge_rad
     if abs(remaining) < gains.reached and still:
-        end(task, SUCCEEDED)
+        end(task, SUCCEEDED, 0.0, 0.0)
     elif task.elapsed_s > hinge.deadline_s:
-        end(task, HINGE_SHORT, remaining)
+        end(task, HINGE_SHORT, remaining, 0.0)
     limit = min(known.car.hinge_speed_rad_s, abs(hinge.speed) + gains.acceleration * known.period_s)
     hinge.speed = max(-limit, min(limit, gains.gain * remaining))
     commands[car].hinge = hinge.speed
-
-
-@compiled
-def _still(hinge: Record, past: Floats, angle: float, moved: float) -> bool:
-    """Note an angle, and return whether the one noted longest ago is less than ``moved`` away."""
-    n = len(past)
-    newest = hinge.n_past % n
-    past[newest] = angle
-    hinge.n_past += 1
-    oldest = past[(newest + 1) % n]
-    is_still: bool = hinge.n_past >= n and abs(angle - oldest) < moved
-    return is_still
 
 
 class TurnHinge(CompiledSkill):

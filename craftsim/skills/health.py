@@ -10,8 +10,8 @@ from craftsim.skills.state import LEANS, LOAD_MISSED, NOT_FINITE
 
 
 @compiled
-def end(task: Record, status: int, detail: float = 0.0, second_detail: float = 0.0) -> None:
-    """End a task with a status and the numbers that its text holds; the last word counts."""
+def end(task: Record, status: int, detail: float, second_detail: float) -> None:
+    """End a task with a status and the numbers that its text holds, 0.0 for none; the last word counts."""
     task.status, task.ended_s = status, task.elapsed_s
     task.detail, task.second_detail = detail, second_detail
 
@@ -24,7 +24,7 @@ def check_health(readings: Records, tasks: Records, constants: Records, car: int
     pose = now.x + now.y + now.z + now.heading + now.pitch + now.roll
     wheels = now.wheel_speeds[0] + now.wheel_speeds[1] + now.wheel_speeds[2] + now.wheel_speeds[3]
     if not math.isfinite(pose + now.board_m + now.board_force_n + now.hinge_rad + wheels):
-        end(tasks[car], NOT_FINITE)
+        end(tasks[car], NOT_FINITE, 0.0, 0.0)
     elif max(abs(now.pitch), abs(now.roll)) > limits.tipped:
         end(tasks[car], LEANS, now.pitch, now.roll)
 
@@ -43,4 +43,4 @@ def check_load(readings: Records, tasks: Records, constants: Records, car: int) 
     task, known = tasks[car], constants[car]
     task.unloaded_s = 0.0 if feels_load(readings, constants, car) else task.unloaded_s + known.period_s
     if task.unloaded_s > known.health.load_lost:
-        end(task, LOAD_MISSED, readings[car].board_force_n)
+        end(task, LOAD_MISSED, readings[car].board_force_n, 0.0)

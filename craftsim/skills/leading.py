@@ -51,7 +51,7 @@ def find_lag(lead: Record, wheel_speeds: Floats, most_behind: float) -> None:
         most_behind: rad/s, by how much a servo that gives all its torque differs from its wheel. A wheel that is
             further off lacks torque or grip, which says nothing of the lag.
     """
-    steps, _ = likeliest_age(lead.mismatches)
+    steps, _ = likeliest_age(lead.mismatches[:])
     below = min(int(steps), _N - 2)
     part = steps - below
     for wheel in range(4):
@@ -72,7 +72,7 @@ def lead_wheels(lead: Record, wheels: Floats, limit: float, period_s: float) -> 
         limit: the greatest speed that can be commanded.
         period_s: the control period.
     """
-    steps, _ = likeliest_age(lead.mismatches)
+    steps, _ = likeliest_age(lead.mismatches[:])
     below = min(int(steps), _N - 2)
     part = steps - below
     lag_s = steps * _STEP_S

@@ -23,11 +23,11 @@ def board_law(
     still = abs(moved) < gains.still * known.period_s
     if abs(remaining) < gains.reached and still and task.elapsed_s > 0:
         if board.needs_load and not feels_load(readings, constants, car):
-            end(task, NO_LOAD, now.board_force_n)
+            end(task, NO_LOAD, now.board_force_n, 0.0)
         else:
-            end(task, SUCCEEDED)
+            end(task, SUCCEEDED, 0.0, 0.0)
     elif task.elapsed_s > board.deadline_s:
-        end(task, BOARD_SHORT, remaining * 1e3)
+        end(task, BOARD_SHORT, remaining * 1e3, 0.0)
     limit = min(known.car.board_speed_m_s, abs(board.speed) + gains.acceleration * known.period_s)
     board.speed = max(-limit, min(limit, gains.gain * remaining))
     commands[car].board = board.speed

@@ -102,7 +102,6 @@ class Localiser:
             cross["along_m"], cross["across_m"], cross["variance"] = along_m, across_m, assumed.line_m**2
             cross["placed"], cross["turned"] = gains.placement**2, (gains.placement / CELL_PITCH_M) ** 2
             row["slip"], row["jitter"], row["counts"] = gains.slip, assumed.jitter_s / period_s, _COUNTS
-            row["age"], row["age_std"] = likeliest_age(self._ages[0])
             place, turn = gains.position_drift**2, gains.heading_drift**2
             walk, sway = assumed.position_drift_m**2 * period_s, assumed.heading_drift_rad**2 * period_s
             row["drifts"] = place, place, turn, walk, walk, sway
@@ -148,11 +147,19 @@ def _update(
         state, covariance = estimate.known.state, estimate.known.covariance
         if estimate.begun:
             _predict(now, estimate, rolled)
-            _note(seen)
+            # Localisations grow older by a period; none has come yet.
+            for row in range(3):
+                for k in range(seen.shape[1] - 1, 0, -1):
+                    seen[row, k] = seen[row, k - 1]
+                seen[row, 0] = math.nan
             if now.fresh:
                 _localise(now, estimate, ages[i], rolled, seen)
         else:
-            _start(estimate, rolled, seen, now)
+            # Begin with what is measured.
+            for row in range(3):
+                rolled[row] = seen[row] = (now.x, now.y, now.heading)[row]
+            estimate.age, estimate.age_std = likeliest_age(ages[i])
+            estimate.begun = 1
         now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
         now.heading = rolled[_HEADING, 0] + state[_HEADING]
         sight(now, estimate.known, estimate.cross, moved)
@@ -169,25 +176,6 @@ def _variance(covariance: Floats, k: int) -> float:
     located = own + 2 * covariance[k, bias] + covariance[bias, bias]
     seen = own - 2 * covariance[k, cross] + covariance[cross, cross]
     return max(0.0, min(own, located, seen))
-
-
-@compiled
-def _start(estimate: Record, rolled: Floats, seen: Floats, now: Record) -> None:
-    """Begin with what is measured."""
-    for k in range(rolled.shape[1]):
-        rolled[_X, k], rolled[_Y, k], rolled[_HEADING, k] = now.x, now.y, now.heading
-    for k in range(seen.shape[1]):
-        seen[_X, k], seen[_Y, k], seen[_HEADING, k] = now.x, now.y, now.heading
-    estimate.begun = 1
-
-
-@compiled
-def _note(seen: Floats) -> None:
-    """Let localisations grow older by a period; none has come yet."""
-    for row in range(3):
-        for k in range(seen.shape[1] - 1, 0, -1):
-            seen[row, k] = seen[row, k - 1]
-        seen[row, 0] = math.nan
 
 
 @compiled

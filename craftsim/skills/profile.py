@@ -31,58 +31,30 @@ class Profile:
 
     def distance(self, t: float) -> float:
         """Return the distance covered at time t; it holds the end afterwards."""
-        return distance_at(self.cruise_speed, self.ramp_s, self.duration_s, t)
+        v, ramp_s = self.cruise_speed, self.ramp_s
+        if self.duration_s == 0:
+            return 0.0
+        t = min(max(t, 0.0), self.duration_s)
+        cruised = max(0.0, min(t, self.duration_s - ramp_s) - ramp_s)
+        # How far up the first ramp it is, and how far the last ramp still is from its end.
+        u, w = min(t, ramp_s) / ramp_s, min(self.duration_s - t, ramp_s) / ramp_s
+        first, whole = v * ramp_s * (u**3.0 - u**4.0 / 2), v * ramp_s * (1.0 - 1.0 / 2)
+        last = v * ramp_s * (w**3.0 - w**4.0 / 2)
+        return v * cruised + first + whole - last
 
-    def speed(self, t: float) -> float:
-        """Return the speed at time t."""
-        return speed_at(self.cruise_speed, self.ramp_s, self.duration_s, t)
-
-    def acceleration(self, t: float) -> float:
-        """Return the acceleration at time t."""
-        return acceleration_at(self.cruise_speed, self.ramp_s, self.duration_s, t)
-
-
-@compiled
-def distance_at(cruise_speed: float, ramp_s: float, duration_s: float, t: float) -> float:
-    """Return the distance covered at time t by :class:`Profile`."""
-    if duration_s == 0:
-        return 0.0
-    t = min(max(t, 0.0), duration_s)
-    cruised = max(0.0, min(t, duration_s - ramp_s) - ramp_s)
-    return (
-        cruise_speed * cruised
-        + _ramp_distance(cruise_speed, ramp_s, min(t, ramp_s))
-        + _ramp_distance(cruise_speed, ramp_s, ramp_s)
-        - _ramp_distance(cruise_speed, ramp_s, min(duration_s - t, ramp_s))
-    )
+    def motion(self, t: float) -> tuple[float, float]:
+        """Return the speed and the acceleration at time t."""
+        if self.ramp_s == 0:
+            return 0.0, 0.0
+        # How far the nearer ramp is climbed, 0 at rest and 1 when cruising.
+        u = min(max(min(t, self.duration_s - t) / self.ramp_s, 0.0), 1.0)
+        speed = self.cruise_speed * u * u * (3 - 2 * u)
+        if not 0 < u < 1:
+            return speed, 0.0
+        rise = 6 * u * (1 - u) * self.cruise_speed / self.ramp_s
+        return speed, rise if t < self.duration_s / 2 else -rise
 
 
-@compiled
-def speed_at(cruise_speed: float, ramp_s: float, duration_s: float, t: float) -> float:
-    """Return the speed at time t of :class:`Profile`."""
-    u = _phase(ramp_s, duration_s, t)
-    return cruise_speed * u * u * (3 - 2 * u)
-
-
-@compiled
-def acceleration_at(cruise_speed: float, ramp_s: float, duration_s: float, t: float) -> float:
-    """Return the acceleration at time t of :class:`Profile`."""
-    u = _phase(ramp_s, duration_s, t)
-    if not 0 < u < 1:
-        return 0.0
-    rise = 6 * u * (1 - u) * cruise_speed / ramp_s
-    return rise if t < duration_s / 2 else -rise
-
-
-@compiled
-def _phase(ramp_s: float, duration_s: float, t: float) -> float:
-    """Return how far the nearer ramp is climbed, 0 at rest and 1 when cruising."""
-    if ramp_s == 0:
-        return 0.0
-    return min(max(min(t, duration_s - t) / ramp_s, 0.0), 1.0)
-
-
-@compiled
-def _ramp_distance(cruise_speed: float, ramp_s: float, t: float) -> float:
-    u = t / ramp_s
-    return cruise_speed * ramp_s * (u**3.0 - u**4.0 / 2)
+distance_at = compiled(Profile.distance)
+"""The same for a record with the fields of a Profile, in compiled code."""
+motion_at = compiled(Profile.motion)

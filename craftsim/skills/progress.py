@@ -13,7 +13,6 @@ import math
 
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.rotation import wrap
-from craftsim.models.sensing import PerWheel
 from craftsim.skills.mecanum import Triple, body_twist, wrench_of
 from craftsim.skills.state import BLOCKED, GRAVITY, RUNNING, SLIPPED
 
@@ -62,32 +61,14 @@ def length(lever_m: float, way: Triple) -> float:
 @compiled
 def _push(now: Record, drive: Record, known: Record, mass_kg: float) -> Triple:
     """Return with what wrench (N, N, Nm), in its own frame, the wheels push the car beyond its weight."""
-    fl, fr, rl, rr = _torques(now, drive, known)
-    x, y, turn = wrench_of(known.car.lever_m, known.car.radius_m, fl, fr, rl, rr)
+    car, torques = known.car, drive.torques
+    for wheel in range(4):
+        told = max(-car.wheel_speed_rad_s, min(car.wheel_speed_rad_s, drive.commanded[wheel]))
+        speed = now.wheel_speeds[wheel]
+        given = max(-car.wheel_torque_nm, min(car.wheel_torque_nm, car.wheel_gain_nms_rad * (told - speed)))
+        lost = car.gear_friction_nm * math.tanh(speed / known.drive.friction_speed)
+        spun_up = car.wheel_inertia_kgm2 * (speed - drive.wheels_before[wheel]) / known.period_s
+        torques[wheel] = given - lost - spun_up
+    x, y, turn = wrench_of(car.lever_m, car.radius_m, torques[0], torques[1], torques[2], torques[3])
     weight = mass_kg * GRAVITY
     return x - weight * math.sin(now.pitch), y - weight * math.sin(now.roll), turn
-
-
-@compiled
-def _torques(now: Record, drive: Record, known: Record) -> PerWheel:
-    """Return with what torques the wheels push on the ground."""
-    return (
-        _torque(drive.commanded[0], drive.wheels_before[0], now.wheel_speeds[0], known),
-        _torque(drive.commanded[1], drive.wheels_before[1], now.wheel_speeds[1], known),
-        _torque(drive.commanded[2], drive.wheels_before[2], now.wheel_speeds[2], known),
-        _torque(drive.commanded[3], drive.wheels_before[3], now.wheel_speeds[3], known),
-    )
-
-
-@compiled
-def _torque(told: float, was: float, speed: float, known: Record) -> float:
-    car = known.car
-    told = _within(car.wheel_speed_rad_s, told)
-    given = _within(car.wheel_torque_nm, car.wheel_gain_nms_rad * (told - speed))
-    lost = car.gear_friction_nm * math.tanh(speed / known.drive.friction_speed)
-    return given - lost - car.wheel_inertia_kgm2 * (speed - was) / known.period_s
-
-
-@compiled
-def _within(limit: float, value: float) -> float:
-    return max(-limit, min(limit, value))

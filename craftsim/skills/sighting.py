@@ -57,7 +57,10 @@ def sight(now: Record, known: Record, cross: Record, moved: Flags) -> None:
         return
     if cross.raised:
         cross.raised = 0
-        _mark(moved, math.floor(now.x / CELL_PITCH_M), math.floor(now.y / CELL_PITCH_M))
+        column = math.floor(now.x / CELL_PITCH_M), math.floor(now.y / CELL_PITCH_M)
+        # A car that believes to be outside has no column.
+        if 0 <= column[0] < moved.shape[0] and 0 <= column[1] < moved.shape[1]:
+            moved[column] = True
     if abs(now.pitch) > _LEVEL_RAD or abs(now.roll) > _LEVEL_RAD:
         cross.seen = 0
         return
@@ -72,13 +75,13 @@ def sight(now: Record, known: Record, cross: Record, moved: Flags) -> None:
         place, axis = _sensor(cross, k, c, s)
         cell_x = math.floor((x + place[0]) / CELL_PITCH_M)
         cell_y = math.floor((y + place[1]) / CELL_PITCH_M)
-        if _is_marked(moved, cell_x, cell_y):
+        within = 0 <= cell_x < moved.shape[0] and 0 <= cell_y < moved.shape[1]
+        if within and moved[cell_x, cell_y]:
             continue
         if not cross.seen:
             cross.seen, cross.x, cross.y = 1, cell_x, cell_y
-            forget(known, CROSS_X, cross.placed)
-            forget(known, CROSS_X + 1, cross.placed)
-            forget(known, CROSS_X + 2, cross.turned)
+            for j in range(3):
+                forget(known, CROSS_X + j, cross.turned if j == 2 else cross.placed)
         elif cell_x != cross.x or cell_y != cross.y:
             continue
         # From the middle of the cell to the sensor.
@@ -96,19 +99,7 @@ def sight(now: Record, known: Record, cross: Record, moved: Flags) -> None:
         off = now.lines[k] + (at_x if along_x else at_y) / to_axis
         for j in range(3):
             off -= slopes[j] * (state[j] - before[j]) + slopes[CROSS_X + j] * state[CROSS_X + j]
-        correct(known, off, cross.variance)
-
-
-@compiled
-def _mark(moved: Flags, x: int, y: int) -> None:
-    """Remember that a car has set something down in a column; one that believes to be outside has no column."""
-    if 0 <= x < moved.shape[0] and 0 <= y < moved.shape[1]:
-        moved[x, y] = True
-
-
-@compiled
-def _is_marked(moved: Flags, x: int, y: int) -> bool:
-    return 0 <= x < moved.shape[0] and 0 <= y < moved.shape[1] and bool(moved[x, y])
+        correct(known, off, cross.variance, 0, 0)
 
 
 @compiled

@@ -90,6 +90,7 @@ DRIVE_TASK: Final = np.dtype(
         ("before", _POSE),
         ("wheels_before", "f8", (4,)),
         ("commanded", "f8", (4,)),
+        ("torques", "f8", (4,)),
         ("behind", _BEHIND),
         *((name, "i8") for name in ("loaded", "sloping", "there_periods", "rest_periods", "at_rest")),
     ],

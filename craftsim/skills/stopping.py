@@ -18,9 +18,9 @@ def stop_law(
     wheels, task, gains = readings[car].wheel_speeds, tasks[car], constants[car].stop
     fastest = max(abs(wheels[0]), abs(wheels[1]), abs(wheels[2]), abs(wheels[3]))
     if task.elapsed_s > 0 and fastest < gains.wheels_at_rest:
-        end(task, SUCCEEDED)
+        end(task, SUCCEEDED, 0.0, 0.0)
     elif task.elapsed_s > gains.allowance:
-        end(task, WHEELS_TURN)
+        end(task, WHEELS_TURN, 0.0, 0.0)
 
 
 class Stop(CompiledSkill):

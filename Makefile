@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest recipes packages libraries clean
+.PHONY: help demo test lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest recipes packages wheel libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -106,6 +106,9 @@ packages:  ## Look the versions of constraints.txt up among known vulnerabilitie
 	scripts/make-venv .venv-audit
 	.venv-audit/bin/python -m pip install --quiet --disable-pip-version-check --upgrade pip-audit
 	.venv-audit/bin/pip-audit --strict --no-deps --disable-pip --requirement constraints.txt
+
+wheel: $(VENV)/installed-dev  ## Build the wheel in dist with compiled code for this platform and version of Python
+	$(BIN)/python scripts/make_wheel.py
 
 libraries: $(VENV)/installed  ## Check for the system libraries of off-screen rendering (installs them when root)
 	@scripts/system-libraries $(BIN)/python

@@ -1,34 +1,46 @@
-"""Let a task be planned and played on the grid and in physics, so that all which is compiled is there.
+"""Take each way through the compiled code once, so that all of it is compiled and kept for later processes.
 
 The first that needs a compiled function compiles it, and all others wait: before a test suite it is done beside what
-else is to be done.
+else is to be done, and for a wheel with its own code before it is built (``scripts/make_wheel.py``).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from craftsim.checking.settings import setup_of
+from craftsim.checking.world import Seed, set_up
+from craftsim.compiling import tell
+from craftsim.designs.drawn import random_start
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.files.plan import read_plan, shipped_plan
 from craftsim.discrete.tasks import make_task
 from craftsim.envs import vector_env
 from craftsim.models.parameters import DRIVES
 from craftsim.planning import plan_building
+from craftsim.skills.mecanum import Mecanum
 
 
 def main() -> None:
-    """Take each way through the compiled code once."""
-    task = make_task("simple_two_story")
-    stops = np.full((1, task.layout.n_cars), int(Action.STOP))
-    for options in ({"rule_set": "physical"}, {"rule_set": "published", "helper_depth": 2}):
+    """Play and plan tasks, on the grid and in physics, with every kind of imperfection."""
+    tell()
+    for name, options in (
+        ("simple_two_story", {"rule_set": "physical"}),
+        ("strip", {"rule_set": "published", "helper_depth": 2}),
+    ):
+        task = make_task(name)
         envs = vector_env(task, 1, "grid", **options)
         envs.reset(seed=0)
-        envs.step(stops)
-    plan_building(task.draw(np.random.default_rng(0)), task, rounds=1)
+        envs.step(np.full((1, task.layout.n_cars), int(Action.STOP)))
+    start = task.draw(np.random.default_rng(0))
+    plan_building(start, task, rounds=1)
+    random_start(np.random.default_rng(0))
     for drive in DRIVES:
-        envs = vector_env(task, 1, "physics", drive=drive, workers=1)
-        envs.reset(seed=0)
-        envs.step(stops)
-        envs.close()
+        for preset in ("none", "workshop_floor"):
+            judge = set_up(start, setup_of(preset, drive=drive), Seed((5,)))
+            Mecanum(judge.site.cars[0].parameters).body_twist(np.zeros(4))
+            for tick in read_plan(shipped_plan("strip"), start.n_cars).ticks[:2]:
+                judge.perform_tick(tick)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ ALLOWED = {
     "extras": set(),
     "interrupts": set(),
     "modules": set(),
+    "compiling": set(),
     "processes": set(),
     "storage": set(),
     "discrete": {"storage"},

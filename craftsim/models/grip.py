@@ -69,8 +69,10 @@ class Grip:
     def limit(self) -> None:
         """Limit all motors for what their wheels carry now; of cars that sleep, the loads of which MuJoCo leaves out,
         not at all, so that limits depend on the state alone."""
+        # Copies are laid out the same way however many contacts there are.
         contact = self._data.contact
-        _limit(contact.geom, contact.efc_address, self._data.efc_force, *self._arrays)
+        geoms, addresses = np.ascontiguousarray(contact.geom), np.ascontiguousarray(contact.efc_address)
+        _limit(geoms, addresses, self._data.efc_force, *self._arrays)
 
 
 @compiled

@@ -19,9 +19,12 @@ def reaches(numbers: NDArray[np.int32], limit: int) -> bool:
     return bool(most >= limit)
 
 
+@compiled
 def note_commanded(ctrl: NDArray[np.float64], commanded: NDArray[np.int8]) -> bool:
     """Note which motors have a command, 1 for those that have, and return whether that is news."""
-    has = ctrl != 0.0
-    news = bool((has != commanded).any())
-    commanded[:] = has
+    news = False
+    for motor in range(len(ctrl)):
+        has = 1 if ctrl[motor] != 0.0 else 0
+        news = news or commanded[motor] != has
+        commanded[motor] = has
     return news

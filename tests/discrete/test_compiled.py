@@ -102,7 +102,7 @@ def test_a_second_process_compiles_nothing_and_a_damaged_file_is_compiled_again(
     assert run(tmp_path, COUNT, **place) == "8 0\n"
     folder = tmp_path / "craftsim" / "compiled"
     assert folder.stat().st_mode & 0o777 == 0o700
-    (file,) = folder.glob("outer-*")
+    (file,) = folder.glob("outer.entry-*")
     file.write_bytes(file.read_bytes()[:-1])
     assert run(tmp_path, COUNT, **place) == "8 1\n"
     assert run(tmp_path, COUNT, **place) == "8 0\n"
@@ -119,6 +119,16 @@ def test_a_folder_that_others_may_write_to_is_not_used(tmp_path):
 
 
 @needs_compiler
+def test_code_for_any_processor_that_a_wheel_brings_is_read_and_not_compiled(tmp_path):
+    made, own = tmp_path / "made", tmp_path / "own"
+    assert run(tmp_path, COUNT, NUMBA_CACHE_DIR=str(made), NUMBA_CPU_NAME="generic") == "8 2\n"
+    shipped = f"code_cache.SHIPPED = pathlib.Path({str(made / 'craftsim-compiled')!r}); "
+    code = "import pathlib; from craftsim.discrete.kernel import code_cache; " + shipped + COUNT
+    assert run(tmp_path, code, NUMBA_CACHE_DIR=str(own)) == "8 0\n"
+    assert not any((own / "craftsim-compiled").iterdir())
+
+
+@needs_compiler
 def test_old_files_are_removed(tmp_path):
     folder = tmp_path / "craftsim-compiled"
     folder.mkdir()
@@ -127,7 +137,7 @@ def test_old_files_are_removed(tmp_path):
         os.utime(folder / str(number), (number, number))
     code = "from craftsim.discrete.kernel import code_cache; code_cache._MOST = 4; " + COUNT
     assert run(tmp_path, code, NUMBA_CACHE_DIR=str(tmp_path)) == "8 2\n"
-    kept = sorted(file.name.partition("-")[0] for file in folder.iterdir())
+    kept = sorted(file.name.partition(".")[0] for file in folder.iterdir())
     assert kept == ["4", "inner", "lock", "outer"]
 
 

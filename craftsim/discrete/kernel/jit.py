@@ -85,7 +85,8 @@ class _Compiled(CPUDispatcher):
             return self.overloads[arguments].entry_point
 
     def _load_or_compile(self, arguments: tuple[types.Type, ...]) -> None:
-        name = f"{self.py_func.__module__}.{self.__name__} {self.content} {arguments} {self._for_python}"
+        kind = "entry" if self._for_python else "part"
+        name = f"{self.py_func.__module__}.{self.__name__}.{kind} {self.content} {arguments}"
         if self._load(name):
             return
         with _progress.of(self), code_cache.alone():

@@ -12,7 +12,7 @@ from typing import Final
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kernel import batch
-from craftsim.discrete.kernel import rules as code
+from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction
 
 _NEAR: Final = 3

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.rules import N_ACTIONS
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.search import SearchBuffers, search_buffers
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action, Correction
 from craftsim.discrete.reasons import Explanation, explain

@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.durations import nominal_durations
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kernel.codes import LEGAL
+from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import LEGAL, apply, why
+from craftsim.discrete.kernel.rules import why
 from craftsim.discrete.kernel.state import AIR, F_SLOPE, KIND, YAW, World, car_field, pose_of
 from craftsim.discrete.kinds import Action, Correction
 from craftsim.discrete.rules import Rules

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.kernel.codes import DROP, FOLD, LIFT, UNFOLD
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import DROP, FOLD, LIFT, UNFOLD
 from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Cell, Kind
+from craftsim.discrete.kernel.codes import LEGAL
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import LEGAL, why
+from craftsim.discrete.kernel.rules import why
 from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
 from craftsim.discrete.kernel.state import F_X, F_Y, F_Z, FSLOPE, Pose, World, car_field, world_at
 from craftsim.planning.ways import FAR, HALF_TURN, N_STEPS, Nodes, slope_state

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kernel.codes import LEGAL
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import LEGAL, why
+from craftsim.discrete.kernel.rules import why
 from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
 from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, Pose, World, kind_at, standable
 from craftsim.discrete.kinds import CellField, Correction

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from craftsim.discrete.kernel.rules import N_ACTIONS
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kinds import MOVE_DIRECTION
 from craftsim.discrete.tasks.observation import IS_CAR, IS_GOAL, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
 from craftsim.training.shape import FORMS, Shape

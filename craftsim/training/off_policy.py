@@ -14,7 +14,7 @@ from torchrl.modules.models.multiagent import VDNMixer
 from torchrl.objectives import DQNLoss, LossModule, SoftUpdate
 from torchrl.objectives.multiagent import QMixerLoss
 
-from craftsim.discrete.kernel.rules import N_ACTIONS
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
 from craftsim.storage.limits import LARGEST_WEIGHT
 from craftsim.training.config import AlgoName

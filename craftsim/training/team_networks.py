@@ -10,7 +10,7 @@ from tensordict.nn import InteractionType, TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
-from craftsim.discrete.kernel.rules import N_ACTIONS
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.training.features import make_encoder
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, head
 from craftsim.training.shape import Shape

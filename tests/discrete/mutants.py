@@ -52,7 +52,7 @@ def _text(rule: str, old: str, new: str, file: str = "kernel/rules.py") -> Mutan
     return Mutant(rule, re.escape(old), new, file)
 
 
-_SOURCE: Final = (ROOT / "craftsim" / "discrete" / "kernel" / "rules.py").read_text()
+_SOURCE: Final = (ROOT / "craftsim" / "discrete" / "kernel" / "codes.py").read_text()
 _NAMES: Final = re.findall(r"^    ([A-Z_]+),$", _SOURCE.partition("\n(\n")[2].partition(")")[0], re.MULTILINE)
 MUTANTS: Final = (
     *(Mutant(f"never {_NAMES[code]}", never(_NAMES[code]), "LEGAL") for code in REASONS),
@@ -71,11 +71,12 @@ MUTANTS: Final = (
         "(over in (BLOCK, FLAG) and car.load == AIR)",
         "over in (BLOCK, FLAG)",
     ),
-    _text("a climb goes up one level", "z, slope = car.z + 1, 2", "z, slope = car.z, 2"),
+    _text("a climb goes up one level", "z, slope = car.z + 1, 2", "z, slope = car.z, 2", "kernel/effects.py"),
     _text(
         "a gear left behind is marked as an object",
         "left_air = kind_at(w, car.x, car.y, car.z) == AIR",
         "left_air = kind_at(w, car.x, car.y, car.z) in (AIR, GEAR)",
+        "kernel/effects.py",
     ),
     _text(
         "a flap needs the cell beyond the foot", "if not is_air_or_gear(beyond) and not", "if False and not"
@@ -126,7 +127,9 @@ MUTANTS: Final = (
         "if up and not (yaw_at(w, x, y, car.z) == (m + 2) & 3 and car_in(w, me, x, y, car.z + 1, False) < 0):",
         "if up and not car_in(w, me, x, y, car.z + 1, False) < 0:",
     ),
-    _text("a gear lasts as long as its slope", "kind, yaw = GEAR, d", "kind, yaw = AIR, 0"),
+    _text(
+        "a gear lasts as long as its slope", "kind, yaw = GEAR, d", "kind, yaw = AIR, 0", "kernel/effects.py"
+    ),
     _text(
         "the helper tries to turn right before it tries to turn left",
         "    int(Action.ROTATE_RIGHT),\n    int(Action.ROTATE_LEFT),\n",

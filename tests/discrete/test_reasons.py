@@ -7,7 +7,7 @@ import pytest
 
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import batch
-from craftsim.discrete.kernel import rules as code
+from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.reasons import REASONS
 from craftsim.discrete.rules import RULE_SETS, Rules

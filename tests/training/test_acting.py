@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from craftsim.cli import main
-from craftsim.discrete.kernel.rules import N_ACTIONS
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.tasks import make_task
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError

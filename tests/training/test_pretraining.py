@@ -9,7 +9,7 @@ from torch import nn
 
 import craftsim
 from craftsim.cli import main
-from craftsim.discrete.kernel.rules import N_ACTIONS
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.tasks.observation import IS_BLOCK, IS_CAR, IS_GOAL, ROW
 from craftsim.errors import InputError
 from craftsim.training.config import TrainConfig

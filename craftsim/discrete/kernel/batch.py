@@ -5,18 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.kernel.codes import STOP
+from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import (
-    STOP,
-    act,
-    apply,
-    car_in,
-    carried_gear_in,
-    legal_actions,
-    load_below_walls,
-    load_fits,
-    why,
-)
+from craftsim.discrete.kernel.reach import car_in, carried_gear_in
+from craftsim.discrete.kernel.rules import act, legal_actions, load_below_walls, load_fits, why
 from craftsim.discrete.kernel.search import (
     UNKNOWN,
     SearchBuffers,

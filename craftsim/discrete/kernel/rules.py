@@ -1,17 +1,90 @@
-"""The rules: why an action is forbidden, and what it changes. docs/rules.md explains the oddities.
+"""The rules: why an action is forbidden. docs/rules.md explains the oddities.
 
 :func:`why` returns 0 for a legal action, else a reason: a code, and in the higher bits a detail such as a car's number
-(:func:`because`). Codes of the published rules come first, then those of corrections in the order of their codes;
-:mod:`craftsim.discrete.rules` has words for each. A correction is read in one place.
-
-Gears are found by their slopes, standing or carried, since a cell shows only one gear. A load on a ramp leans downhill
-with its car, by 40 to 60 mm, into the next cell: what comes straight towards its gear or it has room there, what moves
-at a right angle to it has not. Heights are those of the machines' swept volumes (``craftsim clearance``).
+(:func:`because`). A rule, and a correction, is read in one place. In each rule the published ones come first, then the
+corrections in the order of their codes: so the reason is a correction only where the published rules allow the action.
 """
 
 from __future__ import annotations
 
+from craftsim.discrete.kernel.codes import (
+    ABOVE_TOP_LEVEL,
+    CAR_ON_FOOT,
+    CAR_ON_FOOT_BELOW,
+    CAR_ON_LANDING,
+    CAR_ON_OWN_FOOT,
+    CAR_THERE,
+    CARRIES,
+    CARRIES_NOTHING,
+    DOWN_FORWARD_ONLY,
+    DROP,
+    ENTERED_SIDEWAYS,
+    FIRST_MOVE,
+    FLAP_HITS,
+    FOLD,
+    FOOT_BLOCKED,
+    FOOT_UNSUPPORTED,
+    FORWARD_ONLY,
+    GEAR_NO_ROOM,
+    GEAR_THERE,
+    GEARS_CROSS,
+    HIGH_SIDE_ONLY,
+    IN_THE_WAY,
+    LANDING_BELOW_BODY,
+    LANDING_BELOW_FOOT,
+    LAST_MOVE,
+    LEANING_LOAD_HITS,
+    LEGAL,
+    LIFT,
+    LOAD_HITS_GEAR,
+    LOAD_HITS_LOAD,
+    LOAD_HITS_THING,
+    LOAD_NOT_THROUGH_GEAR,
+    LOAD_NOT_UNDER,
+    NEVER,
+    NO_ASCENT_FROM,
+    NO_DESCENT_FROM,
+    NO_FLOOR,
+    NO_FLOOR_AT_END,
+    NO_LANDING,
+    NO_RAMP_HERE,
+    NO_ROOM_ON_LANDING,
+    NO_SLOPE_HERE,
+    NOT_SIDEWAYS,
+    NOTHING_TO_LIFT,
+    ON_SLOPE,
+    OTHER_RAMP,
+    RAMP_UNDER_GEAR,
+    REACHING_LOAD_HITS,
+    ROTATE_LEFT,
+    SLOPE_HITS_CORNER,
+    STOP,
+    THING_AT_END,
+    THING_ON_BODY,
+    THING_ON_BODY_BELOW,
+    THING_ON_TOP,
+    TURN_UNDER_SLOPE,
+    TURNING_LOAD_HITS,
+    UNDER_THING_AT_END,
+    UNFOLD,
+    UP_FORWARD_ONLY,
+    WALL_OVERHEAD,
+    because,
+    move_direction,
+)
+from craftsim.discrete.kernel.effects import apply, moved
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.reach import (
+    GEAR_MM,
+    LIP_MM,
+    below_leaning,
+    car_in,
+    carried_gear_in,
+    downhill_of,
+    gear_across,
+    leans_into,
+    reaches_up,
+)
 from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
@@ -19,36 +92,26 @@ from craftsim.discrete.kernel.state import (
     CROSSING_GEAR,
     F_LOAD,
     F_LOAD_YAW,
-    F_SLOPE,
     F_X,
     F_Y,
-    F_YAW,
     F_Z,
     FLAG,
     FOOT,
     FSLOPE,
     GEAR,
-    KIND,
-    LANDING,
-    LASTING_GEARS,
     LEANING_LOAD,
     NOTHING,
-    OBJECT,
-    OCCUPANT,
     OVERHEAD_WALL,
     OWN_RAMP,
     RAMP_BELOW_GEAR,
     REACHING_LOAD,
     RUN_OUT,
-    SECOND_RAMP,
     SWINGING_FLAP,
     TURNING_LOAD,
     WALL,
-    YAW,
     Pose,
     World,
     car_field,
-    derived_landing,
     dir_x,
     dir_y,
     inside,
@@ -60,194 +123,6 @@ from craftsim.discrete.kernel.state import (
     standable,
     yaw_at,
 )
-from craftsim.discrete.kinds import Action
-
-LIFT = int(Action.LIFT)
-DROP = int(Action.DROP)
-FOLD = int(Action.FOLD)
-UNFOLD = int(Action.UNFOLD)
-ROTATE_LEFT = int(Action.ROTATE_LEFT)
-ROTATE_RIGHT = int(Action.ROTATE_RIGHT)
-FIRST_MOVE = int(Action.MOVE_FORWARD)
-LAST_MOVE = int(Action.MOVE_RIGHT)
-STOP = int(Action.STOP)
-N_ACTIONS = len(Action)
-
-(
-    LEGAL,
-    NEVER,
-    ON_SLOPE,
-    CARRIES,
-    CARRIES_NOTHING,
-    NOTHING_TO_LIFT,
-    THING_ON_TOP,
-    ABOVE_TOP_LEVEL,
-    NO_RAMP_HERE,
-    CAR_ON_OWN_FOOT,
-    NO_SLOPE_HERE,
-    FOOT_BLOCKED,
-    FOOT_UNSUPPORTED,
-    LANDING_BELOW_FOOT,
-    LANDING_BELOW_BODY,
-    TURN_UNDER_SLOPE,
-    LOAD_HITS_THING,
-    SLOPE_HITS_CORNER,
-    LOAD_HITS_LOAD,
-    LOAD_HITS_GEAR,
-    FORWARD_ONLY,
-    NOT_SIDEWAYS,
-    NO_FLOOR,
-    IN_THE_WAY,
-    CAR_THERE,
-    GEAR_THERE,
-    GEAR_NO_ROOM,
-    LOAD_NOT_UNDER,
-    ENTERED_SIDEWAYS,
-    HIGH_SIDE_ONLY,
-    LOAD_NOT_THROUGH_GEAR,
-    NO_DESCENT_FROM,
-    DOWN_FORWARD_ONLY,
-    THING_ON_BODY_BELOW,
-    CAR_ON_FOOT_BELOW,
-    NO_FLOOR_AT_END,
-    THING_AT_END,
-    NO_ASCENT_FROM,
-    UP_FORWARD_ONLY,
-    CAR_ON_FOOT,
-    THING_ON_BODY,
-    NO_LANDING,
-    CAR_ON_LANDING,
-    NO_ROOM_ON_LANDING,
-    FLAP_HITS,
-    TURNING_LOAD_HITS,
-    LEANING_LOAD_HITS,
-    OTHER_RAMP,
-    RAMP_UNDER_GEAR,
-    REACHING_LOAD_HITS,
-    WALL_OVERHEAD,
-    GEARS_CROSS,
-    UNDER_THING_AT_END,
-) = range(53)
-"""What may forbid an action."""
-
-DETAIL_BITS = 8
-"""A reason's detail lies above so many bits."""
-
-LIP_MM = 10
-"""Height above its floor at which the lip of a flap passes the border of the foot's cell."""
-GEAR_MM = 115
-"""Height above its floor, less what a load on a foot leaves, at which the gear of a carried slope begins."""
-
-
-@compiled
-def because(code: int, detail: int) -> int:
-    """Return a reason with a detail: a direction 0..3 or a car's number."""
-    return code | (detail << DETAIL_BITS)
-
-
-@compiled
-def move_direction(action: int) -> int:
-    """Return the direction 0..3 of one of the four move actions 6..9 (+y, -y, -x, +x)."""
-    step = action - FIRST_MOVE
-    return 1 if step == 0 else (3 if step == 1 else (2 if step == 2 else 0))
-
-
-# What is where: cars, gears and loads that reach out of their cells.
-
-
-@compiled
-def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> int:
-    """Return another car, or another loaded car, in a cell; -1 if there is none."""
-    for other in range(w.cars.shape[0]):
-        if other == me or (only_loaded and w.cars[other, F_LOAD] == AIR):
-            continue
-        if w.cars[other, F_X] == x and w.cars[other, F_Y] == y and w.cars[other, F_Z] == z:
-            return other
-    return -1
-
-
-@compiled
-def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: int) -> bool:
-    """Return whether another car carries a gear in a cell; ``tolerated_yaw`` (-1: none) is not seen."""
-    for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_LOAD] != FSLOPE or w.cars[other, F_Z] != z:
-            continue
-        yaw = car_field(w, other, F_LOAD_YAW)
-        here = w.cars[other, F_X] + dir_x(yaw) == x and w.cars[other, F_Y] + dir_y(yaw) == y
-        if here and yaw != tolerated_yaw:
-            return True
-    return False
-
-
-@compiled
-def gear_across(w: World, me: int, x: int, y: int, z: int, along: int) -> bool:
-    """Return whether a gear, standing or carried, reaches into a cell at a right angle to the direction ``along``."""
-    for side in range(2):
-        yaw = (along + 1 + 2 * side) & 3
-        sx, sy = x - dir_x(yaw), y - dir_y(yaw)
-        if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == yaw:
-            return True
-        for other in range(w.cars.shape[0]):
-            if other == me or w.cars[other, F_LOAD] != FSLOPE or w.cars[other, F_LOAD_YAW] != yaw:
-                continue
-            if w.cars[other, F_X] == sx and w.cars[other, F_Y] == sy and w.cars[other, F_Z] == z:
-                return True
-    return False
-
-
-@compiled
-def downhill_of(w: World, x: int, y: int, z: int, slope: int) -> int:
-    """Return where downhill is for a car on a slope (1 on the foot, 2 above the body) in a cell; -1 off slopes."""
-    if slope == 1 and kind_at(w, x, y, z) == FOOT:
-        return yaw_at(w, x, y, z)
-    if slope == 2 and kind_at(w, x, y, z - 1) == BODY:
-        return yaw_at(w, x, y, z - 1)
-    return -1
-
-
-@compiled
-def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> bool:
-    """Return whether another car's load leans into a cell; the direction ``tolerated`` (-1: none) is not seen."""
-    for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_SLOPE] == 0 or w.cars[other, F_LOAD] == AIR:
-            continue
-        ox, oy, oz = car_field(w, other, F_X), car_field(w, other, F_Y), car_field(w, other, F_Z)
-        if oz != z or abs(ox - x) + abs(oy - y) != 1:
-            continue
-        downhill = downhill_of(w, ox, oy, oz, car_field(w, other, F_SLOPE))
-        here = ox + dir_x(downhill) == x and oy + dir_y(downhill) == y
-        if downhill >= 0 and downhill != tolerated and here:
-            return True
-    return False
-
-
-@compiled
-def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> bool:
-    """Return whether another car's load stands into a cell from the level below, up to this height above its floor.
-
-    One that leans into the cell below does so by less than 50 mm.
-    """
-    for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_LOAD] == AIR:
-            continue
-        if w.cars[other, F_X] != x or w.cars[other, F_Y] != y or w.cars[other, F_Z] != z - 1:
-            continue
-        folded_slope = 10 if w.cars[other, F_LOAD] == FSLOPE else 0
-        if (113 if w.cars[other, F_SLOPE] == 1 else 32) + folded_slope >= height_mm:
-            return True
-    return height_mm < 50 and leans_into(w, me, x, y, z - 1, -1)
-
-
-@compiled
-def below_leaning(w: World, me: int, car: Pose) -> bool:
-    """Return whether another car's load leans over that of a car, from a ramp one level above."""
-    if leans_into(w, me, car.x, car.y, car.z + 1, -1):
-        return True
-    if car.slope != 1:
-        return False
-    downhill = downhill_of(w, car.x, car.y, car.z, 1)
-    return leans_into(w, me, car.x + dir_x(downhill), car.y + dir_y(downhill), car.z + 1, -1)
-
 
 # LIFT, DROP, FOLD, UNFOLD, turns
 
@@ -421,24 +296,6 @@ def why_turning_load(w: World, me: int, car: Pose) -> int:
 
 
 # Moves
-
-
-@compiled
-def moved(w: World, car: Pose, m: int) -> Pose:
-    """Return a car's state after a move in direction m: onto, along or off a slope, or on the flat."""
-    x, y = car.x + dir_x(m), car.y + dir_y(m)
-    here = kind_at(w, x, y, car.z)
-    below = kind_at(w, x, y, car.z - 1)
-    z, slope = car.z, 0
-    if here == FOOT and (car.slope == 0 or (w.corrections & SECOND_RAMP and car.slope == 2)):
-        slope = 1
-    elif car.slope == 1 and here == BODY:
-        z, slope = car.z + 1, 2
-    elif car.slope == 0 and below == BODY:
-        slope = 2
-    elif car.slope == 2 and below == FOOT:
-        z, slope = car.z - 1, 1
-    return Pose(x, y, z, car.yaw, car.load, car.load_yaw, slope)
 
 
 @compiled
@@ -674,132 +531,6 @@ def legal_actions(w: World, me: int, car: Pose, first: int, last: int) -> int:
         if why(w, me, car, action) == LEGAL:
             legal |= 1 << action
     return legal
-
-
-# What a legal action changes, the event-driven marks included (docs/rules.md#marks)
-
-
-@compiled
-def put(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
-    """Replace whatever is in a cell (docs/rules.md#drop-overwrites); the newcomer's marks start blank.
-
-    Cells beside the map stay wall.
-    """
-    if inside(w, x, y, z):
-        w.cells[x, y, z, KIND] = kind
-        w.cells[x, y, z, YAW] = yaw
-        w.cells[x, y, z, OCCUPANT] = NOTHING
-        w.cells[x, y, z, LANDING] = 0
-
-
-@compiled
-def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
-    """Put a gear into a cell, or with AIR take one away, whatever is there (docs/rules.md#lift-erases-gear-cell).
-
-    When gears last, the cell shows one only where nothing stands, and as long as a slope beside it has its gear there:
-    that of the least yaw if there are two.
-    """
-    if not w.corrections & LASTING_GEARS:
-        put(w, x, y, z, kind, yaw)
-        return
-    if not is_air_or_gear(kind_at(w, x, y, z)):
-        return
-    kind, yaw = AIR, 0
-    for d in range(3, -1, -1):
-        sx, sy = x - dir_x(d), y - dir_y(d)
-        if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == d:
-            kind, yaw = GEAR, d
-    put(w, x, y, z, kind, yaw)
-
-
-@compiled
-def set_occupant(w: World, x: int, y: int, z: int, mark: int) -> None:
-    """Set the mark "what is on me" of a cell."""
-    if inside(w, x, y, z):
-        w.cells[x, y, z, OCCUPANT] = mark
-
-
-@compiled
-def set_landing(w: World, x: int, y: int, z: int, mark: bool) -> None:
-    """Set the mark "I am the landing of a ramp" of a cell; only blocks carry it."""
-    if kind_at(w, x, y, z) == BLOCK:
-        w.cells[x, y, z, LANDING] = mark
-
-
-@compiled
-def turned(car: Pose, turn: int) -> Pose:
-    """Return a car's state after a turn by +1 or -1; a carried slope turns with it."""
-    load_yaw = (car.load_yaw + turn) & 3 if car.load == FSLOPE else 0
-    return Pose(car.x, car.y, car.z, (car.yaw + turn) & 3, car.load, load_yaw, car.slope)
-
-
-@compiled
-def write_pose(w: World, me: int, car: Pose) -> None:
-    """Store a car's state."""
-    w.cars[me, F_X] = car.x
-    w.cars[me, F_Y] = car.y
-    w.cars[me, F_Z] = car.z
-    w.cars[me, F_YAW] = car.yaw
-    w.cars[me, F_LOAD] = car.load
-    w.cars[me, F_LOAD_YAW] = car.load_yaw
-    w.cars[me, F_SLOPE] = car.slope
-
-
-@compiled
-def exchange(w: World, me: int, car: Pose, lifting: bool) -> None:
-    """Take up the object in the own cell, a slope with its gear, or put the load there."""
-    kind = kind_at(w, car.x, car.y, car.z) if lifting else car.load
-    yaw = yaw_at(w, car.x, car.y, car.z) if lifting else car.load_yaw
-    put(w, car.x, car.y, car.z, AIR if lifting else kind, 0 if lifting else yaw)
-    if kind == FSLOPE:
-        gear = AIR if lifting else GEAR
-        put_gear(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, gear, 0 if lifting else yaw)
-    if kind == BLOCK and not lifting:
-        set_landing(w, car.x, car.y, car.z, derived_landing(w, car.x, car.y, car.z))
-    load, load_yaw = (kind, yaw if kind == FSLOPE else 0) if lifting else (AIR, 0)
-    write_pose(w, me, Pose(car.x, car.y, car.z, car.yaw, load, load_yaw, car.slope))
-    set_occupant(w, car.x, car.y, car.z - 1, me)
-
-
-@compiled
-def swing(w: World, car: Pose, folding: bool) -> None:
-    """Turn the ramp in the own cell into a folded slope, or a folded slope into a ramp behind the car.
-
-    The landing of a folded ramp is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).
-    """
-    yaw = (car.yaw + 2) & 3
-    x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
-    put(w, car.x, car.y, car.z, FSLOPE if folding else BODY, yaw)
-    put(w, x, y, car.z, AIR if folding else FOOT, 0 if folding else yaw)
-    if folding:
-        put_gear(w, x, y, car.z, GEAR, yaw)
-    set_occupant(w, x, y, car.z - 1, NOTHING if folding else OBJECT)
-    set_landing(w, car.x + dir_x(car.yaw), car.y + dir_y(car.yaw), car.z, not folding)
-
-
-@compiled
-def drive(w: World, me: int, car: Pose, m: int) -> None:
-    """Drive to the next cell in direction m."""
-    new = moved(w, car, m)
-    # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
-    left_air = kind_at(w, car.x, car.y, car.z) == AIR
-    set_occupant(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
-    set_occupant(w, new.x, new.y, new.z - 1, me)
-    write_pose(w, me, new)
-
-
-@compiled(inline=False)
-def apply(w: World, me: int, action: int) -> None:
-    """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
-    car = pose_of(w, me)
-    if FIRST_MOVE <= action <= LAST_MOVE:
-        drive(w, me, car, move_direction(action))
-    elif action in (ROTATE_LEFT, ROTATE_RIGHT):
-        write_pose(w, me, turned(car, 1 if action == ROTATE_LEFT else -1))
-    elif action in (LIFT, DROP):
-        exchange(w, me, car, action == LIFT)
-    elif action in (FOLD, UNFOLD):
-        swing(w, car, action == FOLD)
 
 
 @compiled

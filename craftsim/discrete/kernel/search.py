@@ -10,19 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import (
+from craftsim.discrete.kernel.codes import (
     FIRST_MOVE,
     LAST_MOVE,
     ROTATE_LEFT,
     ROTATE_RIGHT,
     STOP,
-    act,
-    legal_actions,
     move_direction,
-    moved,
-    turned,
 )
+from craftsim.discrete.kernel.effects import moved, turned
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import act, legal_actions
 from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
 from craftsim.discrete.kinds import Action
 

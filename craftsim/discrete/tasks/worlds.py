@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import N_ACTIONS
 from craftsim.discrete.kernel.search import search_buffers
 from craftsim.discrete.kernel.state import World, world_at
 from craftsim.discrete.kinds import Action

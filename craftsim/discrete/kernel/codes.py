@@ -1,0 +1,93 @@
+"""Numbers of actions, and of what may forbid one: codes of reasons; :mod:`craftsim.discrete.reasons` has their words.
+
+Codes of the published rules come first, then those of corrections.
+"""
+
+from __future__ import annotations
+
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kinds import Action
+
+LIFT = int(Action.LIFT)
+DROP = int(Action.DROP)
+FOLD = int(Action.FOLD)
+UNFOLD = int(Action.UNFOLD)
+ROTATE_LEFT = int(Action.ROTATE_LEFT)
+ROTATE_RIGHT = int(Action.ROTATE_RIGHT)
+FIRST_MOVE = int(Action.MOVE_FORWARD)
+LAST_MOVE = int(Action.MOVE_RIGHT)
+STOP = int(Action.STOP)
+N_ACTIONS = len(Action)
+
+(
+    LEGAL,
+    NEVER,
+    ON_SLOPE,
+    CARRIES,
+    CARRIES_NOTHING,
+    NOTHING_TO_LIFT,
+    THING_ON_TOP,
+    ABOVE_TOP_LEVEL,
+    NO_RAMP_HERE,
+    CAR_ON_OWN_FOOT,
+    NO_SLOPE_HERE,
+    FOOT_BLOCKED,
+    FOOT_UNSUPPORTED,
+    LANDING_BELOW_FOOT,
+    LANDING_BELOW_BODY,
+    TURN_UNDER_SLOPE,
+    LOAD_HITS_THING,
+    SLOPE_HITS_CORNER,
+    LOAD_HITS_LOAD,
+    LOAD_HITS_GEAR,
+    FORWARD_ONLY,
+    NOT_SIDEWAYS,
+    NO_FLOOR,
+    IN_THE_WAY,
+    CAR_THERE,
+    GEAR_THERE,
+    GEAR_NO_ROOM,
+    LOAD_NOT_UNDER,
+    ENTERED_SIDEWAYS,
+    HIGH_SIDE_ONLY,
+    LOAD_NOT_THROUGH_GEAR,
+    NO_DESCENT_FROM,
+    DOWN_FORWARD_ONLY,
+    THING_ON_BODY_BELOW,
+    CAR_ON_FOOT_BELOW,
+    NO_FLOOR_AT_END,
+    THING_AT_END,
+    NO_ASCENT_FROM,
+    UP_FORWARD_ONLY,
+    CAR_ON_FOOT,
+    THING_ON_BODY,
+    NO_LANDING,
+    CAR_ON_LANDING,
+    NO_ROOM_ON_LANDING,
+    FLAP_HITS,
+    TURNING_LOAD_HITS,
+    LEANING_LOAD_HITS,
+    OTHER_RAMP,
+    RAMP_UNDER_GEAR,
+    REACHING_LOAD_HITS,
+    WALL_OVERHEAD,
+    GEARS_CROSS,
+    UNDER_THING_AT_END,
+) = range(53)
+"""What may forbid an action."""
+
+DETAIL_BITS = 8
+"""A reason's detail lies above so many bits."""
+
+
+@compiled
+def because(code: int, detail: int) -> int:
+    """Return a reason with a detail: a direction 0..3 or a car's number."""
+    return code | (detail << DETAIL_BITS)
+
+
+@compiled
+def move_direction(action: int) -> int:
+    """Return the direction 0..3 of one of the four move actions 6..9 (+y, -y, -x, +x)."""
+    step = action - FIRST_MOVE
+    return 1 if step == 0 else (3 if step == 1 else (2 if step == 2 else 0))

@@ -14,12 +14,13 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind, beside
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, MoveGraphs
 from craftsim.discrete.rules import Rules
 from craftsim.planning.things import BuildingPart, put, take, with_car
-from craftsim.planning.ways import FAR, Maps, Nodes, Ways, is_free
 
 State = frozenset[BuildingPart]
 
@@ -47,8 +48,8 @@ class Assembly:
     """What is possible in a building under way; ``base`` is the world with its walls alone."""
 
     def __init__(self, base: Grid, rules: Rules) -> None:
-        self.base, self.rules, self.maps = base, rules, Maps(rules)
-        self._ways = lru_cache(512)(self._make_ways)
+        self.base, self.rules, self.graphs = base, rules, MoveGraphs(rules)
+        self._graph = lru_cache(512)(self._make_graph)
         self._grids = lru_cache(512)(self._make_grid)
         self.possible = lru_cache(4096)(self._is_possible)
         """Whether a step can be made in a state, by a car that comes from free floor and goes back there."""
@@ -63,10 +64,10 @@ class Assembly:
         grid.derive_marks()
         return grid
 
-    def _make_ways(self, state: State, load: Kind) -> tuple[Ways, Nodes]:
+    def _make_graph(self, state: State, load: Kind) -> tuple[MoveGraph, Distances]:
         grid = self.grid(state)
-        ways = self.maps.ways(grid, load)
-        return ways, ways.from_nodes(_outside(grid, ways, load))
+        graph = self.graphs.graph(grid, load)
+        return graph, graph.distances_from(_outside(grid, graph))
 
     def _is_possible(self, state: State, step: Placing) -> bool:
         if step.taken:
@@ -95,29 +96,21 @@ class Assembly:
 
     def _reached_below(self, state: State, thing: BuildingPart, load: Kind) -> list[int]:
         """Return the states below a thing, or its place, that a car with a load can reach from free floor."""
-        ways, distances = self._ways(state, load)
-        return [node for node in ways.nodes(thing.cell, thing.yaws) if distances[node] < FAR]
+        graph, distances = self._graph(state, load)
+        return [node for node in graph.nodes(thing.cell, thing.yaws) if distances[node] < UNREACHABLE]
 
     def _gets_out(self, state: State, nodes: list[int], load: Kind = Kind.AIR) -> bool:
-        ways, _ = self._ways(state, load)
-        distances = ways.from_nodes(nodes)
-        return bool((distances[_outside(self.grid(state), ways, load)] < FAR).any())
+        graph, _ = self._graph(state, load)
+        distances = graph.distances_from(nodes)
+        return bool((distances[_outside(self.grid(state), graph)] < UNREACHABLE).any())
 
 
-def _outside(grid: Grid, ways: Ways, load: Kind) -> list[int]:
-    """Return all states of a car on the largest free piece of floor; the gear of its load is there, too."""
+def _outside(grid: Grid, graph: MoveGraph) -> NDArray[np.int64]:
+    """Return all nodes of a car on the largest free piece of floor; the gear of its load is there, too."""
     free = (grid.kind[:, :, 1] == Kind.AIR).astype(np.uint8)
-    n_pieces, pieces = cv2.connectedComponents(free, connectivity=4)
-    if n_pieces < 2:
-        return []
-    largest = 1 + int(np.argmax(np.bincount(pieces.ravel(), minlength=n_pieces)[1:]))
-    cells = {(x, y, 1) for x, y in np.argwhere(pieces == largest).tolist()}
-    return [
-        ways.node(cell, yaw)
-        for cell in sorted(cells)
-        for yaw in range(4)
-        if load != Kind.FSLOPE or beside(cell, yaw + 2) in cells
-    ]
+    _, pieces = cv2.connectedComponents(free, connectivity=4)
+    sizes = np.bincount(pieces.ravel(), minlength=2)
+    return graph.floor_nodes(pieces == 1 + np.argmax(sizes[1:]))
 
 
 def has_room(grid: Grid, rules: Rules, thing: BuildingPart) -> bool:
@@ -125,7 +118,10 @@ def has_room(grid: Grid, rules: Rules, thing: BuildingPart) -> bool:
     cells = thing.cells if thing.kind == Kind.BODY else thing.cells[:1]
     for cell in cells:
         inside = all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))
-        if not inside or not is_free(grid, cell):
+        below = (cell[0], cell[1], cell[2] - 1)
+        if not inside or grid.kind_at(cell) != Kind.AIR:
+            return False
+        if grid.kind_at(below) not in (Kind.GROUND, Kind.BLOCK):
             return False
         if grid.kind_at((cell[0], cell[1], cell[2] + 1)) not in (Kind.AIR, Kind.GEAR):
             return False

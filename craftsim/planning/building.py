@@ -11,26 +11,26 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
+from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph
 from craftsim.planning.assembly import Assembly, Order, State, has_room, taken_out
-from craftsim.planning.crew import FLAP_TICKS, Crew, Errand, Saved, cells_on_way
 from craftsim.planning.grounds import Grounds
+from craftsim.planning.joint_plan import FLAP_TICKS, Delivery, JointPlan, Saved, cells_on_path
 from craftsim.planning.reach import Reach, nearest, onward_from, sources
 from craftsim.planning.things import things_in
-from craftsim.planning.ways import FAR, Nodes, Ways
 
 _FAILURES: Final = 40
-"""So many jobs in vain end an attempt."""
+"""So many deliveries in vain end an attempt."""
 _TRIES: Final = 6
-"""So many jobs are tried in a turn."""
+"""So many deliveries are tried in a turn."""
 _AHEAD: Final = 3
 """So many more steps than there are cars are looked at in a turn."""
 
 
 class Turn(NamedTuple):
-    """A job and the car that has taken it over."""
+    """A delivery and the car that has taken it over."""
 
     car: int
-    job: Errand
+    delivery: Delivery
     step: int | None
     """Which step of the order it makes; None where it clears the way."""
 
@@ -48,7 +48,7 @@ class Style:
     early: float = 0.0
     """How often things in the way are cleared before that has to be."""
     haste: float = 0.0
-    """By how many of its ticks a slope's turn of the flap makes a job seem cheaper, so that it begins early."""
+    """By how many of its ticks a slope's turn of the flap makes a delivery seem cheaper, so that it begins early."""
     hold: bool = False
     """Whether cars keep what they clear, if it can be used later."""
 
@@ -72,7 +72,7 @@ class Construction:
         past: Sequence[tuple[Turn, Saved]] = (),
         script: Sequence[Turn | None] = (),
     ) -> None:
-        self.crew = Crew(start, assembly.maps)
+        self.plan = JointPlan(start, assembly.graphs)
         self.assembly, self.order, self.style, self.rng = assembly, order, style, rng
         self.turns = list(past)
         """What was done so far, and the plan after each."""
@@ -85,7 +85,7 @@ class Construction:
         for turn, _ in past:
             self._note(turn.step)
         if past:
-            self.crew.restore(past[-1][1])
+            self.plan.restore(past[-1][1])
 
     def run(self) -> bool:
         """Make the plan; return whether it came to its end."""
@@ -109,42 +109,44 @@ class Construction:
 
     def _fits(self, turn: Turn) -> bool:
         """Return whether a turn of another attempt can still be tried."""
-        car, job, k = turn
+        car, delivery, k = turn
         if k is not None and not (
             k not in self._done
             and self.assembly.possible(self._standing, self.order.steps[k])
             and self._bars_nothing(k)
         ):
             return False
-        if job.source is None:
-            return self.crew.load(car) == job.target.load
-        if self.crew.load(car) != Kind.AIR:
+        if delivery.source is None:
+            return self.plan.load(car) == delivery.target.load
+        if self.plan.load(car) != Kind.AIR:
             return False
-        grid = self.crew.end
+        grid = self.plan.end
         if k is not None and self.order.steps[k].taken:
-            here = job.source in set(things_in(grid))
+            here = delivery.source in set(things_in(grid))
         else:
-            here = job.source in sources(self.assembly, grid, self._standing).get(job.source.load, [])
-        return here and has_room(taken_out(grid, [job.source]), self.assembly.rules, job.target)
+            here = delivery.source in sources(self.assembly, grid, self._standing).get(
+                delivery.source.load, []
+            )
+        return here and has_room(taken_out(grid, [delivery.source]), self.assembly.rules, delivery.target)
 
-    def _take_turn(self, car: int, job: Errand, k: int | None) -> bool:
-        """Let a car take over a job; return whether it could."""
-        if not self._take_over(car, job):
+    def _take_turn(self, car: int, delivery: Delivery, k: int | None) -> bool:
+        """Let a car take over a delivery; return whether it could."""
+        if not self._take_over(car, delivery):
             return False
         self._note(k)
-        self.turns.append((Turn(car, job, k), self.crew.saved()))
+        self.turns.append((Turn(car, delivery, k), self.plan.saved()))
         return True
 
     def _place(self) -> bool:
         """Make the step that is made first, by whom it is made first; return whether one could be made."""
         tries = 0
         safe: dict[int, bool] = {}
-        for _, car, k, job in self._options():
+        for _, car, k, delivery in self._options():
             if k not in safe:
                 safe[k] = self._bars_nothing(k)
             if not safe[k]:
                 continue
-            if self._take_turn(car, job, k):
+            if self._take_turn(car, delivery, k):
                 return True
             tries += 1
             if tries == _TRIES:
@@ -153,8 +155,8 @@ class Construction:
 
     @property
     def n_ticks(self) -> int:
-        """How many ticks the jobs take that have been planned."""
-        return max(self.crew.ready)
+        """How many ticks the deliveries take that have been planned."""
+        return max(self.plan.ready)
 
     def _note(self, k: int | None) -> None:
         if k is not None:
@@ -182,14 +184,14 @@ class Construction:
             state = step.after(state)
         return True
 
-    def _options(self) -> list[tuple[float, int, int, Errand]]:
-        """Return what can be done next: cost, car, step and job, the cheapest first."""
-        grid = self.crew.end
-        walking = self.assembly.maps.ways(grid)
-        costs: list[tuple[float, int, int, Errand]] = []
+    def _options(self) -> list[tuple[float, int, int, Delivery]]:
+        """Return what can be done next: cost, car, step and delivery, the cheapest first."""
+        grid = self.plan.end
+        walking = self.assembly.graphs.graph(grid)
+        costs: list[tuple[float, int, int, Delivery]] = []
         to_cells = {car: self._distances(walking, car) for car in self._cars}
         loose = sources(self.assembly, grid, self._standing)
-        loaded: dict[Kind, Ways] = {}
+        loaded: dict[Kind, MoveGraph] = {}
         for k in self._pending():
             step = self.order.steps[k]
             target = step.thing
@@ -200,80 +202,84 @@ class Construction:
                 target = aside
             load = target.load
             if load not in loaded:
-                loaded[load] = self.assembly.maps.ways(grid, load)
-            onward = loaded[load].to_nodes(loaded[load].nodes(target.cell, target.yaws))
+                loaded[load] = self.assembly.graphs.graph(grid, load)
+            onward = loaded[load].distances_to(loaded[load].nodes(target.cell, target.yaws))
             for source in [step.thing] if step.taken else loose.get(load, []):
                 rest = taken_out(grid, [source])
                 far = onward_from(onward, walking, grid, source)
                 if load == Kind.FSLOPE:
                     # It stands in two cells, and can only be driven out of in one direction: so exactly.
-                    ways = self.assembly.maps.ways(rest, load)
-                    far = nearest(ways.to_nodes(ways.nodes(target.cell, target.yaws)), ways, source)
-                if far >= FAR or not has_room(rest, self.assembly.rules, target):
+                    graph = self.assembly.graphs.graph(rest, load)
+                    far = nearest(graph.distances_to(graph.nodes(target.cell, target.yaws)), graph, source)
+                if far >= UNREACHABLE or not has_room(rest, self.assembly.rules, target):
                     continue
                 swings = (source.kind == Kind.BODY) + (target.kind == Kind.BODY)
                 for car in self._cars:
-                    if self.crew.load(car) != Kind.AIR:
+                    if self.plan.load(car) != Kind.AIR:
                         continue
                     near = nearest(to_cells[car], walking, source)
-                    if near < FAR:
+                    if near < UNREACHABLE:
                         work = near + far + 2 + swings * (FLAP_TICKS + 1)
                         cost = self._cost(car, work) - swings * self.style.haste * FLAP_TICKS * 2
-                        costs.append((cost, car, k, Errand(source, target)))
+                        costs.append((cost, car, k, Delivery(source, target)))
             for car in self._cars:
-                if self.crew.load(car) == load and not step.taken:
-                    far = int(onward[self.crew.node(car, self.crew.ready[car])])
-                    if far < FAR:
-                        costs.append((self._cost(car, far + 1), car, k, Errand(None, target)))
+                if self.plan.load(car) == load and not step.taken:
+                    far = int(onward[self.plan.node(car, self.plan.ready[car])])
+                    if far < UNREACHABLE:
+                        costs.append((self._cost(car, far + 1), car, k, Delivery(None, target)))
         return sorted(costs, key=lambda cost: cost[0])
 
     def _cost(self, car: int, work: int) -> float:
-        begun = self.crew.ready[car] if self.style.together else 0
+        begun = self.plan.ready[car] if self.style.together else 0
         return (begun + work) * (1 + self.style.noise * self.rng.random())
 
-    def _distances(self, walking: Ways, car: int) -> Nodes:
-        return walking.from_nodes([self.crew.node(car, self.crew.ready[car])])
+    def _distances(self, walking: MoveGraph, car: int) -> Distances:
+        return walking.distances_from([self.plan.node(car, self.plan.ready[car])])
 
-    def _take_over(self, car: int, job: Errand) -> bool:
-        """Let a car take over a job; cars that wait in its way are sent aside once."""
-        if self.crew.take_over(car, job, self._grounds.parking(car)):
+    def _take_over(self, car: int, delivery: Delivery) -> bool:
+        """Let a car take over a delivery; cars that wait in its way are sent aside once."""
+        if self.plan.take_over(car, delivery, self._grounds.parking(car)):
             return True
-        way = self._way(car, job)
+        way = self._way(car, delivery)
         # A load needs room beside its way, too.
         near = way | {beside(cell, yaw) for cell in way for yaw in range(4)}
-        grid = self.crew.end
+        grid = self.plan.end
         sent = False
-        for other in range(self.crew.n_cars):
+        for other in range(self.plan.n_cars):
             here = tuple(grid.cars[other, :3].tolist())
-            if other != car and here in near and self.crew.load(other) == Kind.AIR:
+            if other != car and here in near and self.plan.load(other) == Kind.AIR:
                 sent |= any(
-                    self.crew.move_aside(other, near | kept)
+                    self.plan.move_aside(other, near | kept)
                     for kept in (self._grounds.around, self._grounds.cells)
                 )
-        return sent and self.crew.take_over(car, job, self._grounds.parking(car))
+        return sent and self.plan.take_over(car, delivery, self._grounds.parking(car))
 
-    def _way(self, car: int, job: Errand) -> set[Cell]:
+    def _way(self, car: int, delivery: Delivery) -> set[Cell]:
         """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
-        grid, maps = self.crew.end, self.assembly.maps
-        node = self.crew.node(car, self.crew.ready[car])
-        cells = {job.target.cell}
-        if job.source is not None:
-            ways = maps.ways(grid)
-            cells |= cells_on_way(ways, node, ways.to_nodes(ways.nodes(job.source.cell, job.source.yaws)))
-            grid = taken_out(grid, [job.source])
-        ways = maps.ways(grid, job.target.load)
-        distances = ways.to_nodes(ways.nodes(job.target.cell, job.target.yaws))
-        if job.source is not None:
-            node = min(ways.nodes(job.source.cell, job.source.yaws), key=lambda node: int(distances[node]))
-        return cells | cells_on_way(ways, node, distances)
+        grid, graphs = self.plan.end, self.assembly.graphs
+        node = self.plan.node(car, self.plan.ready[car])
+        cells = {delivery.target.cell}
+        if delivery.source is not None:
+            graph = graphs.graph(grid)
+            cells |= cells_on_path(
+                graph, node, graph.distances_to(graph.nodes(delivery.source.cell, delivery.source.yaws))
+            )
+            grid = taken_out(grid, [delivery.source])
+        graph = graphs.graph(grid, delivery.target.load)
+        distances = graph.distances_to(graph.nodes(delivery.target.cell, delivery.target.yaws))
+        if delivery.source is not None:
+            node = min(
+                graph.nodes(delivery.source.cell, delivery.source.yaws), key=lambda node: int(distances[node])
+            )
+        return cells | cells_on_path(graph, node, distances)
 
     def _clear(self) -> bool:
         """Move something that bars the next step out of the way; return whether that was possible."""
-        grid = self.crew.end
+        grid = self.plan.end
         loose = [
             thing for things in sources(self.assembly, grid, self._standing).values() for thing in things
         ]
-        nodes = [self.crew.node(car, self.crew.ready[car]) for car in self._cars]
+        nodes = [self.plan.node(car, self.plan.ready[car]) for car in self._cars]
         reach = Reach(self.assembly, self._standing, nodes)
         for k in self._pending():
             target, taken = self.order.steps[k].thing, self.order.steps[k].taken
@@ -283,10 +289,10 @@ class Construction:
                 aside = self._grounds.aside(grid, thing, partial(reach.reaches, gone=others, target=target))
                 if aside is None:
                     continue
-                free = [car for car in self._cars if self.crew.load(car) == Kind.AIR]
+                free = [car for car in self._cars if self.plan.load(car) == Kind.AIR]
                 hold = self.style.hold and len(free) > 1 and self._is_wanted(thing.load)
-                for car in sorted(free, key=lambda car: self.crew.ready[car]):
-                    if self._take_turn(car, Errand(thing, aside, hold), None):
+                for car in sorted(free, key=lambda car: self.plan.ready[car]):
+                    if self._take_turn(car, Delivery(thing, aside, hold), None):
                         return True
         return False
 
@@ -297,4 +303,4 @@ class Construction:
             for k, step in enumerate(self.order.steps)
             if k not in self._done
         )
-        return wanted > sum(self.crew.load(car) == load for car in self._cars)
+        return wanted > sum(self.plan.load(car) == load for car in self._cars)

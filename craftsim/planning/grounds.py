@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.grid import Grid, Kind, beside
+from craftsim.discrete.move_graph import UNREACHABLE, MoveGraph
 from craftsim.planning.assembly import Assembly, has_room, taken_out
 from craftsim.planning.things import BuildingPart, put
-from craftsim.planning.ways import FAR, Ways
 
 _PLACES: Final = 24
 """So many places where something could be put aside are looked at."""
@@ -32,16 +32,16 @@ class Grounds:
         }
         """The floor up to two cells away."""
 
-    def parking(self, car: int) -> Callable[[Ways, Grid], list[int]]:
+    def parking(self, car: int) -> Callable[[MoveGraph, Grid], list[int]]:
         """Return what says where a car may wait: on free floor, best two cells away from what is being built."""
 
-        def places(ways: Ways, grid: Grid) -> list[int]:
+        def places(graph: MoveGraph, grid: Grid) -> list[int]:
             taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
             free = {(x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()} - taken
             for kept in (self.around, self._keep_free):
                 cells = sorted(free - kept)
                 if cells:
-                    return [ways.node(cell, yaw) for cell in cells for yaw in range(4)]
+                    return [graph.node(cell, yaw) for cell in cells for yaw in range(4)]
             return []
 
         return places
@@ -50,17 +50,17 @@ class Grounds:
         """Return where a thing could stand out of the way: the nearest such place with which a world will do."""
         load = thing.load
         rest = taken_out(grid, [thing])
-        ways = self._assembly.maps.ways(rest, load)
-        distances = ways.from_nodes(ways.nodes(thing.cell, thing.yaws))
+        graph = self._assembly.graphs.graph(rest, load)
+        distances = graph.distances_from(graph.nodes(thing.cell, thing.yaws))
         places = []
         for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
             for yaw in range(4) if load == Kind.FSLOPE else [0]:
                 there = BuildingPart(load, (x, y, 1), yaw)
-                far = min(int(distances[node]) for node in ways.nodes(there.cell, there.yaws))
+                far = min(int(distances[node]) for node in graph.nodes(there.cell, there.yaws))
                 free = set(there.cells).isdisjoint(self._keep_free)
                 if (
                     free
-                    and far < FAR
+                    and far < UNREACHABLE
                     and there.cell != thing.cell
                     and has_room(rest, self._assembly.rules, there)
                 ):

@@ -16,8 +16,9 @@ from craftsim.discrete.kernel.codes import LEGAL
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import why
 from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
-from craftsim.discrete.kernel.state import F_X, F_Y, F_Z, FSLOPE, Pose, World, car_field, world_at
-from craftsim.planning.ways import FAR, HALF_TURN, N_STEPS, Nodes, slope_state
+from craftsim.discrete.kernel.state import World, world_at
+from craftsim.discrete.move_graph import N_STEPS, UNREACHABLE, Distances, node_number, pose_at_node
+from craftsim.discrete.kernel.reach import car_in
 
 WAIT: Final = -1
 _MAX_TICKS: Final = 320
@@ -27,8 +28,9 @@ _MAX_TICKS: Final = 320
 class PathFinder:
     """Searches paths in worlds of one size; its scratch arrays are kept."""
 
-    def __init__(self, n_nodes: int) -> None:
-        self._n_nodes = n_nodes
+    def __init__(self, size: Cell) -> None:
+        self._size = size
+        self._n_nodes = node_number(size, (size[0], 0, 0), 0)
         self._parents = np.empty(0, np.int32)
         self._steps = np.empty(0, np.int8)
         self._seen = np.zeros(0, np.int32)
@@ -44,7 +46,7 @@ class PathFinder:
         tick: int,
         end: int,
         load: Kind,
-        distances: Nodes,
+        distances: Distances,
         last: int,
         not_before: int,
         avoid: list[tuple[int, Cell]],
@@ -58,13 +60,13 @@ class PathFinder:
             tick: in which it begins.
             end: the first tick in which the others do nothing any more.
             load: that it carries.
-            distances: (nodes,) to the goals, where they are 0; states with FAR are not looked at.
+            distances: (nodes,) to the goals, where they are 0; states with UNREACHABLE are not looked at.
             last: the action that must be legal there in the tick after; -1 for none.
             not_before: the first tick in which that may be.
             avoid: ticks before which the car must not be in a cell.
         """
         nearest = int(distances[start])
-        if nearest >= FAR:
+        if nearest >= UNREACHABLE:
             return None
         span = min(_MAX_TICKS, max(end, not_before) - tick + nearest + 24)
         if len(self._parents) < span * self._n_nodes:
@@ -73,10 +75,13 @@ class PathFinder:
             self._seen, self._next = np.zeros(n_states, np.int32), np.empty(n_states, np.int32)
         self._number += 1
         self._heads[:] = -1
-        kept = [(at, *cell) for at, cell in avoid]
+        for at, cell in avoid:
+            state = (at - tick) * self._n_nodes + node_number(self._size, cell, 0)
+            if tick < at < tick + span:
+                # What counts as seen is not looked at.
+                self._seen[state : state + 4] = self._number
         state = _find(
-            *(worlds, car, start, tick, end, int(load), distances, last, not_before),
-            np.array(kept, np.int64).reshape(-1, 4),
+            *(worlds, car, start, tick, end, int(load), distances, int(last), not_before),
             *(span, self._number, self._parents, self._steps, self._seen, self._next, self._heads),
         )
         if state < 0:
@@ -89,28 +94,6 @@ class PathFinder:
 
 
 @compiled
-def _occupied(w: World, me: int, x: int, y: int, z: int) -> bool:
-    """Return whether another car is in a cell."""
-    for other in range(w.cars.shape[0]):
-        if (
-            other != me
-            and car_field(w, other, F_X) == x
-            and car_field(w, other, F_Y) == y
-            and car_field(w, other, F_Z) == z
-        ):
-            return True
-    return False
-
-
-@compiled
-def _avoided(avoid: NDArray[np.int64], tick: int, x: int, y: int, z: int) -> bool:
-    for k in range(avoid.shape[0]):
-        if avoid[k, 0] == tick and avoid[k, 1] == x and avoid[k, 2] == y and avoid[k, 3] == z:
-            return True
-    return False
-
-
-@compiled
 def _find(
     worlds: World,
     me: int,
@@ -118,21 +101,19 @@ def _find(
     first: int,
     end: int,
     load: int,
-    distances: Nodes,
+    distances: Distances,
     last: int,
     not_before: int,
-    avoid: NDArray[np.int64],
     span: int,
     number: int,
-    parents: Nodes,
+    parents: NDArray[np.int32],
     steps: NDArray[np.int8],
-    seen: Nodes,
-    following: Nodes,
-    heads: Nodes,
+    seen: NDArray[np.int32],
+    following: NDArray[np.int32],
+    heads: NDArray[np.int32],
 ) -> int:
     """Return the last state of a path, or -1; a state is a node in a tick. Buckets hold states of equal rank."""
     n_nodes = distances.shape[0]
-    width, layers = worlds.cells.shape[2], worlds.cells.shape[3] + 1
     parents[start] = -1
     seen[start] = number
     following[start] = -1
@@ -146,12 +127,8 @@ def _find(
         heads[rank] = following[state]
         since, node = state // n_nodes, state % n_nodes
         tick = first + since
-        yaw, rest = node & 3, node >> 2
-        z, rest = rest % layers, rest // layers
-        x, y = rest // width, rest % width
         now, then = world_at(worlds, min(tick, end)), world_at(worlds, min(tick + 1, end))
-        load_yaw = (yaw + HALF_TURN) & 3 if load == FSLOPE else 0
-        car = Pose(x, y, z, yaw, load, load_yaw, slope_state(now, x, y, z))
+        car = pose_at_node(now, node, load)
         arrived = distances[node] == 0 and tick >= not_before
         if arrived and last < 0:
             return int(state)
@@ -168,9 +145,7 @@ def _find(
                 return int(state)
             new = car if i == -1 else after(now, car, action)
             new_node = node if i == -1 else node_of(now, new)
-            if distances[new_node] >= FAR or _occupied(then, me, new.x, new.y, new.z):
-                continue
-            if _avoided(avoid, tick + 1, new.x, new.y, new.z):
+            if distances[new_node] >= UNREACHABLE or car_in(then, me, new.x, new.y, new.z, False) >= 0:
                 continue
             new_state = (since + 1) * n_nodes + new_node
             new_rank = since + 1 + distances[new_node]

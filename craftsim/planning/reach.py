@@ -6,9 +6,9 @@ from collections.abc import Collection
 
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph
 from craftsim.planning.assembly import Assembly, has_room, taken_out
 from craftsim.planning.things import BuildingPart, things_in, with_car
-from craftsim.planning.ways import FAR, Nodes, Ways
 
 
 def sources(
@@ -54,39 +54,41 @@ class Reach:
         rest = taken_out(grid, gone)
         if not has_room(rest, self._assembly.rules, target):
             return False
-        ways = self._assembly.maps.ways(rest, target.load)
-        distances = ways.to_nodes(ways.nodes(target.cell, target.yaws))
-        walking = self._assembly.maps.ways(rest)
-        reached = walking.from_nodes(self._nodes)
+        graph = self._assembly.graphs.graph(rest, target.load)
+        distances = graph.distances_to(graph.nodes(target.cell, target.yaws))
+        walking = self._assembly.graphs.graph(rest)
+        reached = walking.distances_from(self._nodes)
         for thing in things_in(grid):
             if thing in self._standing or thing.load != target.load:
                 continue
             if thing in gone:
-                if onward_from(distances, ways, rest, thing) < FAR:
+                if onward_from(distances, graph, rest, thing) < UNREACHABLE:
                     return True
             else:
-                carrying = self._assembly.maps.ways(taken_out(rest, [thing]), target.load)
-                far = nearest(carrying.to_nodes(carrying.nodes(target.cell, target.yaws)), carrying, thing)
-                if far < FAR and nearest(reached, ways, thing) < FAR:
+                carrying = self._assembly.graphs.graph(taken_out(rest, [thing]), target.load)
+                far = nearest(
+                    carrying.distances_to(carrying.nodes(target.cell, target.yaws)), carrying, thing
+                )
+                if far < UNREACHABLE and nearest(reached, graph, thing) < UNREACHABLE:
                     return True
         return False
 
 
-def nearest(distances: Nodes, ways: Ways, thing: BuildingPart) -> int:
+def nearest(distances: Distances, graph: MoveGraph, thing: BuildingPart) -> int:
     """Return the distance of the states below a thing."""
-    return min(int(distances[node]) for node in ways.nodes(thing.cell, thing.yaws))
+    return min(int(distances[node]) for node in graph.nodes(thing.cell, thing.yaws))
 
 
-def onward_from(distances: Nodes, ways: Ways, grid: Grid, thing: BuildingPart) -> int:
+def onward_from(distances: Distances, graph: MoveGraph, grid: Grid, thing: BuildingPart) -> int:
     """Return the distance from a thing that has been taken up: from there, or from the next cell that is free."""
-    far = nearest(distances, ways, thing)
+    far = nearest(distances, graph, thing)
     for direction in range(4):
         cell = beside(thing.cell, direction)
         if all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True)) and grid.kind[cell] in (
             Kind.AIR,
             Kind.GEAR,
         ):
-            far = min(far, 1 + nearest(distances, ways, thing._replace(cell=cell)))
+            far = min(far, 1 + nearest(distances, graph, thing._replace(cell=cell)))
     return far
 
 

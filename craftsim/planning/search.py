@@ -17,9 +17,9 @@ from craftsim.discrete.rules import Rules
 from craftsim.planning.assembly import Assembly, Order, State
 from craftsim.planning.bounds import makespan_bound
 from craftsim.planning.building import Construction, Style, Turn
-from craftsim.planning.crew import Saved
 from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
 from craftsim.planning.goals import BuildingGoal, NoPlanError, check_supplies, platforms
+from craftsim.planning.joint_plan import Saved
 from craftsim.planning.objective import Objective
 from craftsim.planning.ordering import find_order
 from craftsim.planning.planned import EQUAL, Planned, Ticks, judge
@@ -228,7 +228,7 @@ class PlanSearch:
         )
         if not building.run():
             return None
-        n_ticks, timeline = building.n_ticks, building.crew.timeline
+        n_ticks, timeline = building.n_ticks, building.plan.timeline
         timeline.trim(self.goal.reached)
         planned = self._judge(timeline.ticks(), number)
         return None if planned is None else Made(approach, tuple(building.turns), n_ticks, planned)

@@ -11,25 +11,13 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import act
-from craftsim.discrete.kernel.state import (
-    AIR,
-    DERIVED_MARKS,
-    F_LOAD,
-    F_LOAD_YAW,
-    F_SLOPE,
-    F_X,
-    F_Y,
-    F_Z,
-    World,
-    derive_marks,
-    world_at,
-)
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kernel.state import DERIVED_MARKS, World, derive_marks, world_at
+from craftsim.discrete.kinds import Action, Kind
 from craftsim.discrete.rules import Rules
 
 NOTHING_DONE: Final = -1
-_NOWHERE: Final = -9
-"""Coordinate of a car that is left out: far from all cells, so that no rule sees it."""
+_LEFT_OUT: Final = (-9, -9, -9, 0, Kind.AIR, 0, 0)
+"""A car that is left out, fields as CarField: far from all cells, so that no rule sees it."""
 _FIRST_TICKS: Final = 64
 
 
@@ -93,15 +81,15 @@ class Timeline:
 
     def replay(self, tick: int) -> tuple[int, int] | None:
         """Work out the worlds after a tick; return the first (tick, car) whose action is forbidden, or None."""
-        bad = int(_replay(self.worlds.stack, self.actions, tick, self.end))
+        bad = int(_replay(self.worlds.stack, self.actions, tick, self.end, -1))
         return None if bad < 0 else divmod(bad, self.n_cars)
 
     def without(self, car: int, tick: int) -> World:
         """Return the worlds as they are from a tick on if a car does not exist any more; valid until the next call."""
         self._others.copy_from(self.worlds, tick)
         stack = self._others.stack
-        _leave_out(stack.cars[tick], car)
-        _replay_without(stack, self.actions, tick, self.end, car)
+        stack.cars[tick, car] = _LEFT_OUT
+        _replay(stack, self.actions, tick, self.end, car)
         return stack
 
     def trim(self, reached: Callable[[Grid], bool]) -> None:
@@ -126,49 +114,29 @@ class Timeline:
 
 
 @compiled
-def _copy(worlds: World, tick: int) -> None:
-    """Begin the world after a tick as the one before it."""
-    _, length, width, layers, fields = worlds.cells.shape
-    for x in range(length):
-        for y in range(width):
-            for z in range(layers):
-                for field in range(fields):
-                    worlds.cells[tick + 1, x, y, z, field] = worlds.cells[tick, x, y, z, field]
-    for car in range(worlds.cars.shape[1]):
-        for field in range(worlds.cars.shape[2]):
-            worlds.cars[tick + 1, car, field] = worlds.cars[tick, car, field]
+def _replay(worlds: World, actions: NDArray[np.int8], first: int, end: int, left_out: int) -> int:
+    """Write the worlds after each tick; return tick * n + car of the first action that is forbidden, or -1.
 
-
-@compiled
-def _replay(worlds: World, actions: NDArray[np.int8], first: int, end: int) -> int:
+    A car that is left out does nothing; -1 for none.
+    """
+    _, length, width, layers, cell_fields = worlds.cells.shape
+    _, n_cars, car_fields = worlds.cars.shape
     bad = -1
     for tick in range(first, end):
-        _copy(worlds, tick)
+        for x in range(length):
+            for y in range(width):
+                for z in range(layers):
+                    for field in range(cell_fields):
+                        worlds.cells[tick + 1, x, y, z, field] = worlds.cells[tick, x, y, z, field]
+        for car in range(n_cars):
+            for field in range(car_fields):
+                worlds.cars[tick + 1, car, field] = worlds.cars[tick, car, field]
         w = world_at(worlds, tick + 1)
-        for car in range(actions.shape[1]):
-            if actions[tick, car] >= 0 and not act(w, car, actions[tick, car]) and bad < 0:
-                bad = tick * actions.shape[1] + car
+        for car in range(n_cars):
+            if car == left_out or actions[tick, car] < 0:
+                continue
+            if not act(w, car, int(np.int64(actions[tick, car]))) and bad < 0:
+                bad = tick * n_cars + car
         if w.corrections & DERIVED_MARKS:
             derive_marks(w)
     return bad
-
-
-@compiled
-def _replay_without(worlds: World, actions: NDArray[np.int8], first: int, end: int, left_out: int) -> None:
-    for tick in range(first, end):
-        _copy(worlds, tick)
-        w = world_at(worlds, tick + 1)
-        for car in range(actions.shape[1]):
-            if car != left_out and actions[tick, car] >= 0:
-                act(w, car, actions[tick, car])
-        if w.corrections & DERIVED_MARKS:
-            derive_marks(w)
-
-
-@compiled
-def _leave_out(cars: NDArray[np.int16], car: int) -> None:
-    for field in (F_X, F_Y, F_Z):
-        cars[car, field] = _NOWHERE
-    cars[car, F_LOAD] = AIR
-    cars[car, F_LOAD_YAW] = 0
-    cars[car, F_SLOPE] = 0

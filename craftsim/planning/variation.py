@@ -98,15 +98,15 @@ def _other_source(
 ) -> None:
     """Use another thing of the same kind; who would have used that takes this one."""
     changed = turns[i]
-    mine = changed and changed.job.source
+    mine = changed and changed.delivery.source
     others = [thing for thing in things if mine and thing.load == mine.load and thing != mine]
     if not changed or not others:
         return
     other = others[int(rng.integers(len(others)))]
     for j, turn in enumerate(turns):
-        if turn and turn.job.source == other:
-            turns[j] = turn._replace(job=replace(turn.job, source=mine))
-    turns[i] = changed._replace(job=replace(changed.job, source=other))
+        if turn and turn.delivery.source == other:
+            turns[j] = turn._replace(delivery=replace(turn.delivery, source=mine))
+    turns[i] = changed._replace(delivery=replace(changed.delivery, source=other))
 
 
 _WAYS: Final[tuple[Change, ...]] = (_other_car, _swap_cars, _move, _drop, _anything, _other_source)

@@ -1,8 +1,9 @@
-"""Cars at work: each takes over one job after the other, whose whole course is planned before it is taken over.
+"""The joint plan of all cars: each takes over one delivery after the other, planned as a whole before it is taken over.
 
-A job's path avoids what all jobs before it do. Then everything is played again by the rules: where somebody's action
-has become forbidden the new path avoids that place at that time, or the job begins later; after all others have ended
-it disturbs nobody. What a car does after its job, out of the others' way, is given up for its next one.
+A delivery's path avoids what all deliveries before it do. Then everything is played again by the rules: where
+somebody's action has become forbidden the new path avoids that place at that time, or the delivery begins later; after
+all others have ended it disturbs nobody. What a car does after its delivery, out of the others' way, is given up for
+its next one.
 """
 
 from __future__ import annotations
@@ -16,22 +17,29 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.move_graph import (
+    UNREACHABLE,
+    Distances,
+    MoveGraph,
+    MoveGraphs,
+    cell_of_node,
+    node_number,
+)
 from craftsim.planning.assembly import taken_out
 from craftsim.planning.paths import WAIT, PathFinder
 from craftsim.planning.things import BuildingPart
 from craftsim.planning.timeline import NOTHING_DONE, Timeline
-from craftsim.planning.ways import FAR, Maps, Nodes, Ways, cell_of_node, node_number
 
 FLAP_TICKS: Final = 10
 """FOLD and UNFOLD take so many ticks longer than other actions."""
 _DETOURS: Final = 24
 """So often a path is searched again with one more place to avoid."""
 _DELAYS: Final = 6
-"""So often a job is tried later before all others are let end first."""
+"""So often a delivery is tried later before all others are let end first."""
 
 
 @dataclass(frozen=True)
-class Errand:
+class Delivery:
     """A thing brought from where it stands, or from the car that carries it, to where it is to stand."""
 
     source: BuildingPart | None
@@ -49,20 +57,19 @@ class Errand:
 
 
 Saved = tuple[NDArray[np.int8], tuple[int, ...]]
-"""A plan that has grown so far: its actions, and when each car's last job ends."""
+"""A plan that has grown so far: its actions, and when each car's last delivery ends."""
 
 
-class Crew:
+class JointPlan:
     """The cars of a plan that grows."""
 
-    def __init__(self, grid: Grid, maps: Maps) -> None:
+    def __init__(self, grid: Grid, graphs: MoveGraphs) -> None:
         self.size, self.n_cars = grid.size, grid.n_cars
-        self.timeline = Timeline(grid, maps.rules)
-        self._maps = maps
+        self.timeline = Timeline(grid, graphs.rules)
+        self._graphs = graphs
         self.ready = [0] * grid.n_cars
-        """The tick in which each car's last job ends; what it does after that is given up for the next."""
-        length, width, height = grid.size
-        self._finder = PathFinder(length * width * (height + 2) * 4)
+        """The tick in which each car's last delivery ends; what it does after that is given up for the next."""
+        self._finder = PathFinder(grid.size)
 
     @property
     def end(self) -> Grid:
@@ -89,13 +96,15 @@ class Crew:
         return node_number(self.size, (x, y, z), yaw)
 
     def load(self, car: int) -> Kind:
-        """Return what a car carries once its last job has ended."""
+        """Return what a car carries once its last delivery has ended."""
         return Kind(int(self.timeline.worlds.stack.cars[self.ready[car], car, CarField.LOAD]))
 
-    def take_over(self, car: int, job: Errand, parking: Callable[[Ways, Grid], list[int]]) -> bool:
-        """Plan a job of a car as early as it can be; return whether there was a way.
+    def take_over(
+        self, car: int, delivery: Delivery, parking: Callable[[MoveGraph, Grid], list[int]]
+    ) -> bool:
+        """Plan a delivery of a car as early as it can be; return whether there was a way.
 
-        ``parking`` returns the states in which a car may stay when the job is done.
+        ``parking`` returns the states in which a car may stay when the delivery is done.
         """
         saved, ready = self.saved(), self.ready[car]
         not_before = 0
@@ -104,7 +113,7 @@ class Crew:
             # To wait where one would have stayed anyway disturbs nobody.
             begin = max(ready, self._last_of(car)) if last else ready
             self.timeline.write(car, begin, [])
-            conflict = self._plan(car, job, begin, not_before, parking)
+            conflict = self._plan(car, delivery, begin, not_before, parking)
             if conflict is None:
                 return True
             self.restore(saved)
@@ -119,16 +128,16 @@ class Crew:
         """Let a car that waits go to the nearest cell of the floor outside of some; return whether it could."""
         saved, ready = self.saved(), self.ready[car]
         self.timeline.write(car, ready, [])
-        ways, grid = self._ways(car, Kind.AIR)
+        graph, grid = self._graph(car, Kind.AIR)
         goals = [
             node
-            for node in np.flatnonzero(ways.from_nodes([self.node(car, ready)]) < FAR).tolist()
-            if (cell := cell_of_node(self.size, node)[0]) not in keep_free
+            for node in np.flatnonzero(graph.distances_from([self.node(car, ready)]) < UNREACHABLE).tolist()
+            if (cell := cell_of_node(self.size, node)) not in keep_free
             and cell[2] == 1
             and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK)
             and not _car_in(grid, car, cell)
         ]
-        moved = bool(goals) and self._go(car, ready, Kind.AIR, ways.to_nodes(goals), -1, 0) is not None
+        moved = bool(goals) and self._go(car, ready, Kind.AIR, graph.distances_to(goals), -1, 0) is not None
         if moved:
             self.ready[car] = self._last_of(car)
         if not moved or self.timeline.replay(0) is not None:
@@ -140,63 +149,68 @@ class Crew:
         acting = np.flatnonzero(self.timeline.actions[:, car] != NOTHING_DONE)
         return int(acting[-1]) + 1 if len(acting) else 0
 
-    def _ways(self, car: int, load: Kind) -> tuple[Ways, Grid]:
-        """Return the ways of a car in the world at the end, and that world."""
+    def _graph(self, car: int, load: Kind) -> tuple[MoveGraph, Grid]:
+        """Return the moves of a car in the world at the end, and that world."""
         grid = self.end
-        return self._maps.ways(grid, load), grid
+        return self._graphs.graph(grid, load), grid
 
     def _plan(
-        self, car: int, job: Errand, tick: int, not_before: int, parking: Callable[[Ways, Grid], list[int]]
+        self,
+        car: int,
+        delivery: Delivery,
+        tick: int,
+        not_before: int,
+        parking: Callable[[MoveGraph, Grid], list[int]],
     ) -> int | None:
-        """Plan a job from a tick on; return None if all is well, the tick of a conflict, or -1 if there is no way."""
-        bring = self._turn_over if job.stays else self._carry
-        tick = bring(car, job, tick, not_before)
+        """Plan a delivery from a tick on; return None if all is well, the tick of a conflict, or -1 without a path."""
+        bring = self._turn_over if delivery.stays else self._carry
+        tick = bring(car, delivery, tick, not_before)
         if tick < 0:
             return -1
         self.ready[car] = tick
         self.timeline.replay(0)
-        ways, grid = self._ways(car, Kind.AIR)
-        goals = [] if job.hold else parking(ways, grid)
-        left = not goals or self._go(car, tick, Kind.AIR, ways.to_nodes(goals), -1, 0) is not None
-        if not left and job.target.cell[2] > 1:
+        graph, grid = self._graph(car, Kind.AIR)
+        goals = [] if delivery.hold else parking(graph, grid)
+        left = not goals or self._go(car, tick, Kind.AIR, graph.distances_to(goals), -1, 0) is not None
+        if not left and delivery.target.cell[2] > 1:
             # Whoever stays up there is in the way of all others.
             return tick
         bad = self.timeline.replay(0)
         return None if bad is None else bad[0]
 
-    def _turn_over(self, car: int, job: Errand, tick: int, not_before: int) -> int:
+    def _turn_over(self, car: int, delivery: Delivery, tick: int, not_before: int) -> int:
         """Fold or unfold a slope where it stands; return the tick after, or -1."""
-        ways, _ = self._ways(car, Kind.AIR)
-        action = Action.UNFOLD if job.target.kind == Kind.BODY else Action.FOLD
-        nodes = ways.nodes(job.target.cell, job.target.yaws)
-        after = self._go(car, tick, Kind.AIR, ways.to_nodes(nodes), action, not_before)
+        graph, _ = self._graph(car, Kind.AIR)
+        action = Action.UNFOLD if delivery.target.kind == Kind.BODY else Action.FOLD
+        nodes = graph.nodes(delivery.target.cell, delivery.target.yaws)
+        after = self._go(car, tick, Kind.AIR, graph.distances_to(nodes), action, not_before)
         if after is None:
             return -1
         self.timeline.actions[after - 1, car] = WAIT
         return self._swing(car, after - 1, action)
 
-    def _carry(self, car: int, job: Errand, tick: int, not_before: int) -> int:
+    def _carry(self, car: int, delivery: Delivery, tick: int, not_before: int) -> int:
         """Bring a thing to its place; return the tick after, or -1."""
-        if job.source is not None:
-            tick = self._fetch(car, job.source, job.target, tick, not_before)
+        if delivery.source is not None:
+            tick = self._fetch(car, delivery.source, delivery.target, tick, not_before)
             if tick < 0:
                 return -1
-        load = job.target.load
-        ways, _ = self._ways(car, load)
-        goals = ways.nodes(job.target.cell, job.target.yaws)
-        not_before = 0 if job.source is not None else not_before
-        last = -1 if job.hold else int(Action.DROP)
-        after = self._go(car, tick, load, ways.to_nodes(goals), last, not_before)
-        if after is None or job.hold:
+        load = delivery.target.load
+        graph, _ = self._graph(car, load)
+        goals = graph.nodes(delivery.target.cell, delivery.target.yaws)
+        not_before = 0 if delivery.source is not None else not_before
+        last = -1 if delivery.hold else int(Action.DROP)
+        after = self._go(car, tick, load, graph.distances_to(goals), last, not_before)
+        if after is None or delivery.hold:
             return -1 if after is None else after
-        return self._swing(car, after, Action.UNFOLD) if job.target.kind == Kind.BODY else after
+        return self._swing(car, after, Action.UNFOLD) if delivery.target.kind == Kind.BODY else after
 
     def _fetch(self, car: int, source: BuildingPart, target: BuildingPart, tick: int, not_before: int) -> int:
         """Drive to a thing and take it up; return the tick after, or -1."""
-        ways, _ = self._ways(car, Kind.AIR)
-        nodes = self._pick_up(ways, source, target, self.node(car, tick))
+        graph, _ = self._graph(car, Kind.AIR)
+        nodes = self._pick_up(graph, source, target, self.node(car, tick))
         first = Action.FOLD if source.kind == Kind.BODY else Action.LIFT
-        after = self._go(car, tick, Kind.AIR, ways.to_nodes(nodes), first, not_before) if nodes else None
+        after = self._go(car, tick, Kind.AIR, graph.distances_to(nodes), first, not_before) if nodes else None
         if after is None:
             return -1
         if source.kind == Kind.BODY:
@@ -215,17 +229,21 @@ class Crew:
         self.timeline.write(car, tick, actions)
         self.timeline.replay(max(0, tick - 1))
 
-    def _pick_up(self, ways: Ways, source: BuildingPart, target: BuildingPart, start: int) -> list[int]:
+    def _pick_up(self, graph: MoveGraph, source: BuildingPart, target: BuildingPart, start: int) -> list[int]:
         """Return the states in which to take up a thing so that the way there and on to its place is short."""
-        loaded = self._maps.ways(taken_out(self.end, [source]), source.load)
-        there = ways.from_nodes([start])
-        onward = loaded.to_nodes(loaded.nodes(target.cell, target.yaws))
-        nodes = ways.nodes(source.cell, source.yaws)
-        costs = {n: int(there[n]) + int(onward[n]) for n in nodes if there[n] < FAR and onward[n] < FAR}
+        loaded = self._graphs.graph(taken_out(self.end, [source]), source.load)
+        there = graph.distances_from([start])
+        onward = loaded.distances_to(loaded.nodes(target.cell, target.yaws))
+        nodes = graph.nodes(source.cell, source.yaws)
+        costs = {
+            n: int(there[n]) + int(onward[n])
+            for n in nodes
+            if there[n] < UNREACHABLE and onward[n] < UNREACHABLE
+        }
         return [node for node, cost in costs.items() if cost == min(costs.values())]
 
     def _go(
-        self, car: int, tick: int, load: Kind, distances: Nodes, last: int, not_before: int
+        self, car: int, tick: int, load: Kind, distances: Distances, last: int, not_before: int
     ) -> int | None:
         """Write a path to the goals and the last action; return the tick after it, or None if there is no way."""
         avoid: list[tuple[int, Cell]] = []
@@ -253,17 +271,17 @@ class Crew:
         return None
 
 
-def cells_on_way(ways: Ways, node: int, distances: Nodes) -> set[Cell]:
-    """Return the cells of the straight way from a state to the goals."""
+def cells_on_path(graph: MoveGraph, node: int, distances: Distances) -> set[Cell]:
+    """Return the cells of a shortest path from a state to the goals."""
     cells = set[Cell]()
-    while 0 < distances[node] < FAR:
+    while 0 < distances[node] < UNREACHABLE:
         closer = [
-            int(there) for there in ways.steps[node] if there >= 0 and distances[there] < distances[node]
+            int(there) for there in graph.steps[node] if there >= 0 and distances[there] < distances[node]
         ]
         if not closer:
             break
         node = closer[0]
-        cells.add(cell_of_node(ways.size, node)[0])
+        cells.add(cell_of_node(graph.size, node))
     return cells
 
 

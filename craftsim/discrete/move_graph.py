@@ -1,0 +1,194 @@
+"""The legal moves of one car alone in a world that stands still, as a graph, and distances in it.
+
+States are those of the action helper's search (:mod:`craftsim.discrete.kernel.search`): cell and yaw. Distances are
+counted in actions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.geometry import DIRECTIONS
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kernel.codes import LEGAL
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import why
+from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
+from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, kind_at, standable
+from craftsim.discrete.kinds import CellField, Correction
+from craftsim.discrete.rules import Rules
+
+Distances = NDArray[np.int32]
+"""(nodes,)."""
+Nodes = Sequence[int] | NDArray[np.integer]
+"""Numbers of nodes."""
+
+UNREACHABLE: Final = 1 << 28
+"""The distance where no path leads."""
+N_STEPS: Final = len(SUCCESSORS)
+_KEPT_DISTANCES: Final = 16
+"""So many distances in one world are kept, in each direction."""
+_KEPT_BYTES: Final = 30_000_000
+"""Steps of worlds that are kept; their distances may take five times as much."""
+
+
+class MoveGraph:
+    """What a car with a load, or without one, could do in a world without other cars."""
+
+    def __init__(self, grid: Grid, rules: Rules, load: Kind = Kind.AIR) -> None:
+        """Work out every step of a car that carries ``load``."""
+        self.size, self._load = grid.size, load
+        self.steps = np.full((node_number(grid.size, (grid.size[0], 0, 0), 0), N_STEPS), -1, np.int32)
+        """(nodes, 6): the node after each of SUCCESSORS, -1 where that is forbidden."""
+        alone = Grid(grid.cells, np.zeros((0, len(CarField)), np.int16))
+        _fill_steps(alone.world(rules.corrections), 0, int(load), self.steps)
+        self._steps_back: NDArray[np.int32] | None = None
+        self._from: dict[bytes, Distances] = {}
+        self._to: dict[bytes, Distances] = {}
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """(L, W, H + 2, 4): the number of the state of each cell and yaw."""
+        length, width, height = self.size
+        return np.arange(len(self.steps)).reshape(length, width, height + 2, 4)
+
+    def node(self, cell: Cell, yaw: int) -> int:
+        """Return the number of a state's node."""
+        return node_number(self.size, cell, yaw)
+
+    def nodes(self, cell: Cell, yaws: Iterable[int]) -> list[int]:
+        """Return the numbers of the states in a cell with some yaws."""
+        first = node_number(self.size, cell, 0)
+        return [first + yaw for yaw in yaws]
+
+    def floor_nodes(self, columns: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the nodes of a car on the floor of some columns (L, W), its load's gear being there, too."""
+        stands = np.repeat(columns[:, :, None], 4, axis=2)
+        if self._load == Kind.FSLOPE:
+            length, width = columns.shape
+            padded = np.pad(columns, 1)
+            for yaw, (dx, dy) in enumerate(DIRECTIONS.tolist()):
+                stands[:, :, yaw] &= padded[1 - dx : 1 - dx + length, 1 - dy : 1 - dy + width]
+        nodes: NDArray[np.int64] = self.numbers[:, :, 1][stands]
+        return nodes
+
+    def distances_from(self, nodes: Nodes) -> Distances:
+        """Return how many steps each state is from the nearest of some; UNREACHABLE where no path leads."""
+        return _kept(self._from, nodes, self.steps)
+
+    def distances_to(self, nodes: Nodes) -> Distances:
+        """Return how many steps it is from each state to the nearest of some."""
+        if self._steps_back is None:
+            self._steps_back = _reversed(self.steps)
+        return _kept(self._to, nodes, self._steps_back)
+
+
+class MoveGraphs:
+    """The graphs of all worlds that were looked at lately: attempts at one plan see the same ones again and again."""
+
+    def __init__(self, rules: Rules) -> None:
+        self.rules = rules
+        self._known: dict[tuple[bytes, ...], MoveGraph] = {}
+
+    def graph(self, grid: Grid, load: Kind = Kind.AIR) -> MoveGraph:
+        """Return the moves of a car with a load in a world without other cars."""
+        # Where marks follow from what is there, they make no difference.
+        derived = Correction.derived_marks in self.rules.corrections
+        key = bytes([load]), (grid.cells[..., : CellField.OCCUPANT] if derived else grid.cells).tobytes()
+        found = self._known.get(key)
+        if found is None:
+            found = MoveGraph(grid, self.rules, load)
+            if len(self._known) * found.steps.nbytes > _KEPT_BYTES:
+                self._known.clear()
+            self._known[key] = found
+        return found
+
+
+def node_number(size: Cell, cell: Cell, yaw: int) -> int:
+    """Return the number of a state in a world of a size."""
+    return ((cell[0] * size[1] + cell[1]) * (size[2] + 2) + cell[2]) * 4 + yaw
+
+
+def cell_of_node(size: Cell, node: int) -> Cell:
+    """Return the cell of a state."""
+    rest, z = divmod(node // 4, size[2] + 2)
+    x, y = divmod(rest, size[1])
+    return x, y, z
+
+
+def _kept(known: dict[bytes, Distances], nodes: Nodes, steps: NDArray[np.int32]) -> Distances:
+    """Return the distances from some nodes, which are worked out at most once while they are kept."""
+    starts = np.array(nodes, np.int32)
+    key = starts.tobytes()
+    if key not in known:
+        if len(known) >= _KEPT_DISTANCES:
+            known.clear()
+        known[key] = distances = np.full(len(steps), UNREACHABLE, np.int32)
+        queue = np.empty(len(steps), np.int32)
+        queue[: len(starts)] = starts
+        distances[starts] = 0
+        _spread(steps, queue, len(starts), distances)
+    return known[key]
+
+
+def _reversed(steps: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return (nodes, m): from which nodes each one is reached, then -1."""
+    before, _ = np.nonzero(steps >= 0)
+    there = steps[steps >= 0]
+    order = np.argsort(there, kind="stable")
+    before, there = before[order], there[order]
+    column = np.arange(len(there)) - np.searchsorted(there, there)
+    found = np.full((len(steps), column.max(initial=0) + 1), -1, np.int32)
+    found[there, column] = before
+    return found
+
+
+@compiled
+def pose_at_node(w: World, node: int, load: int) -> Pose:
+    """Return the state of a car with a load at a node; below a carried slope the car heads uphill."""
+    width, layers = w.cells.shape[1], w.cells.shape[2] + 1
+    yaw, rest = node & 3, node >> 2
+    z, rest = rest % layers, rest // layers
+    x, y = rest // width, rest % width
+    slope = 0
+    if kind_at(w, x, y, z) == FOOT:
+        slope = 1
+    elif kind_at(w, x, y, z - 1) == BODY:
+        slope = 2
+    load_yaw = (yaw + 2) & 3 if load == FSLOPE else 0
+    return Pose(x, y, z, yaw, load, load_yaw, slope)
+
+
+@compiled
+def _fill_steps(w: World, me: int, load: int, steps: NDArray[np.int32]) -> None:
+    for first in range(0, steps.shape[0], 4):
+        car = pose_at_node(w, first, load)
+        below = kind_at(w, car.x, car.y, car.z - 1)
+        if car.z == 0 or not (standable(below) or below == BODY):
+            continue
+        for node in range(first, first + 4):
+            car = pose_at_node(w, node, load)
+            for i in range(N_STEPS):
+                if why(w, me, car, SUCCESSORS[i]) == LEGAL:
+                    steps[node, i] = node_of(w, after(w, car, SUCCESSORS[i]))
+
+
+@compiled
+def _spread(
+    steps: NDArray[np.int32], queue: NDArray[np.int32], size: int, distances: NDArray[np.int32]
+) -> None:
+    """Search in breadth from the first ``size`` nodes of the queue, whose distances are 0."""
+    head = 0
+    while head < size:
+        node = queue[head]
+        head += 1
+        for i in range(steps.shape[1]):
+            there = steps[node, i]
+            if there >= 0 and distances[there] == UNREACHABLE:
+                distances[there] = distances[node] + 1
+                queue[size] = there
+                size += 1

@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.designs.growth import MAX_LEVELS, Growth, Mask, Ramp
+from craftsim.designs.growth import MAX_LEVELS, PHYSICAL, Growth, Ramp
 from craftsim.designs.starts import DesignStart, Stock, spread
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.grid import Cell, Grid, Kind, beside
+from craftsim.discrete.move_graph import UNREACHABLE, MoveGraph
 from craftsim.errors import InputError
 from craftsim.storage.limits import SHARE
 
@@ -134,13 +134,12 @@ def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DrawnStart | 
 def _slopes_get_there(steps: Sequence[Cell | Ramp], grid: Grid) -> bool:
     """Return whether each slope of a start can be carried to each ramp, in the order of steps, past all else."""
     growth = Growth(np.zeros(grid.size[:2], np.int64), np.ones(grid.size[:2], np.bool_))
-    things: Mask = grid.kind[:, :, 1] != Kind.AIR
-    slopes = [
-        (x, y, int(grid.yaw[x, y, 1])) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.FSLOPE).tolist()
-    ]
+    floor, yaws = grid.kind[:, :, 1], grid.yaw[:, :, 1]
+    slopes = [(x, y, int(yaws[x, y])) for x, y in np.argwhere(floor == Kind.FSLOPE).tolist()]
     for step in steps:
         if isinstance(step, Ramp):
-            if not all(_gets_there(slope, step, growth, things) for slope in slopes):
+            world = growth.world(floor != Kind.AIR)
+            if not all(_gets_there(slope, step, world) for slope in slopes):
                 return False
             growth.ramps.append(step)
         else:
@@ -148,14 +147,14 @@ def _slopes_get_there(steps: Sequence[Cell | Ramp], grid: Grid) -> bool:
     return True
 
 
-def _gets_there(slope: tuple[int, int, int], ramp: Ramp, growth: Growth, things: Mask) -> bool:
+def _gets_there(slope: tuple[int, int, int], ramp: Ramp, world: Grid) -> bool:
+    """Return whether a slope of the floor, an obstacle in a world, can be carried to where a ramp is to be."""
     x, y, yaw = slope
-    others = things.copy()
-    others[x, y] = others[x + DIRECTIONS[yaw][0], y + DIRECTIONS[yaw][1]] = False
-    reached = np.zeros((MAX_LEVELS + 2, *things.shape, 4), np.bool_)
-    reached[1, x, y, (yaw + 2) % 4] = True
-    growth.carried(True, reached, others)
-    return bool(reached[ramp.body[2], ramp.body[0], ramp.body[1], (ramp.yaw + 2) % 4])
+    rest = world.copy()
+    rest.kind[x, y, 1] = rest.kind[beside((x, y, 1), yaw)] = Kind.AIR
+    graph = MoveGraph(rest, PHYSICAL, Kind.FSLOPE)
+    distances = graph.distances_from([graph.node((x, y, 1), (yaw + 2) % 4)])
+    return bool(distances[graph.node(ramp.body, (ramp.yaw + 2) % 4)] < UNREACHABLE)
 
 
 def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:

@@ -13,10 +13,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.designs.carrying import carry
 from craftsim.designs.spreading import Column
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import Cell
+from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.move_graph import UNREACHABLE, MoveGraph
+from craftsim.discrete.rules import Rules
 
 Mask = NDArray[np.bool_]
 """(L, W)."""
@@ -52,6 +53,7 @@ def pieces_of(mask: Mask) -> tuple[NDArray[np.int32], int]:
     return found
 
 
+PHYSICAL: Final = Rules("physical")
 _SPREAD: Final = 0.15
 """How often a block of the floor begins a piece of its own."""
 
@@ -91,30 +93,24 @@ class Growth:
                 found[ramp.body[2], x, y] = True
         return found
 
-    def carried(
-        self, slope: bool, reached: NDArray[np.bool_], things: Mask | None = None
-    ) -> NDArray[np.bool_]:
-        """Set and return (MAX_LEVELS + 2, L, W, 4): where and how heading a car carries a load from there.
+    def world(self, obstacles: Mask | None = None) -> Grid:
+        """Return the building in an area of its own; ``obstacles`` (L, W) stand on the floor and bear nothing."""
+        grid = Grid.empty((*self.heights.shape, MAX_LEVELS))
+        grid.kind[:, :, 1:][self.heights[:, :, None] >= np.arange(1, MAX_LEVELS + 1)] = Kind.BLOCK
+        for ramp in self.ramps:
+            foot = (*ramp.column(1), ramp.body[2])
+            grid.kind[ramp.body], grid.kind[foot] = Kind.BODY, Kind.FOOT
+            grid.yaw[ramp.body] = grid.yaw[foot] = ramp.yaw
+        if obstacles is not None:
+            grid.kind[:, :, 1][obstacles] = Kind.WALL
+        return grid
 
-        ``things`` (L, W) are on the floor beside the building.
-        """
-        solid = self.solid()
-        if things is not None:
-            solid[1] |= things
-        ramps = np.array([(*ramp.body, ramp.yaw) for ramp in self.ramps], np.int64).reshape(-1, 4)
-        carry(self.heights, solid, ramps, slope, reached)
+    def from_floor(self, load: Kind) -> NDArray[np.bool_]:
+        """Return (L, W, MAX_LEVELS + 2, 4): the cells and headings to which a load comes from the free floor."""
+        graph = MoveGraph(self.world(), PHYSICAL, load)
+        distances = graph.distances_from(graph.floor_nodes(self.free_floor()))
+        reached: NDArray[np.bool_] = np.less(distances, UNREACHABLE).reshape(graph.numbers.shape)
         return reached
-
-    def from_floor(self, slope: bool) -> NDArray[np.bool_]:
-        """Return (MAX_LEVELS + 2, L, W, 4): where a load comes from anywhere on the free floor."""
-        reached = np.zeros((MAX_LEVELS + 2, *self.heights.shape, 4), np.bool_)
-        free = self.free_floor()
-        for yaw in range(4):
-            # A gear behind the car is on the floor, too.
-            dx, dy = DIRECTIONS[yaw].tolist()
-            shifted = np.pad(free, 1)[1 - dx : 1 - dx + free.shape[0], 1 - dy : 1 - dy + free.shape[1]]
-            reached[1, ..., yaw] = free & shifted if slope else free
-        return self.carried(slope, reached)
 
     def free_floor(self) -> Mask:
         """Return (L, W): the columns with neither a block nor a part of a ramp."""
@@ -123,7 +119,7 @@ class Growth:
 
     def reach(self, level: int) -> Mask:
         """Return (L, W): where a car with a block can stand on a level."""
-        reached: Mask = self.from_floor(slope=False)[level].any(axis=-1)
+        reached: Mask = np.any(self.from_floor(Kind.BLOCK)[:, :, level], axis=-1)
         return reached
 
     def add_block(self, level: int, rng: np.random.Generator, compact: float) -> bool:
@@ -192,7 +188,7 @@ class Growth:
 
         ``for_slopes`` leaves room for slopes to be carried up.
         """
-        landings, slopes = np.argwhere(self.heights >= level), self.from_floor(slope=True)
+        landings, slopes = np.argwhere(self.heights >= level), self.from_floor(Kind.FSLOPE)
         ways = [(x, y, yaw) for x, y in landings.tolist() for yaw in range(4)]
         for i in rng.permutation(len(ways)).tolist():
             x, y, yaw = ways[i]
@@ -215,7 +211,7 @@ class Growth:
             # A gear needs no floor, but a foot, and a car before it, do.
             if not self._is_air((*column, level)) or self.heights[column] != level - 1:
                 return False
-        if not slopes[level, ramp.body[0], ramp.body[1], (ramp.yaw + 2) % 4]:
+        if not slopes[(*ramp.body, (ramp.yaw + 2) % 4)]:
             return False
         if self.lanes & {(*column, level) for column in ramp.columns[:2]}:
             return False

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.discrete.kernel.codes import LEGAL
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.reach import car_in
 from craftsim.discrete.kernel.rules import why
 from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
 from craftsim.discrete.kernel.state import World, world_at
 from craftsim.discrete.move_graph import N_STEPS, UNREACHABLE, Distances, node_number, pose_at_node
-from craftsim.discrete.kernel.reach import car_in
 
 WAIT: Final = -1
 _MAX_TICKS: Final = 320

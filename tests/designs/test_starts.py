@@ -5,7 +5,7 @@ import pytest
 from designs.building import build
 
 from craftsim.designs.drawn import random_start
-from craftsim.designs.growth import Ramp
+from craftsim.designs.growth import Growth, Ramp
 from craftsim.designs.library import make_design
 from craftsim.designs.spreading import FreeFloor
 from craftsim.designs.starts import make_start
@@ -186,3 +186,13 @@ def test_tiny_worlds_are_tiny_and_their_goals_need_work():
         assert not grid.cars[:, CarField.LOAD].any()
         assert design.floating() == []
         assert not design.satisfied(grid)
+
+
+def test_a_loaded_car_also_drives_down_ramps():
+    growth = Growth(np.zeros((6, 5), np.int64), np.ones((6, 5), np.bool_))
+    growth.heights[1, 2] = 1
+    growth.ramps.append(Ramp((2, 2, 1), 0))
+    reached = growth.from_floor(Kind.BLOCK)
+    assert reached[1, 2, 2].all()  # on the landing it turns, ...
+    assert reached[3, 2, 1, 0]  # ... and heads down on the foot
+    assert not reached[2, 2, 1].any()

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.kernel.codes import LEGAL
+from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import why
+from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
 from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, kind_at, standable
 from craftsim.discrete.kinds import CellField, Correction
@@ -172,8 +172,9 @@ def _fill_steps(w: World, me: int, load: int, steps: NDArray[np.int32]) -> None:
             continue
         for node in range(first, first + 4):
             car = pose_at_node(w, node, load)
+            legal = legal_actions(w, me, car, ROTATE_LEFT, LAST_MOVE)
             for i in range(N_STEPS):
-                if why(w, me, car, SUCCESSORS[i]) == LEGAL:
+                if legal & (1 << SUCCESSORS[i]):
                     steps[node, i] = node_of(w, after(w, car, SUCCESSORS[i]))
 
 

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.durations import nominal_durations
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.kernel.codes import LEGAL
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import why
+from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.state import AIR, F_SLOPE, KIND, YAW, World, car_field, pose_of
 from craftsim.discrete.kinds import Action, Correction
 from craftsim.discrete.rules import Rules
@@ -210,7 +209,7 @@ def _expand(
     for car in range(w.cars.shape[0]):
         for i in range(actions.shape[0]):
             pose = pose_of(w, car)
-            if why(w, car, pose, actions[i]) != LEGAL:
+            if legal_actions(w, car, pose, actions[i], actions[i]) == 0:
                 continue
             apply(w, car, actions[i])
             sloping = pose.slope > 0 or car_field(w, car, F_SLOPE) > 0

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Cell, Kind
-from craftsim.discrete.kernel.codes import LEGAL
+from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.reach import car_in
-from craftsim.discrete.kernel.rules import why
+from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
 from craftsim.discrete.kernel.state import World, world_at
 from craftsim.discrete.move_graph import N_STEPS, UNREACHABLE, Distances, node_number, pose_at_node
@@ -135,14 +135,14 @@ def _find(
         if since + 1 >= span:
             continue
         # The action at the goal comes first, then staying, then the steps.
-        for i in range(-2, N_STEPS):
-            if i == -2 and not (arrived and last >= 0):
+        if arrived and legal_actions(now, me, car, last, last) & legal_actions(then, me, car, last, last):
+            return int(state)
+        legal = legal_actions(now, me, car, ROTATE_LEFT, LAST_MOVE)
+        legal &= legal_actions(then, me, car, ROTATE_LEFT, LAST_MOVE)
+        for i in range(-1, N_STEPS):
+            action = WAIT if i == -1 else SUCCESSORS[i]
+            if i >= 0 and not legal & (1 << action):
                 continue
-            action = last if i == -2 else (WAIT if i == -1 else SUCCESSORS[i])
-            if i != -1 and (why(now, me, car, action) != LEGAL or why(then, me, car, action) != LEGAL):
-                continue
-            if i == -2:
-                return int(state)
             new = car if i == -1 else after(now, car, action)
             new_node = node if i == -1 else node_of(now, new)
             if distances[new_node] >= UNREACHABLE or car_in(then, me, new.x, new.y, new.z, False) >= 0:

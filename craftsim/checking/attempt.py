@@ -12,9 +12,9 @@ from craftsim.checking.contact_log import Contact
 from craftsim.checking.safety import Hazard
 from craftsim.checking.settings import Thresholds
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.readback import Reading, changed, describe_car, describe_differences
 from craftsim.discrete.schedule import ScheduledAction
-from craftsim.discrete.verdict import Finding, Verdict, describe_car
 from craftsim.skills.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -22,6 +22,37 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 2
 """How many hazards, and how many contacts, a reason names."""
+
+
+class Finding(StrEnum):
+    """What the comparison of prediction and reading found."""
+
+    AGREES = "agrees"
+    NOT_EXECUTED = "not executed"
+    WRONG_PLACE = "wrong place"
+    SIDE_EFFECT = "side effect"
+    UNREADABLE = "unreadable"
+    UNSAFE = "unsafe"
+    """Something tipped, fell, or hit harder than it may."""
+    UNSETTLED = "unsettled"
+    """Something still moves although no motor is commanded."""
+    NUMERICS = "numerics"
+    """The solver did not converge, or found forces that nothing could have produced: this proves nothing."""
+    DIVERGED = "diverged"
+    """The simulation broke down."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether an action did what the rules predicted, and in words what differs where it did not."""
+
+    finding: Finding
+    differences: tuple[str, ...] = ()
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the reading equals the prediction."""
+        return self.finding is Finding.AGREES
 
 
 class Result(StrEnum):
@@ -71,7 +102,7 @@ class Attempt:
     result: str
     """A :class:`Result`."""
     finding: str
-    """Of the verdict, a :class:`~craftsim.discrete.verdict.Finding`."""
+    """Of the verdict, a :class:`Finding`."""
     skill: str
     """What the skill reports: succeeded, or failed for a stated reason."""
     reason: str
@@ -232,6 +263,21 @@ class Evidence:
     def applied(self) -> bool:
         """Whether the skill succeeded and the world reads as it should where the action changes it."""
         return not self.differences and self.outcome is not None and self.outcome.succeeded
+
+
+def compare(before: Grid, predicted: Grid, reading: Reading) -> Verdict:
+    """Return the verdict on one action: the Grid before it, the one the rules predict, and what was read after it."""
+    if reading.problems:
+        return Verdict(Finding.UNREADABLE, reading.problems)
+    read = reading.grid
+    if read.same_visible(predicted):
+        return Verdict(Finding.AGREES)
+    differences = tuple(describe_differences(predicted, read))
+    if read.same_visible(before):
+        return Verdict(Finding.NOT_EXECUTED, differences)
+    meant, happened = changed(before, predicted), changed(before, read)
+    others = any((found & ~wanted).any() for wanted, found in zip(meant, happened, strict=True))
+    return Verdict(Finding.SIDE_EFFECT if others else Finding.WRONG_PLACE, differences)
 
 
 def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:

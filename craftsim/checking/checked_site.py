@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.checking.attempt import Attempt, Evidence, capped_text, judge
+from craftsim.checking.attempt import Attempt, Evidence, Finding, Verdict, capped_text, compare, judge
 from craftsim.checking.contact_log import ContactLog, speed_m_s
 from craftsim.checking.safety import hazards, is_unsafe
 from craftsim.checking.settings import Thresholds
@@ -19,11 +19,17 @@ from craftsim.checking.straying import Straying
 from craftsim.checking.unexpected import handled, under, unexpected_contacts
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.readback import Placed, Poses, Reading, read_grid
-from craftsim.discrete.reading import PLACE_TOLERANCE_M
+from craftsim.discrete.readback import (
+    PLACE_TOLERANCE_M,
+    CellFit,
+    Poses,
+    Reading,
+    describe_car,
+    own_differences,
+    read_grid,
+)
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Constraints, Order, Schedule, ScheduledAction, make_schedule
-from craftsim.discrete.verdict import Finding, Verdict, compare, describe_car, own_differences
 from craftsim.models.placement import lift_m
 from craftsim.models.sensing import PoseReader
 from craftsim.skills.executor import Executor
@@ -401,7 +407,7 @@ class CheckedSite:
         return Verdict(Finding.WRONG_PLACE, one.differences or (str(one.outcome),))
 
 
-def _lean(thing: Placed) -> float:
+def _lean(thing: CellFit) -> float:
     """Return how far a thing leans, or how far its hinge is short of its end where that is more."""
     return max(thing.tilt_rad, thing.hinge_rad)
 

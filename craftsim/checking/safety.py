@@ -7,7 +7,7 @@ from typing import Final
 
 from craftsim.checking.contact_log import ContactLog
 from craftsim.discrete.geometry import INCLINE_RAD
-from craftsim.discrete.reading import TILT_TOLERANCE_RAD
+from craftsim.discrete.readback import TILT_TOLERANCE_RAD
 
 TIPPED_RAD: Final = INCLINE_RAD + TILT_TOLERANCE_RAD
 """How far anything may lean, 0.33 rad: the incline, and as much more as still counts as standing on it. What should

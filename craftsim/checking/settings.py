@@ -34,7 +34,7 @@ class Thresholds:
 
     Things in neighbouring cells stand 2.5 mm apart: a cell is 322.5 mm wide, a block or slope 320. So each may come
     nearer to the other by half of that, 1.25 mm, all taken together: place, heading times half a cell, and lean times
-    a level (:attr:`craftsim.discrete.readback.Placed.reach_m`). That is ``placed_m``, for what is set down, what is
+    a level (:attr:`craftsim.discrete.readback.CellFit.reach_m`). That is ``placed_m``, for what is set down, what is
     carried and what stands; a car alone is far narrower than its cell. A heading off by ``placed_heading_rad`` takes
     0.8 mm of the 1.25, and leaning by ``tilt_rad`` more than all of it.
 

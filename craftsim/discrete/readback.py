@@ -1,4 +1,4 @@
-"""Reading a Grid from poses: what the world looks like now, whatever anybody asked for.
+"""Reading a Grid from poses, whatever anybody asked for, and comparing it with the predicted one.
 
 Positions and quaternions are in the world frame of :mod:`craftsim.discrete.geometry`; the frame of every part has its
 origin on the floor under its centre, z up, a slope's x downhill.
@@ -7,33 +7,42 @@ origin on the floor under its centre, z up, a slope's x downhill.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete import reading as found
-from craftsim.discrete.grid import Grid, Kind
-from craftsim.discrete.kernel.jit import records
+from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, INCLINE_RAD, LEVEL_HEIGHT_M, yaw_angle
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR
 
-_PROBLEMS: Final = {
-    found.OFF_CENTRE: "{name} is {:.0f} mm from the centre of ({:.0f}, {:.0f})",
-    found.OUTSIDE: "{name} is outside the area, at ({:.0f}, {:.0f})",
-    found.OFF_FLOOR: "{name} is {:+.0f} mm from the floor of level {:.0f}",
-    found.OFF_LEVELS: "{name} is on level {:.0f}, outside 1..{:.0f}",
-    found.CAR_TURNED: "{name} heads {:+.2f} rad away from yaw {:.0f}",
-    found.CAR_LEANS: "{name} leans: pitch {:+.2f} rad, roll {:.2f} rad",
-    found.HALF_OPEN: "{name} is half open: its hinge stands at {:.2f} rad",
-    found.SECOND_LOAD: "{name} is a second load on car {:.0f}",
-    found.OFF_SEAT: "{name} sits {:.0f} mm off its seat on car {:.0f}",
-    found.LOAD_TURNED: "{name} is turned by {:+.2f} rad on car {:.0f}",
-    found.LEANS: "{name} leans by {:.2f} rad",
-    found.TURNED: "{name} is turned by {:+.2f} rad",
-    found.REACHES_OUT: "{name} reaches outside the area, into ({:.0f}, {:.0f}, {:.0f})",
-    found.SHARES: "{name} shares the cell ({:.0f}, {:.0f}, {:.0f}) with a {kind}",
-}
-"""What is wrong with a thing, in words."""
+PLACE_TOLERANCE_M: Final = 0.025
+"""How far from its cell's centre a thing may be and still count as in it: well inside the robot's room to correct."""
+HEIGHT_TOLERANCE_M: Final = 0.010
+"""How far from a level's floor a thing may be and still count as standing on it: a third of the lift of a load."""
+HEADING_TOLERANCE_RAD: Final = 0.15
+"""How far from a grid yaw a heading may be and still be read as it."""
+TILT_TOLERANCE_RAD: Final = 0.05
+"""How far from level, or from the incline, a thing may lean and still count as standing."""
+HINGE_TOLERANCE_RAD: Final = 0.05
+"""How far from fully open or closed a hinge may be; the flap's lip is then 16 mm from its place."""
+SEAT_TOLERANCE_M: Final = 0.005
+"""How far a carried thing may be from its car's centre line: ten times what the boss leaves it to play."""
+LIFT_RANGE_M: Final = (0.016, 0.050)
+"""Height of a load above its car that counts as carried; a board lifts blocks by 0.032, slopes by 0.042."""
+
+HEADINGS: Final = ("+x", "+y", "-x", "-y")
+"""The four grid yaws as map directions."""
+
+Floats = NDArray[np.float64]
+Vector = list[float]
+"""(x, y, z)."""
+Axes = list[Vector]
+"""Of a turned body: forward, left and up in the world frame."""
+_Seat = tuple[int, Axes, float, float]
+"""What a carried object sits on: the car, its axes, how far off its centre line and how high above it."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +52,13 @@ class Poses:
     Shapes: positions (n, 3) in metres, quaternions (n, 4) with w first.
     """
 
-    car_positions: NDArray[np.float64]
-    car_quaternions: NDArray[np.float64]
+    car_positions: Floats
+    car_quaternions: Floats
     kinds: tuple[Kind, ...]
     """Of each object: BLOCK, FLAG, or FSLOPE for a slope in any state."""
-    positions: NDArray[np.float64]
-    quaternions: NDArray[np.float64]
-    hinges: NDArray[np.float64]
+    positions: Floats
+    quaternions: Floats
+    hinges: Floats
     """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
 
     def copy(self) -> Poses:
@@ -65,25 +74,25 @@ class Poses:
         return f"{word} {self.kinds[:index].count(kind)}"
 
 
-class Placed(NamedTuple):
-    """Where a car or an object was read to be, and how far it is from the ideal place."""
+class CellFit(NamedTuple):
+    """The cell that a car or an object was read to be in, and how far it is from the ideal place."""
 
-    cell: tuple[int, int, int]
-    """(x, y, z); of a carried object the cell of its car."""
+    cell: Cell
+    """Of a carried object the cell of its car."""
     offset_m: float
     """Horizontal distance from the cell's centre; of a carried object from its car's centre line."""
     heading_rad: float
     """Heading minus the nearest grid yaw's, in (-pi/4, pi/4]; of a carried object in its car's frame."""
-    carrier: int | None = None
+    carrier: int | None
     """The car that carries it, if any."""
-    height_m: float = 0.0
+    height_m: float
     """Height above the floor of the cell, or above the middle of the incline there; of a carried object above its car's
     origin, square to the car's deck."""
-    tilt_rad: float = 0.0
+    tilt_rad: float
     """How far it leans away from level, or a car on a slope from the incline; of a carried object from its car."""
-    hinge_rad: float = 0.0
+    hinge_rad: float
     """How far the hinge of a slope is from fully open or closed, whichever is nearer."""
-    reach_m: float = 0.0
+    reach_m: float
     """By how much an object comes nearer to any neighbouring cell than where it should stand or be carried: place,
     heading and lean together. 0 for a car."""
 
@@ -93,14 +102,20 @@ class Reading:
     """A Grid read from poses, with what is inexact or impossible about it."""
 
     grid: Grid
-    cars: tuple[Placed, ...]
-    objects: tuple[Placed, ...]
+    cars: tuple[CellFit, ...]
+    objects: tuple[CellFit, ...]
     """In the order of the poses."""
-    problems: tuple[str, ...] = field(default=())
+    problems: tuple[str, ...] = ()
     """What could not be read as a grid, in words; empty when everything stands in a cell."""
 
 
-def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.integer]) -> Reading:
+def nearest_yaw(heading: float) -> tuple[int, float]:
+    """Return the grid yaw nearest to a heading in radians, and the heading's excess over it in (-pi/4, pi/4]."""
+    yaw = round(heading / (math.pi / 2)) % 4
+    return yaw, math.remainder(heading - yaw_angle(yaw), math.tau)
+
+
+def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
     """Return the Grid that the poses show.
 
     Args:
@@ -108,34 +123,208 @@ def read_grid(poses: Poses, size: tuple[int, int, int], walls: NDArray[np.intege
         size: (L, W, H) of the map.
         walls: (n, 3) cells of fixed obstacles, in the Grid's own coordinates (level 1 is z = 1).
     """
-    n_cars, n = len(poses.car_positions), len(poses.car_positions) + len(poses.positions)
-    grid = Grid.empty(size, n_cars)
+    grid = Grid.empty(size, len(poses.car_positions))
     grid.kind[tuple(walls.T)] = Kind.WALL
-    world = grid.world()
-    reads, problems = records(n, found.READ), records(n * found.MOST_PROBLEMS, found.PROBLEM)
-    n_problems = found.read_things(
-        world,
-        np.concatenate((poses.car_positions, poses.positions)),
-        np.concatenate((poses.car_quaternions, poses.quaternions)),
-        np.array(poses.kinds, np.int64),
-        poses.hinges,
-        reads,
-        problems,
-    )
-    things = [_placed(*read) for read in reads.tolist()]
-    words = tuple(_in_words(poses, *problem) for problem in problems[:n_problems].tolist())
-    return Reading(grid, tuple(things[:n_cars]), tuple(things[n_cars:]), words)
+    positions, car_axes = poses.positions.tolist(), _axes(poses.car_quaternions)
+    cars, objects, problems = [], [], []
+    for car, position in enumerate(poses.car_positions.tolist()):
+        notes: list[str] = []
+        cars.append(_read_car(grid, car, position, car_axes[car], notes))
+        problems += [f"car {car} {note}" for note in notes]
+    seats = _seats(poses, car_axes)
+    axes, hinges = _axes(poses.quaternions), poses.hinges.tolist()
+    for index, kind in enumerate(map(int, poses.kinds)):
+        notes, seat = [], seats.get(index)
+        objects.append(_read_object(grid, kind, positions[index], axes[index], hinges[index], seat, notes))
+        problems += [f"{poses.name(index)} {note}" for note in notes]
+    grid.derive_marks()
+    return Reading(grid, tuple(cars), tuple(objects), tuple(problems))
 
 
-def _placed(
-    x: int, y: int, z: int, carrier: int, ahead_m: float, aside_m: float, heading_rad: float, *others: float
-) -> Placed:
-    """Return what a READ record says; ``others`` are height, tilt, hinge and reach."""
-    offset_m = math.hypot(ahead_m, aside_m)
-    return Placed((x, y, z), offset_m, heading_rad, carrier if carrier >= 0 else None, *others)
+def _axes(quaternions: Floats) -> list[Axes]:
+    """Return the axes of bodies turned by quaternions (n, 4) of any length."""
+    w, x, y, z = quaternions.T
+    w, x, y, z = quaternions.T / np.sqrt(w * w + x * x + y * y + z * z)
+    axes = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    found: list[Axes] = np.array(axes).transpose(2, 0, 1).tolist()
+    return found
 
 
-def _in_words(poses: Poses, what: int, thing: int, details: NDArray[np.float64]) -> str:
-    n_cars = len(poses.car_positions)
-    name = f"car {thing}" if thing < n_cars else poses.name(thing - n_cars)
-    return _PROBLEMS[what].format(*details, name=name, kind=Kind(int(details[3])).name.lower())
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _arc(function: Callable[[float], float], value: float) -> float:
+    """Return the arcsine or arccosine of what may lie beyond 1 by rounding."""
+    return function(max(-1.0, min(1.0, value)))
+
+
+def _column(grid: Grid, position: Vector, notes: list[str]) -> tuple[int, int, float]:
+    """Return the column of the map in which a position is, and how far from its centre."""
+    x, y = math.floor(position[0] / CELL_PITCH_M), math.floor(position[1] / CELL_PITCH_M)
+    offset = math.hypot(position[0] - (x + 0.5) * CELL_PITCH_M, position[1] - (y + 0.5) * CELL_PITCH_M)
+    if offset > PLACE_TOLERANCE_M:
+        notes.append(f"is {offset * 1e3:.0f} mm from the centre of ({x}, {y})")
+    length, width, _ = grid.size
+    if not (0 <= x < length and 0 <= y < width):
+        notes.append(f"is outside the area, at ({x}, {y})")
+    return min(max(x, 0), length - 1), min(max(y, 0), width - 1), offset
+
+
+def _level(height: float, top: int, notes: list[str]) -> tuple[int, float]:
+    """Return the level up to ``top`` whose floor is nearest to a height in metres, and the height above that floor."""
+    level = round(height / LEVEL_HEIGHT_M) + 1
+    excess = height - (level - 1) * LEVEL_HEIGHT_M
+    if abs(excess) > HEIGHT_TOLERANCE_M:
+        notes.append(f"is {excess * 1e3:+.0f} mm from the floor of level {level}")
+    if not 1 <= level <= top:
+        notes.append(f"is on level {level}, outside 1..{top}")
+    return min(max(level, 1), top), excess
+
+
+def _read_car(grid: Grid, car: int, position: Vector, axes: Axes, notes: list[str]) -> CellFit:
+    """Put a car into a world and return how it fits; note what is wrong with it."""
+    forward, left, up = axes
+    x, y, offset = _column(grid, position, notes)
+    yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
+    if abs(turned) > HEADING_TOLERANCE_RAD:
+        notes.append(f"heads {turned:+.2f} rad away from yaw {yaw}")
+    pitch, roll = _arc(math.asin, forward[2]), abs(_arc(math.asin, left[2]))
+    on_slope = abs(pitch) > INCLINE_RAD / 2
+    off_incline = abs(pitch) - (INCLINE_RAD if on_slope else 0.0)
+    if roll > TILT_TOLERANCE_RAD or abs(off_incline) > TILT_TOLERANCE_RAD or up[2] < 0:
+        notes.append(f"leans: pitch {pitch:+.2f} rad, roll {roll:.2f} rad")
+    height, slope = position[2], 0
+    if on_slope:
+        slope = 1 if (height / LEVEL_HEIGHT_M) % 1.0 < 0.5 else 2
+        height += LEVEL_HEIGHT_M * (-0.25 if slope == 1 else 0.25)
+    z, excess = _level(height, grid.size[2] + 1, notes)  # a car may be above the top level
+    grid.cars[car] = x, y, z, yaw, AIR, 0, slope
+    tilt = math.sqrt(off_incline * off_incline + roll * roll)
+    return CellFit((x, y, z), offset, turned, None, excess, tilt, 0.0, 0.0)
+
+
+def _seats(poses: Poses, car_axes: list[Axes]) -> dict[int, _Seat]:
+    """Return the carried objects with the first car that carries each, its axes, and where it is in their frame."""
+    apart = poses.positions[:, None] - poses.car_positions
+    near = (abs(apart[..., :2]) < CELL_PITCH_M / 2).all(axis=2)
+    found: dict[int, _Seat] = {}
+    for index, car in np.argwhere(near).tolist():
+        ahead, aside, above = (_dot(axis, apart[index, car].tolist()) for axis in car_axes[car])
+        lifted = LIFT_RANGE_M[0] < above < LIFT_RANGE_M[1]
+        if lifted and math.sqrt(ahead * ahead + aside * aside) < CELL_PITCH_M / 4:
+            found.setdefault(index, (car, car_axes[car], math.hypot(ahead, aside), above))
+    return found
+
+
+def _read_object(
+    grid: Grid, kind: int, position: Vector, axes: Axes, hinge: float, seat: _Seat | None, notes: list[str]
+) -> CellFit:
+    """Put an object into a world that has its cars, and return how it fits; note what is wrong with it."""
+    forward, _, up = axes
+    yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
+    folded = kind != FSLOPE or hinge > math.pi / 2
+    ajar = abs(hinge - (math.pi if folded else 0.0)) if kind == FSLOPE else 0.0
+    if ajar > HINGE_TOLERANCE_RAD:
+        notes.append(f"is half open: its hinge stands at {hinge:.2f} rad")
+    if seat is not None:
+        car, car_axes, offset, height = seat
+        row = grid.cars[car]
+        x, y, z, car_yaw, load, _, slope = row.tolist()
+        if load != AIR:
+            notes.append(f"is a second load on car {car}")
+        row[CarField.LOAD], row[CarField.LOAD_YAW] = kind, yaw if kind == FSLOPE else 0
+        if offset > SEAT_TOLERANCE_M:
+            notes.append(f"sits {offset * 1e3:.0f} mm off its seat on car {car}")
+        if abs(turned) > HEADING_TOLERANCE_RAD:
+            notes.append(f"is turned by {turned:+.2f} rad on car {car}")
+        _, heading = nearest_yaw(math.atan2(_dot(car_axes[1], forward), _dot(car_axes[0], forward)))
+        tilt = _arc(math.acos, _dot(car_axes[2], up))
+        nose_up = math.copysign(INCLINE_RAD, car_axes[0][2]) if slope else 0.0
+        lean = [-math.sin(nose_up) * step for step in DIRECTIONS[car_yaw].tolist()]
+        reach = _reach(position, (x, y, z), turned, up, height, lean)
+        return CellFit((x, y, z), offset, heading, car, height, tilt, ajar, reach)
+    x, y, offset = _column(grid, position, notes)
+    z, height = _level(position[2], grid.size[2], notes)
+    tilt = _arc(math.acos, up[2])
+    if tilt > TILT_TOLERANCE_RAD:
+        notes.append(f"leans by {tilt:.2f} rad")
+    if abs(turned) > HEADING_TOLERANCE_RAD:
+        notes.append(f"is turned by {turned:+.2f} rad")
+    if kind == FSLOPE:
+        first, second = (FSLOPE, GEAR) if folded else (BODY, FOOT)
+        _put(grid, (x, y, z), first, yaw, notes)
+        _put(grid, beside((x, y, z), yaw), second, yaw, notes)
+    else:
+        _put(grid, (x, y, z), kind, 0, notes)
+    reach = _reach(position, (x, y, z), turned, up, 0.0, [0.0, 0.0])
+    return CellFit((x, y, z), offset, turned, None, height, tilt, ajar, reach)
+
+
+def _reach(position: Vector, cell: Cell, turned: float, up: Vector, lifted: float, lean: Vector) -> float:
+    """Return how much nearer to a neighbouring cell an object comes than where it should stand or be carried, at most.
+
+    Its box is taken to be a cell long and wide and a level high, of an unfolded slope over its body. It should be
+    lifted by so much along an axis that leans by ``lean`` in x and y.
+    """
+    furthest = 0.0
+    for axis in (0, 1):
+        low = position[axis] - (cell[axis] + 0.5) * CELL_PITCH_M - lifted * lean[axis]
+        furthest = max(furthest, abs(low), abs(low + LEVEL_HEIGHT_M * (up[axis] - lean[axis])))
+    return CELL_PITCH_M / 2 * abs(turned) + furthest
+
+
+def _put(grid: Grid, cell: Cell, kind: int, yaw: int, notes: list[str]) -> None:
+    """Put a part of an object into a cell."""
+    length, width, _ = grid.size
+    if not (0 <= cell[0] < length and 0 <= cell[1] < width):
+        notes.append(f"reaches outside the area, into {cell}")
+        return
+    there = grid.cells[cell]
+    if there[0] not in (AIR, GEAR) and kind != GEAR:
+        notes.append(f"shares the cell {cell} with a {Kind(there[0]).name.lower()}")
+    elif there[0] == AIR or kind != GEAR:
+        there[:2] = kind, yaw
+    elif there[0] == GEAR:
+        there[1] = min(yaw, there[1])  # the rules show this one of two gears as well
+
+
+def describe_differences(predicted: Grid, read: Grid) -> list[str]:
+    """Return one line for each cell and each car in which two Grids of one size differ."""
+    return _describe(predicted, read, *changed(predicted, read))
+
+
+def own_differences(before: Grid, predicted: Grid, read: Grid, car: int) -> list[str]:
+    """Return a line for each thing that a car's action was to change and that reads otherwise than predicted."""
+    (cells, cars), (meant, _) = changed(predicted, read), changed(before, predicted)
+    return _describe(predicted, read, cells & meant, cars & (np.arange(len(cars)) == car))
+
+
+def changed(one: Grid, other: Grid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which cells (L, W, H + 1) hold something else, and which cars (n,) differ."""
+    return (one.kind != other.kind) | (one.yaw != other.yaw), (one.cars != other.cars).any(axis=1)
+
+
+def _describe(predicted: Grid, read: Grid, cells: NDArray[np.bool_], cars: NDArray[np.bool_]) -> list[str]:
+    lines = []
+    for cell in map(tuple, np.argwhere(cells).tolist()):
+        want, got = (f"{Kind(g.kind[cell]).name.lower()} yaw {g.yaw[cell]}" for g in (predicted, read))
+        lines.append(f"cell {cell}: predicted {want}, read {got}")
+    for car in np.flatnonzero(cars).tolist():
+        lines.append(f"car {car}: predicted {describe_car(predicted, car)}, read {describe_car(read, car)}")
+    return lines
+
+
+def describe_car(grid: Grid, car: int) -> str:
+    """Return a car's cell, heading, load and place on a slope in brief, such as ``2,3,1 +y block``."""
+    x, y, z, yaw, load, load_yaw, slope = grid.cars[car].tolist()
+    words = [f"{x},{y},{z} {HEADINGS[yaw]}"]
+    if load != Kind.AIR:
+        words.append(Kind(load).name.lower() + (HEADINGS[load_yaw] if load == Kind.FSLOPE else ""))
+    if slope:
+        words.append("low" if slope == 1 else "high")
+    return " ".join(words)

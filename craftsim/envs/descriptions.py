@@ -12,10 +12,10 @@ from craftsim.discrete.drawing import LEGEND, world_text
 from craftsim.discrete.files.design import Design, Target
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kinds import NAMES, Action
+from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.measures import OnePlatform
-from craftsim.discrete.verdict import HEADINGS
 from craftsim.envs.answers import FORM, MARK, words_of
 
 _SECOND: Final = tuple(SECOND_PART.values())

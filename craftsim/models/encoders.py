@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.kernel.jit import Record, compiled, records
-from craftsim.discrete.rotation import body_axes
+from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.models.measuring import Floats, Records, Wiring
 from craftsim.models.site import Site
 

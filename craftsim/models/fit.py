@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from craftsim.discrete.geometry import INCLINE_RAD
-from craftsim.discrete.reading import LIFT_RANGE_M
+from craftsim.discrete.readback import LIFT_RANGE_M
 from craftsim.errors import InputError
 
 if TYPE_CHECKING:

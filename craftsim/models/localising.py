@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.kernel.jit import Record, compiled, records
-from craftsim.discrete.rotation import wrap
+from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.noise import SensorNoise
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import Record, compiled, records
-from craftsim.discrete.rotation import Axis, body_axes
+from craftsim.discrete.kernel.rotation import Axis, body_axes
 from craftsim.models.site import Site
 
 Floats = NDArray[np.float64]

@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.rotation import wrap
 from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.models.sensing import CarMeasurement, PerWheel
 from craftsim.skills.mecanum import Mecanum
@@ -67,7 +66,12 @@ class Extrapolation:
         fl, fr, rl, rr = (self._seen + (ahead - self._ahead)).tolist()
         self._seen, self._ahead = np.zeros(4), ahead
         now = now._replace(
-            x=x, y=y, heading=wrap(heading), wheel_speeds=(fl, fr, rl, rr), board_m=board, hinge_rad=hinge
+            x=x,
+            y=y,
+            heading=math.remainder(heading, math.tau),
+            wheel_speeds=(fl, fr, rl, rr),
+            board_m=board,
+            hinge_rad=hinge,
         )
         return self._with_lines(now, way)
 

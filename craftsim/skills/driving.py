@@ -12,7 +12,7 @@ from abc import abstractmethod
 import numpy as np
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
-from craftsim.discrete.reading import nearest_yaw
+from craftsim.discrete.readback import nearest_yaw
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.driving_law import drive_law
 from craftsim.skills.mecanum import Triple

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from craftsim.discrete.kernel.jit import Record, compiled
-from craftsim.discrete.rotation import wrap
+from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import Floats, Records
 from craftsim.skills.health import check_load, end
 from craftsim.skills.mecanum import Triple, body_twist, wheel_speeds, wheel_torques

@@ -23,7 +23,7 @@ import numpy as np
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.jit import Record, compiled, records
-from craftsim.discrete.rotation import wrap
+from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import SmartcarParameters

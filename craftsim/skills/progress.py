@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from craftsim.discrete.kernel.jit import Record, compiled
-from craftsim.discrete.rotation import wrap
+from craftsim.discrete.kernel.rotation import wrap
 from craftsim.skills.mecanum import Triple, body_twist, wrench_of
 from craftsim.skills.state import BLOCKED, GRAVITY, RUNNING, SLIPPED
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.discrete.reading import nearest_yaw
+from craftsim.discrete.readback import nearest_yaw
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.driving import Move, cell_middle
 from craftsim.skills.library import make_skill

@@ -7,8 +7,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from craftsim.checking.attempt import Attempt, Result
-from craftsim.discrete.verdict import Finding
+from craftsim.checking.attempt import Attempt, Finding, Result
 from craftsim.validation.campaign import Form
 from craftsim.validation.campaign.schema import STRICT
 from craftsim.validation.margins.limit import Limit, RowFound

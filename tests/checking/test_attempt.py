@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from craftsim.checking import checked_site
-from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Result, judge, result_of
+from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Finding, Result, Verdict, judge, result_of
 from craftsim.checking.contact_log import Contact
 from craftsim.checking.forces import impact_limit_n
 from craftsim.checking.safety import Hazard
@@ -16,7 +16,6 @@ from craftsim.checking.world import set_up
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.verdict import Finding, Verdict
 from craftsim.skills.outcome import Outcome, Reason
 
 LIMITS = Thresholds()

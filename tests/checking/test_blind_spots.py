@@ -12,12 +12,11 @@ import pytest
 from disturbances import push, twist
 from drawn import draw
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Finding, Result
 from craftsim.checking.settings import Setup, Thresholds, setup_of
 from craftsim.checking.world import set_up
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.verdict import Finding
 from craftsim.models.noise import SensorNoise
 from craftsim.models.randomization import NONE
 

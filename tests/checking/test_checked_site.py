@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from disturbances import push
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Finding, Result
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup, Thresholds, setup_of
 from craftsim.checking.world import set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.verdict import Finding
 from craftsim.models.config import SimulationConfig
 from craftsim.skills.outcome import Reason
 

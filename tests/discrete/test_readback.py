@@ -8,8 +8,7 @@ import pytest
 
 from craftsim.discrete.geometry import INCLINE_RAD, LEVEL_HEIGHT_M, cell_position, yaw_angle
 from craftsim.discrete.grid import CarField, Kind, beside
-from craftsim.discrete.readback import Poses, read_grid
-from craftsim.discrete.reading import nearest_yaw
+from craftsim.discrete.readback import Poses, nearest_yaw, read_grid
 
 SIZE = (4, 4, 3)
 NO_WALLS = np.zeros((0, 3), int)

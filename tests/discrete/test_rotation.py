@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from craftsim.discrete.rotation import wrap
+from craftsim.discrete.kernel.rotation import wrap
 
 _RNG = np.random.default_rng(0)
 ANGLES = [

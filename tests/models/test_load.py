@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rotation import body_axes
 from craftsim.discrete.terrain import incline_under
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL

@@ -15,9 +15,9 @@ from craftsim.checking.recipe import Step
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Grid, Kind, beside
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Order
-from craftsim.discrete.verdict import HEADINGS
 from craftsim.validation.audit.intended import NoPredictionError, intended
 
 _SIZE: Final = (8, 7, 4)
@@ -125,7 +125,7 @@ def _thing(text: str) -> Thing:
 
 
 def _car(text: str) -> CarRow:
-    """Return the car that :func:`~craftsim.discrete.verdict.describe_car` describes so."""
+    """Return the car that :func:`~craftsim.discrete.readback.describe_car` describes so."""
     found = _CAR.fullmatch(text)
     if found is None:
         raise RuntimeError(f"craftsim/data/scenes.yaml: '{text}' describes no car")

@@ -13,7 +13,7 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.reading import PLACE_TOLERANCE_M
+from craftsim.discrete.readback import PLACE_TOLERANCE_M
 from craftsim.discrete.tasks import Task
 from craftsim.planning.planned import Ticks
 

@@ -8,8 +8,7 @@ from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from craftsim.checking.attempt import Result
-from craftsim.discrete.verdict import Finding
+from craftsim.checking.attempt import Finding, Result
 from craftsim.validation.statistics.proportions import CONFIDENCE
 from craftsim.validation.statistics.records import AttemptRecord, Record, as_predicted, carried_out
 

@@ -10,8 +10,8 @@ import yaml
 from craftsim.checking.settings import setup_of
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.readback import describe_car
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.verdict import describe_car
 from craftsim.validation.audit.intended import NoPredictionError, intended
 from craftsim.validation.audit.nearby import nearby
 from craftsim.validation.audit.rows import action_in, audit_plan, distribute_trials, world_of

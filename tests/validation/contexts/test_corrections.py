@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from drawn import draw
 
+from craftsim.checking.attempt import Finding
 from craftsim.checking.settings import Setup, setup_of
 from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action, Correction
 from craftsim.discrete.rules import RULE_SETS, Rules
-from craftsim.discrete.verdict import Finding
 
 PUBLISHED: Final = "published"
 PHYSICAL: Final = "physical"

@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
+from craftsim.checking.attempt import Finding, Verdict, compare
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.readback import Reading
-from craftsim.discrete.verdict import (
-    Finding,
-    Verdict,
-    compare,
-    describe_car,
-    describe_differences,
-    own_differences,
-)
+from craftsim.discrete.readback import Reading, describe_car, describe_differences, own_differences
 
 
 def _before() -> Grid:

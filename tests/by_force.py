@@ -8,10 +8,10 @@ from itertools import count
 
 import numpy as np
 
-from craftsim.discrete.durations import nominal_durations, situation
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import nominal_durations, situation
 
 
 def least_work_by_force(

@@ -29,7 +29,7 @@ from craftsim.discrete.readback import (
     read_grid,
 )
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import Constraints, Order, Schedule, ScheduledAction, make_schedule
+from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.placement import lift_m
 from craftsim.models.sensing import PoseReader
 from craftsim.skills.executor import Executor
@@ -146,12 +146,14 @@ class CheckedSite:
         legal = self.rules.legal(self.grid, car, action)
         return self._perform(Schedule((step,), (), intended, ((tick, car),)), legal=legal)[0]
 
-    def perform_tick(self, joint: Joint, order: Order = "concurrent", tick: int = 0) -> tuple[Attempt, ...]:
+    def perform_tick(
+        self, joint: Joint, order: Concurrency = "concurrent", tick: int = 0
+    ) -> tuple[Attempt, ...]:
         """Perform one tick of many cars, each as early as ``order`` lets it; return the attempts in acting order."""
         return self._perform(make_schedule(self.grid, [joint], self.rules, order, tick))
 
     def perform_plan(
-        self, ticks: Iterable[Joint], order: Order, after: Constraints | None = None
+        self, ticks: Iterable[Joint], order: Concurrency, after: Constraints | None = None
     ) -> tuple[Attempt, ...]:
         """Perform the ticks of a plan as one schedule and return an attempt for each action, in their order.
 

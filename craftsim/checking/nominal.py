@@ -10,9 +10,9 @@ import numpy as np
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import set_up
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.durations import SITUATIONS, situation
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.schedule import SITUATIONS, situation
 
 _LEFT, _RIGHT, _BACK, _FORWARD = (
     Action.MOVE_LEFT,

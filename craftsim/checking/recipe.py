@@ -23,7 +23,7 @@ from craftsim.discrete.files.blueprint import Blueprint, parse_blueprint
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.schedule import Constraints, Order
+from craftsim.discrete.schedule import Concurrency, Constraints
 from craftsim.errors import InputError, suggestion
 from craftsim.models.extent import check_extent
 from craftsim.models.randomization import RandomizedSite
@@ -57,7 +57,7 @@ class Step:
 
     ticks: tuple[tuple[Act, ...], ...]
     """In each tick every car acts once at most, in the order given."""
-    order: Order | None = None
+    order: Concurrency | None = None
     """Which actions may run at the same time; None performs a single action by itself."""
     intended: str | None = None
     """The world, as a blueprint, that a single action should lead to although the rules forbid it."""
@@ -100,7 +100,7 @@ class Step:
         cls,
         tick: int,
         *ticks: Sequence[tuple[int, Action]],
-        order: Order = "concurrent",
+        order: Concurrency = "concurrent",
         after: Constraints | None = None,
     ) -> Step:
         """Return the step of many cars: one tick, or several as one schedule with its order constraints.

@@ -7,7 +7,8 @@ from collections.abc import Collection
 import numpy as np
 
 from craftsim.checking.contact_log import Contact
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.footprint import cell_of
+from craftsim.discrete.grid import SECOND_PART, Cell, Grid, Kind, beside
 from craftsim.discrete.readback import Poses, Reading
 from craftsim.models.overlaps import GROUND, WALL
 
@@ -40,7 +41,7 @@ def unexpected_contacts(
     known: set[frozenset[str]] = set()
     for car in cars:
         name = f"car {car}"
-        way = [_cell(before.grid, car), _cell(predicted, car)]
+        way = [cell_of(before.grid, car), cell_of(predicted, car)]
         places = {name: way}
         for index in handled(before, predicted, car):
             places[poses.name(index)] = [part for cell in way for part in _parts(predicted, cell)]
@@ -57,15 +58,15 @@ def unexpected_contacts(
 
 def handled(before: Reading, predicted: Grid, car: int) -> list[int]:
     """Return the objects, by their index, that an action is about: the car's load, what it takes, turns or shoves."""
-    cell = _cell(before.grid, car)
+    cell = cell_of(before.grid, car)
     loads = [index for index, thing in enumerate(before.objects) if thing.carrier == car]
     return [*loads, *_changing(before, predicted, cell), *shoved(before, predicted, car)]
 
 
 def shoved(before: Reading, predicted: Grid, car: int) -> list[int]:
     """Return the objects, by their index, in whose place the car should be after its action."""
-    there = _cell(predicted, car)
-    return [] if there == _cell(before.grid, car) else _changing(before, predicted, there)
+    there = cell_of(predicted, car)
+    return [] if there == cell_of(before.grid, car) else _changing(before, predicted, there)
 
 
 def under(before: Reading, predicted: Grid, car: int) -> list[int]:
@@ -73,7 +74,7 @@ def under(before: Reading, predicted: Grid, car: int) -> list[int]:
 
     A car on the foot of a slope is in the same cell as the foot, and on the slope all the same.
     """
-    stands = sorted((_cell(before.grid, car), _cell(predicted, car)))
+    stands = sorted((cell_of(before.grid, car), cell_of(predicted, car)))
     tops = {cell[:2]: cell[2] for cell in stands}
     return [
         index
@@ -94,11 +95,6 @@ def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
         return []
     things = enumerate(before.objects)
     return [index for index, thing in things if thing.carrier is None and thing.cell == cell]
-
-
-def _cell(grid: Grid, car: int) -> Cell:
-    x, y, z = grid.cars[car, : CarField.YAW].tolist()
-    return x, y, z
 
 
 def _parts(grid: Grid, cell: Cell) -> list[Cell]:

@@ -17,7 +17,6 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, make_task
-from craftsim.discrete.timetable import makespan, timetable
 from craftsim.planning import NoPlanError, Planned, plan_building
 
 if TYPE_CHECKING:
@@ -81,7 +80,7 @@ def _task(name: str, seconds: float, seed: int) -> dict[str, float]:
     shipped = make_schedule(grid, read_plan(name, grid.n_cars).ticks, _RULES)
     planned, _ = _plan(grid, task, seconds, seed)
     return {
-        "shipped_s": makespan(timetable(shipped)),
+        "shipped_s": shipped.makespan(),
         "planned_s": planned.makespan_s,
         "bound_s": planned.bound_s,
     }

@@ -89,11 +89,10 @@ def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) 
     from craftsim.commands.terminal import Terminal
     from craftsim.discrete.rules import Rules
     from craftsim.discrete.schedule import make_schedule
-    from craftsim.discrete.timetable import makespan, timetable
 
     rules = Rules("physical")
     schedule = make_schedule(grid, plan.ticks, rules, after=plan.after)
-    took, name = makespan(timetable(schedule)), plan.path.stem
+    took, name = schedule.makespan(), plan.path.stem
     say(f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {took:.1f} s")
     for step in schedule.forbidden[:_NAMED]:
         say(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}")

@@ -7,9 +7,8 @@ for two moving machines. The table of actions (:mod:`craftsim.discrete.actions`)
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
@@ -42,12 +41,14 @@ class Footprint:
             self.space & other.space
             or self.changes & (other.changes | other.relies)
             or self.relies & other.changes
-            or (self.loads and other.loads and self._beside_loads & other.loads)
+            or self._beside_loads & other.loads
         )
 
     @cached_property
     def _beside_loads(self) -> frozenset[Cell]:
-        return _beside(self.loads)
+        """The cells of the loads and their neighbours on the same level."""
+        steps = ((0, 0), *DIRECTIONS.tolist())
+        return frozenset((x + dx, y + dy, z) for x, y, z in self.loads for dx, dy in steps)
 
 
 def of_nothing(before: Grid, after: Grid, car: int) -> Footprint:
@@ -83,9 +84,10 @@ def of_board(before: Grid, after: Grid, car: int) -> Footprint:
 
 def of_flap(before: Grid, after: Grid, car: int) -> Footprint:
     """Return what FOLD and UNFOLD need: the slope, and room for its flap."""
-    here, foot, beyond = _along_slope(before, car)
+    here, downhill = cell_of(before, car), int(before.cars[car, CarField.YAW]) + 2
+    foot = beside(here, downhill)
     # The flap is a third of a metre long: it reaches into the second level above, and 12 mm past the foot's cell.
-    swung = {(cx, cy, z + up) for cx, cy, z in (here, foot) for up in (0, 1, 2)} | {beyond}
+    swung = {(cx, cy, z + up) for cx, cy, z in (here, foot) for up in (0, 1, 2)} | {beside(foot, downhill)}
     held = frozenset({(foot[0], foot[1], foot[2] - 1)})
     return Footprint(frozenset(swung), frozenset({here, foot}), held, frozenset())
 
@@ -100,13 +102,6 @@ def _swept(cells: frozenset[Cell]) -> Footprint:
     """Return the footprint of a load that moves through cells; carried, it is 32 mm into the level above."""
     above = {(x, y, z + 1) for x, y, z in cells}
     return Footprint(cells | above, frozenset(), frozenset(), cells)
-
-
-def _along_slope(grid: Grid, car: int) -> tuple[Cell, Cell, Cell]:
-    """Return the cell of a car, the cell of the foot of a slope above it, and the cell beyond that."""
-    here, back = cell_of(grid, car), int(grid.cars[car, CarField.YAW]) + 2
-    foot = beside(here, back)
-    return here, foot, beside(foot, back)
 
 
 def standing(grid: Grid, car: int) -> Footprint:
@@ -131,14 +126,3 @@ def _gear(grid: Grid, car: int) -> frozenset[Cell]:
     if row[CarField.LOAD] != Kind.FSLOPE:
         return frozenset()
     return frozenset({beside(cell_of(grid, car), int(row[CarField.LOAD_YAW]))})
-
-
-def _beside(cells: frozenset[Cell]) -> frozenset[Cell]:
-    """Return the cells themselves and their four neighbours on the same level."""
-
-    def near(cell: Cell) -> Iterator[Cell]:
-        yield cell
-        for dx, dy in DIRECTIONS.tolist():
-            yield cell[0] + dx, cell[1] + dy, cell[2]
-
-    return reduce(frozenset.union, (frozenset(near(cell)) for cell in cells), frozenset())

@@ -7,7 +7,7 @@ origin on the floor under its centre, z up, a slope's x downhill.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, INCLINE_RAD, LEVEL_HEIGHT_M, yaw_angle
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
-from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR
+from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR, KIND, YAW
 
 PLACE_TOLERANCE_M: Final = 0.025
 """How far from its cell's centre a thing may be and still count as in it: well inside the robot's room to correct."""
@@ -37,10 +37,9 @@ HEADINGS: Final = ("+x", "+y", "-x", "-y")
 """The four grid yaws as map directions."""
 
 Floats = NDArray[np.float64]
-Vector = list[float]
-"""(x, y, z)."""
-Axes = list[Vector]
-"""Of a turned body: forward, left and up in the world frame."""
+Vector = Sequence[float]
+Axes = tuple[Vector, Vector, Vector]
+"""Of a turned body: forward, left and up, (x, y, z) each in the world frame."""
 _Seat = tuple[int, Axes, float, float]
 """What a carried object sits on: the car, its axes, how far off its centre line and how high above it."""
 
@@ -143,14 +142,14 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
 
 def _axes(quaternions: Floats) -> list[Axes]:
     """Return the axes of bodies turned by quaternions (n, 4) of any length."""
-    w, x, y, z = quaternions.T
-    w, x, y, z = quaternions.T / np.sqrt(w * w + x * x + y * y + z * z)
-    axes = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    found: list[Axes] = np.array(axes).transpose(2, 0, 1).tolist()
+    found: list[Axes] = []
+    for w, x, y, z in quaternions.tolist():
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        w, x, y, z = w / norm, x / norm, y / norm, z / norm
+        forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+        left = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
+        up = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+        found.append((forward, left, up))
     return found
 
 
@@ -284,13 +283,14 @@ def _put(grid: Grid, cell: Cell, kind: int, yaw: int, notes: list[str]) -> None:
     if not (0 <= cell[0] < length and 0 <= cell[1] < width):
         notes.append(f"reaches outside the area, into {cell}")
         return
-    there = grid.cells[cell]
-    if there[0] not in (AIR, GEAR) and kind != GEAR:
-        notes.append(f"shares the cell {cell} with a {Kind(there[0]).name.lower()}")
-    elif there[0] == AIR or kind != GEAR:
-        there[:2] = kind, yaw
-    elif there[0] == GEAR:
-        there[1] = min(yaw, there[1])  # the rules show this one of two gears as well
+    there = int(grid.cells[*cell, KIND])
+    if kind == GEAR and there == GEAR:
+        yaw = min(yaw, int(grid.cells[*cell, YAW]))  # the rules show this one of two gears as well
+    elif there not in (AIR, GEAR):
+        if kind != GEAR:  # a gear leaves room for what stands in its cell
+            notes.append(f"shares the cell {cell} with a {Kind(there).name.lower()}")
+        return
+    grid.cells[*cell, KIND], grid.cells[*cell, YAW] = kind, yaw
 
 
 def describe_differences(predicted: Grid, read: Grid) -> list[str]:

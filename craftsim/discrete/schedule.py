@@ -1,31 +1,43 @@
-"""Which action of a plan must wait for which: the action dependency graph.
+"""Which action of a plan must wait for which, the action dependency graph, and how long it takes at nominal physics.
 
 The rules let cars act one after the other. Real cars act at the same time, so each action waits for exactly those
 earlier ones whose footprints conflict with its own, and for its own car; everything else may run in parallel, and the
 world ends as it does one after the other (Hoenig et al., Persistent and Robust Execution of MAPF Schedules in
-Warehouses, RA-L 2019).
+Warehouses, RA-L 2019). The durations of actions are in ``craftsim/data/durations.yaml``; ``craftsim bench durations``
+measures them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import cache
+from importlib.resources import files
+from typing import Final, Literal
 
-from craftsim.discrete.actions import footprint
-from craftsim.discrete.footprint import Footprint
-from craftsim.discrete.grid import Grid
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from craftsim.discrete.actions import ACTIONS, footprint
+from craftsim.discrete.geometry import INCLINE_RAD
+from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.terrain import inclines_of, is_tight
+from craftsim.errors import suggestion
 
-Order = Literal["sequential", "concurrent", "until-wrong", "at-once"]
+Concurrency = Literal["sequential", "concurrent", "until-wrong", "at-once"]
 """How the actions of a plan follow each other: one by one; as early as the dependencies allow; the same until something
 is not as predicted, after which nothing begins any more; or, to see what goes wrong, all of a tick together and tick
 after tick."""
 
 Constraints = Mapping[tuple[int, int], Collection[tuple[int, int]]]
 """Order constraints of a plan: after which earlier actions of other cars an action starts, each a (tick, car)."""
+
+SITUATIONS: Final = ("flat", "flat_loaded", "slope", "slope_loaded")
+"""Columns of the durations: whether a move starts or ends on a slope, and whether the car is loaded before."""
+
+_DURATIONS: Final = "craftsim/data/durations.yaml"
 
 
 @dataclass(frozen=True)
@@ -46,12 +58,27 @@ class ScheduledAction:
     @property
     def inclines(self) -> tuple[float, float]:
         """How far the ground raises the car's nose at the start and at the end of the step, in radians."""
-        return inclines_of(self.before, self.after, self.car)
+        start, end = self.before.cars[self.car], self.after.cars[self.car]
+        return incline_under(self.before, start), incline_under(self.before, end)
 
     @property
     def tight(self) -> bool:
-        """Whether the way of the step leads under something, or takes a load past something."""
-        return is_tight(self.before, self.after, self.car)
+        """Whether the way of the step leads under something, or takes a load past something.
+
+        A lowered board clears what it passes under by a millimetre, and loads pass each other at two.
+        """
+        world, car = self.before, self.car
+        cells = [tuple(grid.cars[car, : CarField.YAW].tolist()) for grid in (world, self.after)]
+        cells = [cell for cell in cells if cell[2] <= world.size[2]]  # above the top there is nothing
+        if world.cars[car, CarField.LOAD] == Kind.AIR:
+            return any(world.kind[cell] != Kind.AIR for cell in cells)
+        others = np.delete(world.cars, car, axis=0)
+        for x, y, z in cells:
+            around = world.kind[max(x - 1, 0) : x + 2, max(y - 1, 0) : y + 2, z]
+            near = (abs(others[:, : CarField.Z] - (x, y)) <= 1).all(axis=1) & (others[:, CarField.Z] == z)
+            if (around != Kind.AIR).any() or near.any():
+                return True
+        return False
 
 
 @dataclass(frozen=True)
@@ -65,6 +92,38 @@ class Schedule:
     """The predicted world at the end."""
     acts: tuple[tuple[int, int], ...] = ()
     """(tick, car) of all actions in the order of the plan."""
+
+    def times(self) -> NDArray[np.float64]:
+        """Return the start and the end of each step in seconds, shape (n, 2).
+
+        A step starts as soon as all that it waits for has ended, and takes the time that was measured for its action at
+        nominal physics (:func:`nominal_durations`): a longest path through the dependencies.
+        """
+        durations = nominal_durations()
+        times, ends = np.zeros((len(self.steps), 2)), list[float]()
+        for index, step in enumerate(self.steps):
+            column = situation(step.before.cars[step.car], step.after.cars[step.car])
+            start = max((ends[other] for other in step.waits_for), default=0.0)
+            ends.append(start + float(durations[step.action, column]))
+            times[index] = start, ends[index]
+        return times
+
+    def makespan(self) -> float:
+        """Return when the last step ends, in seconds; 0 where there is none."""
+        return float(self.times()[:, 1].max(initial=0.0))
+
+    def critical(self) -> set[tuple[int, int]]:
+        """Return the (tick, car) of actions that wait for one another from the start until all is done.
+
+        Each began when the one before it ended: unless one of them changes the makespan stays as it is.
+        """
+        steps, ends = self.steps, self.times()[:, 1]
+        at = int(ends.argmax())
+        found = {(steps[at].tick, steps[at].car)}
+        while steps[at].waits_for:
+            at = max(steps[at].waits_for, key=lambda other: (ends[other], other))
+            found.add((steps[at].tick, steps[at].car))
+        return found
 
     def constraints(self) -> Constraints:
         """Return the fewest order constraints from which all of ``waits_for`` follow.
@@ -92,7 +151,7 @@ def make_schedule(
     grid: Grid,
     ticks: Iterable[Sequence[tuple[int, Action]]],
     rules: Rules,
-    order: Order = "concurrent",
+    order: Concurrency = "concurrent",
     first: int = 0,
     after: Constraints | None = None,
 ) -> Schedule:
@@ -128,7 +187,7 @@ def make_schedule(
 
 
 def _predecessors(
-    steps: list[ScheduledAction], tick: int, car: int, needs: Footprint, order: Order
+    steps: list[ScheduledAction], tick: int, car: int, needs: Footprint, order: Concurrency
 ) -> Iterable[int]:
     match order:
         case "sequential":
@@ -137,3 +196,69 @@ def _predecessors(
             return (i for i, step in enumerate(steps) if step.tick < tick)
         case "concurrent" | "until-wrong":
             return (i for i, s in enumerate(steps) if s.car == car or s.footprint.conflicts(needs))
+
+
+def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:
+    """Return the angle in radians by which the ground raises a car's nose: positive uphill, 0 on the flat.
+
+    Args:
+        grid: the world.
+        car: (7,) a row of ``grid.cars`` or of another grid with the same slopes.
+    """
+    x, y, z, yaw, _, _, slope = car.tolist()
+    if slope == 0:
+        return 0.0
+    downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])
+    return -INCLINE_RAD if yaw == downhill else INCLINE_RAD
+
+
+@cache
+def nominal_durations() -> NDArray[np.float64]:
+    """Return the shipped table in seconds, shape (15, 4): by action and situation, 0 for what does not happen.
+
+    Raises RuntimeError, with the name of the action, if a row is missing or belongs to no action.
+    """
+    rows = yaml.safe_load(files("craftsim.data").joinpath("durations.yaml").read_text(encoding="utf-8"))
+    table = np.zeros((len(Action), len(SITUATIONS)))
+    for action, spec in ACTIONS.items():
+        if not spec.performed:
+            continue
+        if spec.duration not in rows:
+            raise RuntimeError(
+                f"{action.name}: no row '{spec.duration}' in {_DURATIONS}; measure it and add one"
+            )
+        table[action] = [rows[spec.duration].get(name, 0.0) for name in SITUATIONS]
+    known = {spec.duration for spec in ACTIONS.values()}
+    for row in rows:
+        if row not in known:
+            raise RuntimeError(f"{_DURATIONS}: row '{row}' belongs to no action{suggestion(row, known)}")
+    return table
+
+
+def situation(before: NDArray[np.integer], after: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Return the column of the table, shape (...), for cars (..., 7) before and after an action."""
+    sloping = (before[..., CarField.SLOPE] > 0) | (after[..., CarField.SLOPE] > 0)
+    column: NDArray[np.int64] = 2 * sloping + (before[..., CarField.LOAD] != Kind.AIR)
+    return column
+
+
+def tick_durations(
+    before: NDArray[np.integer],
+    after: NDArray[np.integer],
+    actions: NDArray[np.integer],
+    applied: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Return how long a tick takes when all cars act at once, the slowest car's time, shape (...).
+
+    That cars may have to wait for each other is not counted. Arguments are the cars of worlds before and after the tick
+    (..., n, 7), their actions (..., n), and whether these were carried out. What the action helper does instead of a
+    move follows from what has changed.
+    """
+    turned = (before[..., CarField.YAW] != after[..., CarField.YAW]) & applied
+    moved = (before[..., :3] != after[..., :3]).any(-1) | (
+        before[..., CarField.SLOPE] != after[..., CarField.SLOPE]
+    )
+    done = np.where(moved, Action.MOVE_FORWARD, np.where(turned, Action.ROTATE_LEFT, actions))
+    seconds = nominal_durations()[done, situation(before, after)] * applied
+    longest: NDArray[np.float64] = seconds.max(-1, initial=0.0)
+    return longest

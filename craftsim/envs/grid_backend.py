@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.durations import tick_durations
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.schedule import tick_durations
 from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.backend import Tick
 

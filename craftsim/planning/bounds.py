@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.durations import nominal_durations
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.schedule import nominal_durations
 from craftsim.planning.assembly import State
 from craftsim.planning.things import BuildingPart, things_in
 

@@ -15,8 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.durations import nominal_durations
+from craftsim.discrete.actions import ACTIONS, apply
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
@@ -24,6 +23,7 @@ from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.state import AIR, F_SLOPE, KIND, YAW, World, car_field, pose_of
 from craftsim.discrete.kinds import Action, Correction
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import nominal_durations
 from craftsim.planning.goals import BuildingGoal
 from craftsim.planning.least import least_left
 from craftsim.planning.things import things_in

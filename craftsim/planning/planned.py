@@ -9,7 +9,6 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
-from craftsim.discrete.timetable import makespan, timetable
 from craftsim.planning.goals import BuildingGoal
 from craftsim.planning.objective import Objective
 
@@ -51,19 +50,6 @@ class Planned:
         both = self.makespan_s, self.work_s
         return both if objective == "makespan" else both[::-1]
 
-    def critical(self) -> set[tuple[int, int]]:
-        """Return the (tick, car) of actions that wait for one another from the start until all is done.
-
-        Each began when the one before it ended: unless one of them changes the makespan stays as it is.
-        """
-        steps, ends = self.schedule.steps, timetable(self.schedule)[:, 1]
-        at = int(ends.argmax())
-        found = {(steps[at].tick, steps[at].car)}
-        while steps[at].waits_for:
-            at = max(steps[at].waits_for, key=lambda other: (ends[other], other))
-            found.add((steps[at].tick, steps[at].car))
-        return found
-
 
 def judge(
     start: Grid,
@@ -81,8 +67,8 @@ def judge(
     schedule = make_schedule(start, ticks, rules)
     if schedule.forbidden or not goal.reached(schedule.final):
         return None
-    times = timetable(schedule)
+    times = schedule.times()
     work_s = float((times[:, 1] - times[:, 0]).sum())
-    makespan_s = makespan(times)
+    makespan_s = schedule.makespan()
     optimal = objective == "makespan" and makespan_s <= bound_s + EQUAL
     return Planned(ticks, schedule, makespan_s, work_s, bound_s, number, optimal)

@@ -69,7 +69,7 @@ class Made:
     @cached_property
     def critical(self) -> list[int]:
         """Return the turns on which the makespan depends."""
-        acts = self.planned.critical()
+        acts = self.planned.schedule.critical()
         found, since = [], [0] * self.planned.schedule.final.n_cars
         for i, (turn, (_, ready)) in enumerate(self.turns):
             if any(car == turn.car and since[car] <= tick < ready[car] for tick, car in acts):

@@ -12,7 +12,6 @@ from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, ScheduledAction
-from craftsim.discrete.timetable import makespan, timetable
 from craftsim.rendering.captions import Caption, CarCaption
 from craftsim.rendering.frames import fitted
 from craftsim.rendering.layout import arrange
@@ -59,13 +58,14 @@ class PlanFilm:
     def __init__(self, schedule: Schedule, rules: Rules, title: str, design: Collection[Wanted] = ()) -> None:
         """Prepare for a schedule, made with these rules."""
         self._schedule, self._rules, self._title, self._design = schedule, rules, title, design
-        self._times = timetable(schedule)
+        self._times = schedule.times()
         self._start = schedule.steps[0].before if schedule.steps else schedule.final
         self._levels = levels_of([self._start, *(step.after for step in schedule.steps)], design=design)
-        self.speed = max(SPEED, makespan(self._times) / LONGEST_S)
+        took_s = schedule.makespan()
+        self.speed = max(SPEED, took_s / LONGEST_S)
         """Seconds of the plan in a second of film."""
-        n = int(np.ceil(makespan(self._times) / self.speed * FPS)) + 1 + round(END_S * FPS)
-        self.moments = np.minimum(np.arange(n) * self.speed / FPS, makespan(self._times))
+        n = int(np.ceil(took_s / self.speed * FPS)) + 1 + round(END_S * FPS)
+        self.moments = np.minimum(np.arange(n) * self.speed / FPS, took_s)
         """(n,) the time of each frame in seconds of the plan."""
 
     def __len__(self) -> int:

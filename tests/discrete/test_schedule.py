@@ -12,7 +12,7 @@ from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import Order, make_schedule
+from craftsim.discrete.schedule import Concurrency, make_schedule
 from craftsim.discrete.tasks import make_task
 
 from .conftest import make_scene
@@ -115,13 +115,13 @@ def test_the_plans_order_ends_as_the_rules_say_whatever_the_dependencies(seed):
     for joint in ticks:
         after, applied = RULES.tick(after, joint)
         n_forbidden += int((~applied).sum())
-    for order in get_args(Order):
+    for order in get_args(Concurrency):
         schedule = make_schedule(grid, ticks, RULES, order)
         assert schedule.final.same_visible(after)
         assert len(schedule.forbidden) == n_forbidden
 
 
-@pytest.mark.parametrize("order", get_args(Order))
+@pytest.mark.parametrize("order", get_args(Concurrency))
 def test_every_order_keeps_each_cars_own_actions_in_order(order):
     for seed in range(25):
         grid, ticks = random_plan(np.random.default_rng(seed))

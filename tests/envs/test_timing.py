@@ -16,9 +16,9 @@ from craftsim.commands.bench_calibration import (
     unit,
 )
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.durations import SITUATIONS, nominal_durations, tick_durations
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.schedule import SITUATIONS, nominal_durations, tick_durations
 from craftsim.discrete.tasks import make_task
 from craftsim.envs.timing import time_physics
 

@@ -14,7 +14,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.terrain import incline_under
+from craftsim.discrete.schedule import incline_under
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.site import Site

@@ -6,7 +6,6 @@ import pytest
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
-from craftsim.discrete.timetable import timetable
 from craftsim.planning import plan_building
 from craftsim.planning.building import Turn
 from craftsim.planning.joint_plan import Delivery
@@ -53,9 +52,9 @@ def planned() -> Planned:
 
 
 def test_critical_actions_fill_the_makespan(planned):
-    acts = planned.critical()
+    acts = planned.schedule.critical()
     steps = [i for i, step in enumerate(planned.schedule.steps) if (step.tick, step.car) in acts]
-    times = timetable(planned.schedule)[steps]
+    times = planned.schedule.times()[steps]
     assert (times[:, 1] - times[:, 0]).sum() == pytest.approx(planned.makespan_s)
 
 

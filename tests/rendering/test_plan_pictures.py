@@ -13,7 +13,6 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import make_task
-from craftsim.discrete.timetable import makespan, timetable
 from craftsim.errors import InputError
 from craftsim.rendering.plan_film import FPS, LONGEST_S, PlanFilm
 from craftsim.rendering.plots.gantt import VERB_COLOURS, draw_gantt
@@ -34,7 +33,7 @@ def test_a_gantt_chart_has_a_row_for_each_car_the_makespan_and_the_colours_of_it
     schedule = _shipped("complex_two_story")
     text = draw_gantt(tmp_path / "a.svg", schedule, "mine").read_text()
     words = re.findall(r"<!-- (.*?) -->", text)
-    took = makespan(timetable(schedule))
+    took = schedule.makespan()
     assert f"mine: {len(schedule.steps)} actions, makespan {took:.1f} s" in words
     assert [word for word in words if word.startswith("car ")] == [f"car {car}" for car in range(4)]
     assert "loaded" in words
@@ -52,7 +51,7 @@ def test_the_film_of_a_plan_shows_the_world_as_the_rules_predict_it_and_ends_wit
     assert seen[0][1].same_visible(schedule.steps[0].before)
     assert seen[-1][1].same_visible(schedule.final)
     assert seen[-1][2] == {}
-    times = timetable(schedule)
+    times = schedule.times()
     for moment, _, running in seen[::10]:
         expected = {s.car: i for i, s in enumerate(schedule.steps) if times[i, 0] <= moment < times[i, 1]}
         assert running == expected

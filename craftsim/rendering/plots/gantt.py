@@ -14,7 +14,6 @@ from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.colours import Rgb
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.schedule import Schedule
-from craftsim.discrete.timetable import makespan, timetable
 from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper
 from craftsim.storage.writing import whole
 
@@ -51,21 +50,21 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    n_cars, times = schedule.final.n_cars, timetable(schedule)
+    n_cars, times = schedule.final.n_cars, schedule.times()
     legend = {"ncols": len(VERB_COLOURS) + 2, "handlelength": 1.2, "columnspacing": 1.1}
     with paper():
         from matplotlib import rcParams
 
         rcParams["svg.hashsalt"], rcParams["hatch.linewidth"] = "craftsim", 0.5
         figure = Figure(figsize=(WIDTH_IN, _FRAME_IN + _ROW_IN * n_cars), dpi=_DPI, layout="constrained")
-        took = f"{len(schedule.steps)} actions, makespan {makespan(times):.1f} s"
+        took = f"{len(schedule.steps)} actions, makespan {schedule.makespan():.1f} s"
         figure.suptitle(line_of(f"{title}: {took}"), fontsize=9, weight="bold")
         axes = figure.add_subplot()
         verbs, loaded = _draw_bars(axes, schedule, times)
         _draw_waits(axes, schedule, times)
         axes.set_yticks(range(n_cars), [f"car {car}" for car in range(n_cars)])
         axes.set_ylim(n_cars - 0.5, -0.5)
-        axes.set_xlim(0, max(makespan(times), 0.1))
+        axes.set_xlim(0, max(schedule.makespan(), 0.1))
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("time at nominal physics (s)")

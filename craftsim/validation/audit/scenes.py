@@ -17,7 +17,7 @@ from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import Order
+from craftsim.discrete.schedule import Concurrency
 from craftsim.validation.audit.intended import NoPredictionError, intended
 
 _SIZE: Final = (8, 7, 4)
@@ -38,7 +38,7 @@ class Scene:
     cars: tuple[CarRow, ...]
     """Rows of ``Grid.cars``; the first car acts, or the first ones."""
     actions: tuple[Action, ...]
-    order: Order | None = None
+    order: Concurrency | None = None
     """How the actions of a tick follow each other; None for a single action."""
     size: Cell = _SIZE
     """Of the world."""

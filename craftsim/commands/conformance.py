@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,7 +17,7 @@ from craftsim.storage.limits import SHOWN
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from craftsim.discrete.records.conformance import Mismatch, Tally
+    from craftsim.discrete.conformance import Checker, Mismatch
 
 
 @owning
@@ -42,8 +41,7 @@ def conformance(
         show: how many of the first mismatches to draw.
         out: folder for report.json.
     """
-    from craftsim.discrete.records.conformance import Checker
-    from craftsim.discrete.records.traces import read_records
+    from craftsim.discrete.conformance import Checker, read_records
     from craftsim.discrete.rules import Rules
     from craftsim.errors import CraftsimError, InputError
     from craftsim.report import write_report
@@ -58,20 +56,15 @@ def conformance(
                 checker.check(line, record)
             except CraftsimError as error:
                 raise InputError(f"{file}:{line}: not a record: {error}") from error
-    tally = checker.tally
-    _print(tally)
+    _print(checker)
     if out is not None:
-        figures = {f.name: getattr(tally, f.name) for f in dataclasses.fields(tally) if f.name != "first"} | {
-            "total_checks": tally.checks.total(),
-            "total_mismatches": tally.mismatches.total(),
-        }
         wall = {"seconds": time.perf_counter() - begun}
         config = {"files": [file.name for file in files], "rules": rules}
-        write_report(out, figures, command="conformance", config=config, wall=wall)
-    return 1 if tally.mismatches.total() else 0
+        write_report(out, checker.figures(), command="conformance", config=config, wall=wall)
+    return 1 if checker.mismatches.total() else 0
 
 
-def _print(tally: Tally) -> None:
+def _print(checker: Checker) -> None:
     """Print what was compared, by action and by check, and draw the first mismatches."""
     from rich.table import Table
 
@@ -81,23 +74,25 @@ def _print(tally: Tally) -> None:
     console = Terminal(highlight=False)
     by_action = Table("action", "taken", "legal", "mismatches")
     for action in Action:
-        numbers = [table[action.name] for table in (tally.actions, tally.applied, tally.action_mismatches)]
+        numbers = [
+            table[action.name] for table in (checker.actions, checker.applied, checker.action_mismatches)
+        ]
         if any(numbers):
             by_action.add_row(action.name, *map(str, numbers))
     by_check = Table("compared", "checks", "mismatches")
-    for what, checks in tally.checks.items():
-        by_check.add_row(what, str(checks), str(tally.mismatches[what]))
+    for what, checks in checker.checks.items():
+        by_check.add_row(what, str(checks), str(checker.mismatches[what]))
     console.print(by_action, by_check)
-    for mismatch in tally.first:
+    for mismatch in checker.first:
         _draw(console, mismatch)
-    if tally.first:
+    if checker.first:
         console.print(LEGEND)
-    if tally.skipped:
-        console.print(f"{tally.skipped} records with a quirk were left out")
-    if tally.corrected:
-        console.print(f"{tally.corrected} records that a correction changes were left out")
-    mismatches = tally.mismatches.total()
-    say(f"{tally.records} records, {tally.checks.total()} checks, {mismatches} mismatches")
+    if checker.skipped:
+        console.print(f"{checker.skipped} records with a quirk were left out")
+    if checker.corrected:
+        console.print(f"{checker.corrected} records that a correction changes were left out")
+    mismatches = checker.mismatches.total()
+    say(f"{checker.records} records, {checker.checks.total()} checks, {mismatches} mismatches")
 
 
 def _draw(console: Console, mismatch: Mismatch) -> None:
@@ -105,12 +100,6 @@ def _draw(console: Console, mismatch: Mismatch) -> None:
 
     console.rule(f"{mismatch.where}: {mismatch.what}", align="left")
     console.print(f"expected {mismatch.expected}\ngot      {mismatch.got}", markup=False)
-    worlds = [
-        ("before", mismatch.before),
-        ("expected after", mismatch.after_expected),
-        ("got after", mismatch.after_got),
-    ]
-    for title, grid in worlds:
-        if grid is not None:
-            console.print(f"{title}:", style="bold")
-            console.print(world_text(grid))
+    for title, grid in zip(("before", "expected after", "got after"), mismatch.grids, strict=False):
+        console.print(f"{title}:", style="bold")
+        console.print(world_text(grid))

@@ -20,6 +20,7 @@ import yaml
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS, footprint
+from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from craftsim.cli import main
+from craftsim.discrete.conformance import parse_record
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.grid_checks import check_grid
-from craftsim.discrete.records.schema import parse_record
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.starts import load_starts, save_starts, starting_from
 from craftsim.errors import InputError

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from craftsim.discrete.conformance import Checker, read_records
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.records.conformance import Checker
-from craftsim.discrete.records.traces import read_records
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.starts import load_starts, starting_from

@@ -1,1 +1,0 @@
-"""Recorded episodes: our own, CraftEnv's, and comparing the rules with them."""

@@ -13,7 +13,6 @@ import hashlib
 import os
 import pickle
 import platform
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -26,6 +25,8 @@ import platformdirs
 from numba.core import compiler, config, serialize
 
 from craftsim.compiling import LOG
+from craftsim.errors import InputError
+from craftsim.storage.writing import write_whole
 
 SHIPPED: Final = Path(__file__).parents[2] / "data" / "compiled"
 _GENERIC: Final = ("generic", "")
@@ -66,9 +67,8 @@ def save(name: str, result: Any) -> None:
         return
     data = serialize.dumps(result._reduce())
     file = own / _file(name, *result.codegen.magic_tuple())
-    with suppress(OSError), tempfile.NamedTemporaryFile(dir=own, delete=False) as partial:
-        partial.write(hashlib.sha256(data).digest() + data)
-        os.replace(partial.name, file)
+    with suppress(InputError):
+        write_whole(file, hashlib.sha256(data).digest() + data)
 
 
 def _file(name: str, triple: str, processor: str, features: str) -> str:

@@ -21,10 +21,9 @@ import numpy as np
 
 from craftsim.designs.tasks import DrawnDesigns, shape_digest
 from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.batches import Starts
-from craftsim.discrete.tasks.random_tasks import RANDOM_NAMES
-from craftsim.discrete.tasks.splits import Split, write_split
-from craftsim.discrete.tasks.varied import DESIGNS
+from craftsim.discrete.tasks.random_tasks import RANDOM_NAMES, RandomPlacement
+from craftsim.discrete.tasks.registry import DESIGNS
+from craftsim.discrete.tasks.starts import Split, Starts, write_split
 from craftsim.planning import NoPlanError, plan_building
 
 HELD_OUT = dict.fromkeys(RANDOM_NAMES, 1000) | {DESIGNS: 800}
@@ -42,10 +41,12 @@ AT_ONCE = 200
 def batches(name: str, split: Split) -> Iterator[Starts]:
     """Yield batches of starts, without end."""
     rng = np.random.default_rng(0 if split == "test" else 1)
-    source = as_task(name).source
-    draw = DrawnDesigns(split=split).fresh if name == DESIGNS else replace(source, split=split).draw
+    sampler = as_task(name).sampler
     while True:
-        yield draw(rng, BATCH)
+        if isinstance(sampler, RandomPlacement):
+            yield replace(sampler, task=replace(sampler.task, split=split)).draw(rng, BATCH)
+        else:
+            yield DrawnDesigns(split=split).fresh(rng, BATCH)
 
 
 def distinct(name: str, split: Split) -> Iterator[Starts]:
@@ -68,7 +69,7 @@ def distinct(name: str, split: Split) -> Iterator[Starts]:
 def planned_ticks(task: Task, start: Starts) -> int:
     """Return how many ticks a plan takes, 0 where none is found."""
     grid = start.grid(0)
-    one = task.starting_at(grid, start.design(0, DESIGNS)) if task.draws_designs else task
+    one = task.starting_from([grid], start.design(0, DESIGNS)) if task.draws_designs else task
     try:
         return len(plan_building(grid, one, rounds=ROUNDS, time_s=math.inf).ticks)
     except NoPlanError:
@@ -77,7 +78,7 @@ def planned_ticks(task: Task, start: Starts) -> int:
 
 def write(name: str, split: Split, kept: list[Starts], ticks: list[int]) -> Path:
     """Write starts into the file of a split."""
-    return write_split(name, split, Starts(*map(np.concatenate, zip(*kept, strict=True))), np.array(ticks))
+    return write_split(name, split, Starts.joined(kept), np.array(ticks))
 
 
 def write_held_out(name: str, n: int) -> None:

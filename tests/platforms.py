@@ -2,7 +2,6 @@
 
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.measures import OnePlatform, PaperPlatform
 from craftsim.discrete.tasks.rewards import Reward
 
 LAYOUT = """
@@ -30,7 +29,7 @@ def platform(cars: int) -> Task:
     return Task(
         "platform",
         (parse_blueprint(layout, "platform"),),
-        Reward(PaperPlatform()),
-        OnePlatform(3),
+        Reward("platform"),
+        "one_platform",
         max_steps=8,
     )

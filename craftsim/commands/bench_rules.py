@@ -14,7 +14,7 @@ from craftsim.commands.bench_calibration import COLUMNS, measure
 from craftsim.commands.bench_cells import Cells, show
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
+from craftsim.discrete.tasks.episodes import Episodes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,7 +56,7 @@ def bench_rules(
         for searched, n in ((None, worlds), (depth, worlds), (depth, 1)):
             rng = np.random.default_rng(seed)
             if n == 1:
-                step = _single_step(GridEpisode(task, rng, rules, searched), rng)
+                step = _single_step(Episodes(task, rng, 1, rules, searched), rng)
             else:
                 step = _batch_step(Episodes(task, rng, n, rules, searched), rng)
             rate = measure(step, n, seconds, name, helper=searched is not None)
@@ -82,7 +82,7 @@ def _pick(rng: np.random.Generator, mask: NDArray[np.bool_]) -> NDArray[np.int64
 
 
 def _batch_step(episodes: Episodes, rng: np.random.Generator) -> Callable[[], None]:
-    helper = episodes.worlds.depth is not None
+    helper = episodes.depth is not None
     masks = [episodes.reachable() if helper else episodes.legal()]
 
     def step() -> None:
@@ -96,14 +96,14 @@ def _batch_step(episodes: Episodes, rng: np.random.Generator) -> Callable[[], No
     return step
 
 
-def _single_step(episode: GridEpisode, rng: np.random.Generator) -> Callable[[], None]:
-    masks = [episode.reachable()]
+def _single_step(episodes: Episodes, rng: np.random.Generator) -> Callable[[], None]:
+    masks = [episodes.reachable()]
 
     def step() -> None:
-        if episode.step(_pick(rng, masks[0])).done:
-            episode.reset()
-        masks[0] = episode.reachable()
-        episode.vectors()
+        if episodes.step(_pick(rng, masks[0])).done[0]:
+            episodes.reset()
+        masks[0] = episodes.reachable()
+        episodes.vectors()
 
     return step
 
@@ -124,6 +124,6 @@ def _memory(name: str, n: int, rules: RuleSet, depth: int, seed: int) -> tuple[i
         episodes = Episodes(task, rng, size, rules, depth)
         _batch_step(episodes, rng)()
         peaks.append(_peak_mib())
-    grids = episodes.worlds.grids
+    grids = episodes.grids
     state = grids.cells.nbytes + grids.cars.nbytes
     return state // n, peaks[1], peaks[1] - peaks[0]

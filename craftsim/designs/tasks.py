@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -14,14 +14,21 @@ from numpy.typing import NDArray
 
 from craftsim.designs.drawn import DrawnStart, Size, start_of
 from craftsim.discrete.files.blueprint import Blueprint
-from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell, Grid
 from craftsim.discrete.grid_checks import check_size
-from craftsim.discrete.tasks.batches import Starts, Targets
-from craftsim.discrete.tasks.measures import Finished, target_array
-from craftsim.discrete.tasks.splits import Split, Stored, belongs, check_split, read_split
-from craftsim.discrete.tasks.task import RewardName, build_task
-from craftsim.discrete.tasks.varied import DESIGNS, VariedTask, whole_size
+from craftsim.discrete.tasks.random_tasks import whole_size
+from craftsim.discrete.tasks.registry import DESIGNS
+from craftsim.discrete.tasks.starts import (
+    Split,
+    Starts,
+    StartSampler,
+    Targets,
+    belongs,
+    check_split,
+    read_split,
+    targets_of,
+)
+from craftsim.discrete.tasks.task import RewardName, Task, build_task
 from craftsim.errors import InputError
 from craftsim.storage.limits import SHARE
 
@@ -70,7 +77,7 @@ class DrawnDesigns:
                         f"{self.area[:2]} cells; try a larger one, or fewer of them"
                     )
                 continue
-            rows = target_array(found.design)
+            rows = targets_of(found.design)
             if belongs([shape_digest(rows)], self.split)[0]:
                 drawn.append(found)
                 designs.append(np.pad(rows, ((0, self.n_blocks + 2 * SLOPES - len(rows)), (0, 0))))
@@ -101,7 +108,7 @@ def designs_task(
     n_blocks: int | None = None,
     area: tuple[int, ...] | None = None,
     max_steps: int = MAX_STEPS,
-) -> VariedTask:
+) -> Task:
     """Return the task in which each episode has a random design with a start: on one or two levels, at most one ramp.
 
     Args:
@@ -121,7 +128,7 @@ def designs_task(
     Example:
         >>> import craftsim
         >>> task = craftsim.designs_task("test")
-        >>> task.layout.n_blocks, task.layout.n_slopes, task.n_targets
+        >>> task.layout.n_blocks, task.layout.n_slopes, task.layout.n_targets
         (6, 1, 8)
     """
     check_split(split)
@@ -136,14 +143,17 @@ def designs_task(
             f"{_LEAST} cells a side"
         )
     drawn = DrawnDesigns(difficulty, cars, blocks, size, split)
-    shipped = drawn == DrawnDesigns(split="test")
+    sampler: StartSampler = drawn
+    if drawn == DrawnDesigns(split="test"):
+        sampler = read_split(DESIGNS, "test")[0]
     blueprint = Blueprint(Path(DESIGNS), size, blocks, SLOPES, cars, (), (), None, (), None)
-    # Any design will do to find the reward by; each episode puts its own in its place.
-    any_design = Design.of(DESIGNS, [(0, 0, 1)])
-    known = build_task(DESIGNS, (blueprint,), any_design, None, reward, max_steps).parts
-    known |= {"name": DESIGNS + (f"@{split}" if split == "test" else ""), "design": None}
-    known |= {"success": Finished(None), "reward": known["reward"].for_design(None)}
-    return VariedTask(**known, source=Stored(DESIGNS, "test") if shipped else drawn, split=split)
+    return replace(
+        build_task(DESIGNS, (blueprint,), "built", reward, max_steps),
+        name=DESIGNS + (f"@{split}" if split == "test" else ""),
+        sampler=sampler,
+        split=split,
+        shown_targets=blocks + 2 * SLOPES,
+    )
 
 
 def with_reflections(starts: Starts) -> Starts:
@@ -155,8 +165,7 @@ def with_reflections(starts: Starts) -> Starts:
         for _ in range(turns):
             turned = _turned(turned)
         found += [turned, _reflected(turned)]
-    grids = Grid(*(np.concatenate([getattr(one.grids, name) for one in found]) for name in ("cells", "cars")))
-    return Starts(grids, np.concatenate([one.designs for one in found]))
+    return Starts.joined(found)
 
 
 def _turned(starts: Starts) -> Starts:

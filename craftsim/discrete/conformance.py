@@ -22,12 +22,10 @@ from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.grid_checks import check_size, check_values
 from craftsim.discrete.kinds import Action, CellField, Correction
 from craftsim.discrete.rules import Helper, Rules
-from craftsim.discrete.tasks.batches import NO_TARGETS
-from craftsim.discrete.tasks.measures import FlagNearness
-from craftsim.discrete.tasks.observation import ROW, Layout
-from craftsim.discrete.tasks.rewards import CodeBarrier
+from craftsim.discrete.tasks.observation import ROW, Layout, entity_rows
+from craftsim.discrete.tasks.rewards import POTENTIALS, Reward
+from craftsim.discrete.tasks.starts import targets_of
 from craftsim.discrete.tasks.task import Task, make_task
-from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.errors import InputError
 from craftsim.storage import limits
 from craftsim.storage.mistakes import first_mistake
@@ -370,17 +368,17 @@ def _task(name: str) -> Task:
 def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, Any, Any]]:
     """Yield reward, done and observation as recorded and as ours."""
     task = _task(record["task"])
-    reward, layout = task.reward, _layout(record, task, before)
-    if "goal" in record:
-        x, y, z = record["goal"]
-        reward = CodeBarrier(FlagNearness((x, y, z)))
-    potential = [reward.measure.of(grid) for grid in (before, after)]
+    layout, designs = _layout(record, task, before), targets_of(task.design)[None]
+    reward = Reward("flag_nearness", "published_barrier") if "goal" in record else task.reward
+    assert isinstance(reward.potential, str)
+    measure = POTENTIALS[reward.potential]
+    earlier, later = (measure(grid[None], designs, layout) for grid in (before, after))
     given = np.array([record.get("hit_before", False)])
-    got, _ = reward.of_tick(np.array(potential[:1]), np.array(potential[1:]), np.array([record["t"]]), given)
+    got, _ = reward.of_tick(earlier, later, np.array([record["t"]]), given)
     yield "reward", float(record["reward"]), float(got[0])
     limited = replace(task, max_steps=record["max_steps"])
     yield "done", record["done"], bool(limited.over(np.array(record["t"]), np.array(False)))
-    rows = Worlds(Rules("published"), [after]).entity_rows(layout, NO_TARGETS)[0]
+    rows = entity_rows(after[None], layout, designs)[0]
     yield "observation", record["obs"], rows.tolist()
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.discrete.tasks.episodes import Episodes
 
 MOTION_FPS: Final = 10
 """Pictures a simulated second of the motion between two ticks (``rgb_array_list`` in physics)."""
@@ -33,7 +33,7 @@ class Tick:
 class Backend(Protocol):
     """One world in which ticks happen.
 
-    What is seen of it is kept in a batch of one of :class:`Worlds`, together with what the action helper has queued.
+    What is seen of it is kept in a batch of one of :class:`Episodes`, together with what the action helper has queued.
     """
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
@@ -42,7 +42,7 @@ class Backend(Protocol):
         ``design`` is given where each episode has its own: it is marked for people, and changes nothing else.
         """
 
-    def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
+    def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""
 
     def images(self) -> dict[str, NDArray[Any]]:

@@ -14,16 +14,16 @@ from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.batches import Targets
-from craftsim.discrete.tasks.measures import target_array
+from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.discrete.tasks.starts import check_start
-from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.discrete.tasks.starts import Starts, Targets
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.backend import Backend
 from craftsim.envs.options import Options
 from craftsim.errors import InputError
 
+_ONE: Final = np.zeros(1, np.int64)
+"""The row of the only episode."""
 _RESET_FIRST: Final = "call reset() before anything else"
 
 
@@ -56,7 +56,7 @@ class Core:
         self.rules = Rules(options.rule_set)
         self.played = self.task
         """The task of the running episode: the task, or where each has a design of its own, the one with that."""
-        self._worlds: Worlds | None = None
+        self._episodes: Episodes | None = None
         self._runs = False
         self._pictures: list[NDArray[np.uint8]] = []
         self._seed(None)
@@ -70,16 +70,16 @@ class Core:
         self._rng, self._backend_rng = (np.random.default_rng(s) for s in spawned)
 
     @property
-    def worlds(self) -> Worlds:
-        """The world as it is seen, a batch of one, with the queues of the action helper."""
-        if self._worlds is None:
+    def episodes(self) -> Episodes:
+        """The episode, a batch of one: the world as it is seen, with the queues of the action helper."""
+        if self._episodes is None:
             raise InputError(_RESET_FIRST)
-        return self._worlds
+        return self._episodes
 
     @property
     def grid(self) -> Grid:
         """A copy of the world as it is seen."""
-        return self.worlds.grid(0)
+        return self.episodes.grid(0)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> list[dict[str, Any]]:
         """Begin an episode and return the infos by car.
@@ -91,26 +91,27 @@ class Core:
         """
         if seed is not None:
             self._seed(seed)
-        grid = self._draw(options or {})
+        self.played = self._episode_of(options or {})
+        start = self.played.draw_starts(self._rng, 1)
         own = self.played.design if self.task.draws_designs else None
-        seen = self.backend.start(grid, self._backend_rng, own)
-        if self._worlds is None:
-            self._worlds = Worlds(self.rules, [seen], self.options.helper_depth)
-        self._worlds.put(0, seen)
-        self._t = np.zeros(1, np.int64)
-        self._paid = np.zeros(1, np.bool_)
+        seen = self.backend.start(start.grid(0), self._backend_rng, own)
+        start = Starts(seen[None], start.designs)
+        if self._episodes is None:
+            kind = self.options.rule_set, self.options.helper_depth
+            self._episodes = Episodes(self.task, self._rng, 1, *kind, start.take(_ONE))
+        else:
+            self._episodes.begin(_ONE, start)
         self._runs = True
-        self._potential = self.played.reward.measure.of_worlds(self._worlds.arrays)
         self._look()
         self._pictures.clear()
         self._show()
         return [{"action_mask": mask} for mask in self.masks.copy()]
 
-    def _draw(self, options: dict[str, Any]) -> Grid:
+    def _episode_of(self, options: dict[str, Any]) -> Task:
+        """Return the task of a new episode, from which its start is drawn."""
         grid, path = options.get("grid"), options.get("blueprint")
         if grid is None and path is None:
-            self.played = self.task.for_episode(self._rng)
-            return self.played.draw(self._rng)
+            return self.task.for_episode(self._rng)
         if grid is not None and path is not None:
             raise InputError("the options 'grid' and 'blueprint' both say where to start; give one of them")
         if path is not None:
@@ -119,15 +120,13 @@ class Core:
             grid = read_blueprint(Path(path)).grid(self._rng, self.task.placement)
         if not isinstance(grid, Grid):
             raise InputError(f"the option 'grid' must be a Grid, not a {type(grid).__name__}")
-        check_start(self.task, grid)
-        self.played = self.task.starting_at(grid, options.get("design"))
-        return grid.copy()
+        return self.task.starting_from([grid], options.get("design"))
 
     def _look(self) -> None:
         """Bring what the cars observe up to date; callers get copies, for the next tick is judged by these."""
-        self.masks: NDArray[np.int8] = self.worlds.offered()[0].view(np.int8)
+        self.masks: NDArray[np.int8] = self.episodes.offered()[0].view(np.int8)
         """(n, 15): what each car is offered; STOP, which then does nothing, where the rules leave it nothing."""
-        self.rows: NDArray[np.int32] = self.worlds.entity_rows(self.layout, self.designs)[0]
+        self.rows: NDArray[np.int32] = self.episodes.entity_rows()[0]
         """(n_observed, 13): what is where, and what is to be built where that is shown."""
         self.images = self.backend.images()
         """What cameras see, by kind of image, of each camera."""
@@ -139,19 +138,18 @@ class Core:
     @property
     def designs(self) -> Targets:
         """(1, T, 5): what is to be built in this episode, as in ``Episodes.designs``."""
-        rows = target_array(self.played.design)
-        return np.pad(rows, ((0, self.task.n_targets - len(rows)), (0, 0)))[None]
+        return self.episodes.designs
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: all rows, flattened, shape (13 * n_observed,). Raises InputError before a reset."""
-        if self._worlds is None:
+        if self._episodes is None:
             raise InputError(_RESET_FIRST)
         return self.rows.ravel().copy()
 
     def require_episode(self) -> None:
         """Raise InputError where no episode runs."""
         if not self._runs:
-            over = "no episode has begun" if self._worlds is None else "the episode is over"
+            over = "no episode has begun" if self._episodes is None else "the episode is over"
             raise InputError(f"{over}; call reset() to begin one")
 
     def step(self, actions: Any) -> CoreStep:
@@ -161,16 +159,12 @@ class Core:
         """
         self.require_episode()
         chosen = checked(actions, (self.n_cars,))
-        offered, helped = self.masks, self.options.helper_depth is not None
-        queued = self.worlds.queue[0, :, 0] >= 0 if helped else None
+        episodes, offered = self.episodes, self.masks
+        queued = None if episodes.depth is None else episodes.queue[0, :, 0] >= 0
         order = self._rng.permutation(self.n_cars)
-        tick = self.backend.tick(self.worlds, chosen, order)
-        arrays = self.worlds.arrays
-        after = self._potential if tick.problems else self.played.reward.measure.of_worlds(arrays)
-        reward, self._paid = self.played.reward.of_tick(self._potential, after, self._t, self._paid)
-        success = not tick.problems and bool(self.played.success_measure.of_worlds(arrays)[0])
-        over = bool(self.task.over(self._t, np.array([success]))[0])
-        self._potential, self._t = after, self._t + 1
+        tick = self.backend.tick(episodes, chosen, order)
+        steps = episodes.score(tick.applied[None], order[None], readable=not tick.problems)
+        success, over = bool(steps.success[0]), bool(steps.done[0])
         self._look()
         self._show()
         wrong = illegal(chosen, tick.applied, offered, queued)
@@ -184,7 +178,7 @@ class Core:
         truncated = not terminated and (over or bool(tick.problems))
         self._runs = not (terminated or truncated)
         return CoreStep(
-            reward=float(reward[0]) - self.options.time_weight * tick.duration_s,
+            reward=float(steps.reward[0]) - self.options.time_weight * tick.duration_s,
             terminated=terminated,
             truncated=truncated,
             infos=infos,

@@ -219,4 +219,4 @@ def _env_spec(env: ParallelConstruction) -> EnvSpec | None:
 
 
 def _made_of(task: Task) -> tuple[object, ...]:
-    return task.digest, task.max_steps, task.ends_on_success, type(task.reward), type(task.reward.measure)
+    return task.digest, task.max_steps, task.ends_on_success, task.reward

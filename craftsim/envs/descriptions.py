@@ -15,7 +15,6 @@ from craftsim.discrete.kinds import NAMES, Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.measures import OnePlatform
 from craftsim.envs.answers import FORM, MARK, words_of
 
 _SECOND: Final = tuple(SECOND_PART.values())
@@ -69,7 +68,7 @@ def goal_text(task: Task) -> str:
         return f"these cells hold this, put down and not carried:\n{parts}"
     if task.layout.goal is not None:
         return f"the flag is at {task.layout.goal}."
-    if isinstance(task.success, OnePlatform):
+    if task.success == "one_platform":
         return "all blocks are side by side on one level, and so form one platform."
     return f"what the task '{task.name}' rewards."
 

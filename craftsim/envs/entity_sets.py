@@ -9,14 +9,19 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.kernel.state import F_X, F_YAW, F_Z, World
-from craftsim.discrete.kinds import CellField
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.kernel.state import F_X, F_YAW, F_Z
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.batches import Targets
-from craftsim.discrete.tasks.measures import target_array
-from craftsim.discrete.tasks.observation import IS_CAR, IS_FLAG, IS_FOOT, IS_LOADED, YAW_HIGH, YAW_LOW, Layout
-from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.discrete.tasks.observation import (
+    IS_CAR,
+    IS_FLAG,
+    IS_FOOT,
+    IS_LOADED,
+    YAW_HIGH,
+    YAW_LOW,
+    Layout,
+    entity_rows,
+)
+from craftsim.discrete.tasks.starts import Targets, targets_of
 from craftsim.envs.observe import Observe
 from craftsim.errors import InputError
 
@@ -32,12 +37,12 @@ ANY_YAW: Final = -1
 
 
 def entity_sets(
-    worlds: Worlds, layout: Layout, designs: Targets, frame: Frame = "car", radius: int | None = None
+    grids: Grid, layout: Layout, designs: Targets, frame: Frame = "car", radius: int | None = None
 ) -> NDArray[np.int16]:
     """Return (B, n, n_rows - 1 + T, 8): for each of n cars a row for each thing, then for each cell of the design.
 
     Args:
-        worlds: B worlds.
+        grids: a batch of B worlds.
         layout: how many things of each kind there may be.
         designs: (B, T, 5), what is to be built in each world.
         frame: ``car`` counts cells from the car, x ahead, and yaw from its heading; ``map`` as the grid does.
@@ -48,7 +53,7 @@ def entity_sets(
     if radius is not None and not (isinstance(radius, int) and radius >= 0):
         raise InputError(f"radius is {radius!r}; allowed: None, or 0 and more cells")
     # The last row of these repeats the goal, which is nothing that stands there.
-    rows = worlds.entity_rows(layout, designs)[:, : layout.n_rows - 1]
+    rows = entity_rows(grids, layout, designs)[:, : layout.n_rows - 1]
     things = np.zeros((*rows.shape[:2], FEATURES), np.int16)
     flags = rows[..., IS_CAR : IS_FLAG + 1]
     things[..., WHAT] = flags @ np.arange(1, TARGET)
@@ -56,10 +61,10 @@ def entity_sets(
     turned = flags[..., : IS_FOOT + 1 - IS_CAR].any(-1)  # blocks and flags have no yaw
     things[..., YAW] = np.where(turned, 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW], ANY_YAW)
     things[..., LOADED] = rows[..., IS_LOADED]
-    both = np.concatenate([things, _targets(worlds.arrays, designs)], axis=1)
-    cars = worlds.arrays.cars
-    out = np.repeat(both[:, None], worlds.n_cars, axis=1)
-    each = np.arange(worlds.n_cars)
+    both = np.concatenate([things, _targets(grids, designs)], axis=1)
+    cars = grids.cars
+    out = np.repeat(both[:, None], grids.n_cars, axis=1)
+    each = np.arange(grids.n_cars)
     out[:, each, each, OWN] = 1
     apart = out[..., X : Z + 1] - cars[:, :, None, F_X : F_Z + 1]
     if frame == "car":
@@ -76,12 +81,10 @@ def entity_sets(
     return out
 
 
-def _targets(world: World, designs: Targets) -> NDArray[np.int16]:
+def _targets(grids: Grid, designs: Targets) -> NDArray[np.int16]:
     kind, x, y, z, yaw = np.moveaxis(designs, -1, 0)
     each = np.arange(len(designs))[:, None]
-    filled = (world.cells[each, x, y, z, CellField.KIND] == kind) & (
-        (yaw < 0) | (world.cells[each, x, y, z, CellField.YAW] == yaw)
-    )
+    filled = (grids.kind[each, x, y, z] == kind) & ((yaw < 0) | (grids.yaw[each, x, y, z] == yaw))
     zero = np.zeros_like(kind)
     what = np.where(kind == 0, 0, TARGET + kind)
     return np.stack([what, x, y, z, yaw, zero, zero, filled], axis=-1).astype(np.int16)
@@ -97,11 +100,11 @@ def observe_entities(task: Task, frame: Frame = "car", radius: int | None = None
             f"in task '{task.name}' each episode has a design of its own, which 'observe' does not see; take "
             "entity_sets with the designs of a batch"
         )
-    layout, rules, design = task.layout, Rules("physical"), target_array(task.design)[None]
+    layout, design = task.layout, targets_of(task.design)[None]
     most = max(*task.starts[0].size, TARGET + int(design[..., 0].max(initial=0)))
 
     def of(grid: Grid, car: int) -> NDArray[np.int16]:
-        return entity_sets(Worlds(rules, [grid]), layout, design, frame, radius)[0, car]
+        return entity_sets(grid[None], layout, design, frame, radius)[0, car]
 
     of(task.draw(np.random.default_rng(0)), 0)
     rows = layout.n_rows - 1 + design.shape[1]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.schedule import tick_durations
-from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.backend import Tick
 
 
@@ -21,11 +21,11 @@ class GridBackend:
         """Begin an episode; there is nothing to draw."""
         return grid
 
-    def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
+    def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act by the rules."""
-        before = worlds.arrays.cars[0].copy()
-        applied = worlds.tick(actions[None], order[None])[0]
-        return Tick(applied, float(tick_durations(before, worlds.arrays.cars[0], actions, applied)))
+        before = episodes.grids.cars[0].copy()
+        applied = episodes.act(actions[None], order[None])[0]
+        return Tick(applied, float(tick_durations(before, episodes.grids.cars[0], actions, applied)))
 
     def images(self) -> dict[str, NDArray[Any]]:
         """Return nothing: there are no cameras."""

@@ -18,7 +18,7 @@ from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Helper, Rules
-from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.backend import Tick
 from craftsim.envs.pictures import Pictures, has_display
 from craftsim.envs.records import EpisodeRecords
@@ -95,23 +95,21 @@ class PhysicsBackend:
         steps = tuple(Step.joint(number, joint) for number, joint in enumerate(self._joints))
         return Recipe(blueprint_text(self._start), steps, self.setup, self._seed, self.goals)
 
-    def tick(self, worlds: Worlds, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
+    def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Run all cars' skills to their end, each as early as the others allow, and read the world from poses."""
         began_s, number = self.checked.site.time_s, len(self.ticks)
-        joint = self._primitives(worlds.queue[0], actions, order)
+        joint = self._primitives(episodes.queue[0], actions, order)
         attempts = self.checked.perform_tick(joint, tick=number)
         self.ticks.append(attempts)
         self._joints.append(joint)
-        queue = worlds.queue[0].copy()
-        worlds.put(0, self.checked.grid)
-        worlds.queue[0] = queue
+        episodes.put(0, self.checked.grid)
         legal = np.zeros(len(actions), np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in actions]
         for attempt in attempts:
             legal[attempt.car] = attempt.legal
             infos[attempt.car] = _info(attempt)
             if attempt.skill != "succeeded" or attempt.read != attempt.predicted:
-                worlds.queue[0, attempt.car] = -1  # what was planned starts from where the car is not
+                episodes.queue[0, attempt.car] = -1  # what was planned starts from where the car is not
         duration_s = round(self.checked.site.time_s - began_s, 6)
         return Tick(legal, duration_s, self.checked.problems, tuple(infos))
 

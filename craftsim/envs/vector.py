@@ -95,11 +95,11 @@ class GridVectorEnv(TaskVectorEnv):
         if not self._begun:
             raise InputError("call reset() before anything else")
         episodes, chosen = self.episodes, checked(actions, (self.num_envs, self.task.layout.n_cars))
-        worlds, offered = episodes.worlds, self._masks
-        queued = None if worlds.depth is None else worlds.queue[:, :, 0] >= 0
-        before = worlds.arrays.cars.copy()
+        offered = self._masks
+        queued = None if episodes.depth is None else episodes.queue[:, :, 0] >= 0
+        before = episodes.grids.cars.copy()
         steps = episodes.step(chosen)
-        duration = tick_durations(before, worlds.arrays.cars, chosen, steps.applied)
+        duration = tick_durations(before, episodes.grids.cars, chosen, steps.applied)
         terminated = steps.success & self.task.ends_on_success
         truncated = steps.done & ~terminated
         infos: dict[str, Any] = {
@@ -133,4 +133,4 @@ class GridVectorEnv(TaskVectorEnv):
 
     def car_vectors(self) -> NDArray[np.int32]:
         """Return (B, n, length): what each car of each world observes now, its own row first."""
-        return car_vectors(self._rows, self.episodes.worlds.n_cars)
+        return car_vectors(self._rows, self.episodes.n_cars)

@@ -11,7 +11,6 @@ import numpy as np
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kinds import NAMES
-from craftsim.discrete.tasks.measures import FlagAtGoal, OnePlatform
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import State
@@ -41,14 +40,13 @@ def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingG
             raise NoPlanError(
                 f"task '{goal.name}' has no goal; give it a design, or a flag and where it goes"
             )
-        measure = goal.success_measure
         if goal.design is not None:
             return make_goal(goal.design)
-        if isinstance(measure, FlagAtGoal):
-            flag = BuildingPart(Kind.FLAG, measure.nearness.goal)
+        if goal.success == "flag_at_goal":
+            flag = BuildingPart(Kind.FLAG, goal.layout.goal_cell)
             return BuildingGoal(goal.succeeded, frozenset({flag}))
-        if isinstance(measure, OnePlatform):
-            return BuildingGoal(goal.succeeded, platform=measure.n_blocks)
+        if goal.success == "one_platform":
+            return BuildingGoal(goal.succeeded, platform=goal.layout.n_blocks)
         return BuildingGoal(goal.succeeded)
     if isinstance(goal, Design):
         things = frozenset(

@@ -11,12 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.batches import Starts
 from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.starts import Starts
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.planned import Ticks
@@ -83,7 +82,7 @@ def planned_demonstrations(
 def _plan(task: Task, starts: Starts, i: int, seed: int) -> Ticks:
     """Return the ticks of a plan; none where there is no plan."""
     grid = starts.grid(i)
-    one = task.starting_at(grid, starts.design(i, task.name)) if task.draws_designs else task
+    one = task.starting_from([grid], starts.design(i, task.name)) if task.draws_designs else task
     try:
         return plan_building(grid, one, rounds=ATTEMPTS, time_s=math.inf, seed=seed, exact=False).ticks
     except NoPlanError:
@@ -107,16 +106,12 @@ def replayed(
     episodes.begin(rows, starts)
     worlds, rewards = [], np.zeros(actions.shape[:2], np.float32)
     for t in range(n_ticks):
-        worlds.append(Starts(episodes.worlds.grids, episodes.designs).take(rows[lengths > t]))
+        worlds.append(Starts(episodes.grids, episodes.designs).take(rows[lengths > t]))
         done = np.where(actions[:, t] == NOT_SHOWN, int(Action.STOP), actions[:, t])
         rewards[:, t] = episodes.step(done, turns[:, t]).reward
     # All that is shown in one tick lies together so far.
     which = np.arange(n_ticks)[:, None] < lengths
     order = np.lexsort(np.nonzero(which))
-    grids = Grid(
-        np.concatenate([some.grids.cells for some in worlds]),
-        np.concatenate([some.grids.cars for some in worlds]),
-    )
-    shown = Starts(grids, np.concatenate([some.designs for some in worlds])).take(order)
+    shown = Starts.joined(worlds).take(order)
     which = which.T
     return Demonstrations(shown, actions[which], rewards[which], np.nonzero(which)[1] == 0)

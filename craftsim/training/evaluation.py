@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.config import Acting
 from craftsim.training.curve import Played
@@ -31,10 +32,10 @@ def evaluate(
 ) -> Played:
     """Play so many episodes, all at once; ``seed`` draws starts and orders, and actions where they are sampled.
 
-    Where a task has a list of starts, episodes take one after the other.
+    Where a task has a list of held-out starts, episodes take one after the other.
     """
     worlds = Episodes(task, np.random.default_rng(seed), episodes, rules, helper_depth)
-    if (listed := task.listed_starts) is not None:
+    if task.split == "test" and isinstance(listed := task.sampler, Starts):
         rows = np.arange(episodes)
         worlds.begin(rows, listed.take(rows % len(listed)))
     running = np.ones(episodes, np.bool_)

@@ -129,13 +129,13 @@ class _Reached:
         self._returns: list[int] = []
         self._open: dict[float, dict[int, list[int]]] = {}
         """By potential and ticks: where one may go on."""
-        first = np.zeros(len(episodes.worlds), np.bool_)
+        first = np.zeros(len(episodes), np.bool_)
         first[0] = True
         self.add(episodes, np.zeros(len(first), np.int64), first, np.zeros_like(first))
 
     @staticmethod
     def _live(episodes: Episodes) -> dict[str, NDArray[np.generic]]:
-        return {name: getattr(episodes.worlds.arrays, name) for name in _ARRAYS}
+        return {name: getattr(episodes.grids, name) for name in _ARRAYS}
 
     def draw(self, rng: np.random.Generator, n: int) -> NDArray[np.int64]:
         """Return n worlds to go on from: those of higher potentials more often, of these rather the earliest.
@@ -160,7 +160,7 @@ class _Reached:
             array[:] = self._arrays[name][which]
         episodes.t[:] = [self._ticks[i] for i in which]
         episodes.bonus_given[:] = False
-        episodes.potential = episodes.task.reward.measure.of_worlds(episodes.worlds.arrays)
+        episodes.potential = episodes.task.potential(episodes.grids, episodes.designs)
 
     def add(
         self,

@@ -8,9 +8,7 @@ import numpy as np
 
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.batches import Starts
-from craftsim.discrete.tasks.measures import target_array
-from craftsim.discrete.tasks.varied import VariedTask
+from craftsim.discrete.tasks.starts import Starts, targets_of
 from craftsim.errors import InputError
 from craftsim.training.config import HALF, TrainConfig
 from craftsim.training.demonstrations import (
@@ -35,7 +33,7 @@ def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None
     """Raise InputError where a configuration asks for what does not go together, or not with a task."""
     if starts is not None and (config.explore or config.stages):
         raise InputError("exploration and stages have starts of their own: leave them or starts out")
-    if config.shown_share != HALF and (starts is not None or not isinstance(task, VariedTask)):
+    if config.shown_share != HALF and (starts is not None or not task.split):
         raise InputError(
             f"shown_share is {config.shown_share} with {'other starts' if starts else task.name}; it is of the plans "
             "that are imitated in a task that varies: leave it out"
@@ -60,13 +58,13 @@ def _explored(config: TrainConfig, task: Task, rng: np.random.Generator) -> Guid
     found = explore(task, config.rules, config.explore, rng)
     shown = None
     if 1 < len(found.way) <= task.max_steps + 3:
-        start = Starts.of(found.way[:1], target_array(task.design))
+        start = Starts.of(found.way[:1], targets_of(task.design))
         shown = replayed(task, start, [done_on(found.way, Rules(config.rules))], config.rules)
     return Guidance(half_from(task, found.starts), shown)
 
 
 def _planned(config: TrainConfig, task: Task, shown: Demonstrations, rng: np.random.Generator) -> Guidance:
-    if isinstance(task, VariedTask):
+    if task.split:
         return Guidance(half_shown(task, shown.worlds, config.shown_share), shown)
     some = rng.integers(len(shown.worlds), size=STARTS)
     return Guidance(half_from(task, [shown.worlds.grid(i) for i in some]), shown)

@@ -8,12 +8,9 @@ from dataclasses import asdict, dataclass, fields, is_dataclass
 from enum import Enum
 from typing import Any, Final
 
-from numpy.typing import NDArray
-
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.starts import StoredStarts
-from craftsim.discrete.tasks.varied import VariedTask
+from craftsim.discrete.tasks.starts import Starts
 from craftsim.training.starts import HalfShown
 
 _NO_PART: Final = {"path", "line", "notes"}
@@ -66,18 +63,14 @@ class TaskIdentity:
 
 def starts_digest(task: Task) -> str:
     """Return a digest of the stored worlds that a task's episodes start with; empty where it has none."""
-    arrays: list[tuple[str, NDArray[Any]]] = []
-    if isinstance(task, StoredStarts):
-        arrays = [item for grid in task.grids for item in grid.to_arrays().items()]
-    elif isinstance(task, VariedTask) and isinstance(task.source, HalfShown):
-        others = task.source.others
-        known = others.grids.to_arrays() | {"designs": others.designs}
-        arrays = [(name, known[name]) for name in ("kind", "yaw", "top", "back", "cars", "designs")]
+    starts = task.sampler.others if isinstance(task.sampler, HalfShown) else task.sampler
+    if not isinstance(starts, Starts):
+        return ""
     digest = hashlib.sha256()
-    for name, array in arrays:
-        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+    for array in (starts.grids.cells, starts.grids.cars, starts.designs):
+        digest.update(f"{array.dtype} {array.shape}".encode())
         digest.update(array.tobytes())
-    return digest.hexdigest() if arrays else ""
+    return digest.hexdigest()
 
 
 def _digest(value: Any) -> str:

@@ -12,10 +12,7 @@ from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.batches import Starts, StartSource
-from craftsim.discrete.tasks.measures import target_array
-from craftsim.discrete.tasks.starts import check_start, load_starts, starting_from
-from craftsim.discrete.tasks.varied import VariedTask
+from craftsim.discrete.tasks.starts import Starts, StartSampler, load_starts, targets_of
 from craftsim.errors import InputError
 
 
@@ -31,7 +28,7 @@ def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
     Raises:
         InputError: the file cannot be read, or does not fit the task.
     """
-    if isinstance(task, VariedTask) and (task.draws_designs or path.suffix == ".plan"):
+    if task.draws_designs or (task.split and path.suffix == ".plan"):
         raise InputError(
             f"{path}: task '{task.name}' starts otherwise in every episode, so that no plan fits it, nor worlds "
             "without a design where each has its own; leave starts out"
@@ -43,19 +40,19 @@ def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
 
 def half_from(task: Task, grids: Sequence[Grid]) -> Task:
     """Return a task of whose episodes half start as ever and half with one of these worlds."""
-    if isinstance(task, VariedTask):
+    if task.split:
         for grid in grids:
-            check_start(task, grid)
-        return half_shown(task, Starts.of(grids, target_array(task.design)))
+            task.check_start(grid)
+        return half_shown(task, Starts.of(grids, targets_of(task.design)))
     own = task.draw(np.random.default_rng(0))
-    return starting_from(task, [*grids, *[own] * len(grids)])
+    return task.starting_from([*grids, *[own] * len(grids)])
 
 
 @dataclass(frozen=True)
 class HalfShown:
-    """Starts of which half come from one source, and half are drawn from others, with what is to be built in each."""
+    """Starts of which half come from one sampler, and half are drawn from others, with what is to be built in each."""
 
-    own: StartSource
+    own: StartSampler
     others: Starts
     share: float = 0.5
     """Of the others, where it is not half."""
@@ -64,13 +61,14 @@ class HalfShown:
         """Return n starts."""
         starts = self.own.draw(rng, n)
         rows = np.flatnonzero(rng.random(n) < self.share)
-        starts.put(rows, self.others.take(rng.integers(len(self.others), size=len(rows))))
+        starts.put(rows, self.others.draw(rng, len(rows)))
         return starts
 
 
-def half_shown(task: VariedTask, worlds: Starts, share: float = 0.5) -> VariedTask:
-    """Return a varied task of whose episodes half, or another share, start with one of these worlds."""
-    return replace(task, source=HalfShown(task.source, worlds, share))
+def half_shown(task: Task, worlds: Starts, share: float = 0.5) -> Task:
+    """Return a task that varies of whose episodes half, or another share, start with one of these worlds."""
+    assert task.sampler is not None, "a task that varies has a sampler"
+    return replace(task, sampler=HalfShown(task.sampler, worlds, share))
 
 
 def along_plan(start: Grid, path: Path, rule_set: RuleSet) -> list[Grid]:

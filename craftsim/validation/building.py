@@ -15,7 +15,6 @@ from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import Plan, read_plan, shipped_plan
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
-from craftsim.discrete.tasks.measures import Finished
 from craftsim.errors import InputError
 from craftsim.logs.log import Log
 from craftsim.rendering.trajectory import Trajectory
@@ -141,5 +140,5 @@ def read_building(
         found = free_play(drawing.path.stem, (drawing,))
     if goal is not None:
         design = read_design(goal)
-        found = replace(found, design=design, success=Finished(design))
+        found = replace(found, design=design, success="built")
     return Building(found, read_plan(plan or shipped_plan(found.name), found.layout.n_cars))

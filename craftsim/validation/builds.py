@@ -17,7 +17,6 @@ from craftsim.checking.settings import Setup
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.measures import Finished
 from craftsim.errors import InputError
 from craftsim.planning import Planned, plan_building
 from craftsim.report import write_report
@@ -78,7 +77,7 @@ def read_goal(start: str, goal: Path | None) -> Task:
     task = as_task(start)
     if goal is not None:
         design = read_design(goal)
-        return replace(task, design=design, success=Finished(design))
+        return replace(task, design=design, success="built")
     if not task.has_goal:
         raise InputError(f"{start} has no goal; give a design with --goal")
     return task

@@ -14,7 +14,7 @@ from craftsim.discrete.conformance import parse_record
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.grid_checks import check_grid
 from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.starts import load_starts, save_starts, starting_from
+from craftsim.discrete.tasks.starts import load_starts, save_starts
 from craftsim.errors import InputError
 
 LINE = gzip.decompress((Path(__file__).parents[1] / "data" / "traces.jsonl.gz").read_bytes()).splitlines()[0]
@@ -108,7 +108,7 @@ def test_a_start_that_the_rules_cannot_look_up_is_refused(name, tmp_path):
     grid = _start()
     ODD[name][0](grid)
     with pytest.raises(InputError, match=ODD[name][1]):
-        starting_from(make_task("strip"), [grid])
+        make_task("strip").starting_from([grid])
     arrays = Grid.stack([_start(), grid]).to_arrays()
     np.savez(tmp_path / "starts.npz", **arrays)
     with pytest.raises(InputError, match=r"starts\.npz: world 1: "):
@@ -146,5 +146,5 @@ def test_feet_without_a_body_count_as_slopes(tmp_path):
     for x, y in free[:4]:
         grid.kind[x, y, 1] = Kind.FOOT
     with pytest.raises(InputError, match="slopes; task 'simple_two_story' observes at most"):
-        starting_from(make_task("simple_two_story"), [grid])
+        make_task("simple_two_story").starting_from([grid])
     save_starts(tmp_path / "starts.npz", [grid])

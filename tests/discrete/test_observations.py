@@ -1,21 +1,17 @@
-"""Observations: the 13 numbers of each entity, the vectors made of them, plain arrays."""
+"""Observations: the 13 numbers of each entity, and the vectors made of them."""
 
 import pytest
 
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.batches import NO_TARGETS
-from craftsim.discrete.tasks.episodes import GridEpisode
-from craftsim.discrete.tasks.observation import Layout, as_arrays, design_rows
-from craftsim.discrete.tasks.worlds import Worlds
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.observation import Layout, entity_rows, target_rows
+from craftsim.discrete.tasks.starts import targets_of
 from craftsim.errors import CraftsimError
-
-RULES = Rules("published")
 
 
 def rows_of(grid, layout):
-    return Worlds(RULES, [grid]).entity_rows(layout, NO_TARGETS)[0].tolist()
+    return entity_rows(grid[None], layout, targets_of(None)[None])[0].tolist()
 
 
 def test_rows_list_carried_things_first_then_the_grid_in_scan_order(scene, car):
@@ -59,37 +55,20 @@ def test_more_things_than_rows_are_told(scene, kind):
 
 
 def test_a_cars_vector_is_its_own_row_and_then_all_rows(rng):
-    episode = GridEpisode(make_task("complex_two_story"), rng)
-    vectors, layout = episode.vectors(), episode.batch.layout
+    episodes = Episodes(make_task("complex_two_story"), rng)
+    vectors, layout = episodes.vectors()[0], episodes.layout
     assert vectors.shape == (4, layout.vector_length) == (4, 13 * (1 + 4 + 3 * 2 + 6 + 2))
-    rows = episode.batch.entity_rows()[0]
+    rows = episodes.entity_rows()[0]
     for car in range(4):
         assert vectors[car].tolist() == [*rows[car], *rows.ravel()]
 
 
-def test_a_design_lists_bodies_feet_as_bodies_and_blocks():
-    rows = design_rows(make_task("simple_two_story").design).tolist()
-    assert rows == [
-        [2, 2, 1, 0, 0, 1, 0, 0, 0, 0, 1, 1, 0],
-        [2, 1, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0],
-        [2, 3, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0],
-        [2, 3, 2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0],
-    ]
-
-
-def test_plain_arrays_show_the_world_and_share_nothing_with_it(scene, car):
-    grid = scene([(Kind.BLOCK, (1, 2, 1))], [car(3, 4, yaw=1, load=Kind.FSLOPE)])
-    arrays = as_arrays(grid)
-    assert arrays["kind"].shape == (7, 7, 3)
-    assert arrays["kind"][1, 2, 0] == Kind.BLOCK
-    assert [arrays[name].tolist() for name in ("position", "heading", "load", "load_yaw", "slope")] == [
-        [[3, 4, 1]],
-        [1],
-        [Kind.FSLOPE],
-        [3],
-        [0],
-    ]
-    for array in arrays.values():
-        array[:] = 99
-    assert grid.kind[1, 2, 1] == Kind.BLOCK
-    assert grid.cars[0, 0] == 3
+def test_what_is_to_be_built_has_rows_as_things_there_would_have_and_is_marked():
+    design = make_task("simple_two_story").design
+    rows = dict(zip(design.targets, target_rows(targets_of(design)).tolist(), strict=True))
+    assert {(target.kind, *row) for target, row in rows.items()} == {
+        (Kind.BODY, 2, 2, 1, 0, 0, 1, 0, 0, 0, 1, 1, 1, 0),
+        (Kind.FOOT, 2, 1, 1, 0, 0, 0, 1, 0, 0, 1, 1, 1, 0),
+        (Kind.BLOCK, 2, 3, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0),
+        (Kind.BLOCK, 2, 3, 2, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0),
+    }

@@ -12,9 +12,8 @@ from craftsim.discrete.files.shipped import shipped_names
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task, task_of
-from craftsim.discrete.tasks.measures import FlagAtGoal, OnePlatform
+from craftsim.discrete.tasks.registry import read_task
 from craftsim.discrete.tasks.rewards import Reward
-from craftsim.discrete.tasks.task_files import read_task
 from craftsim.errors import BlueprintError, InputError, PlanError
 
 START = """\
@@ -85,11 +84,11 @@ def test_a_blueprint_is_a_task_with_the_goal_file_beside_it(folder):
     assert (bare.name, bare.design) == ("mine", None)
     assert not bare.has_goal
     (folder / "platform.yaml").write_text("start: mine.yaml\ngoal: platform\n")
-    assert isinstance(task_of("platform.yaml").success, OnePlatform)
+    assert task_of("platform.yaml").success == "one_platform"
     (folder / "mine_goal.yaml").write_text(GOAL)
     assert [target.cell for target in task_of(str(folder / "mine.yaml")).design.targets] == [(1, 1, 1)]
     (folder / "flag.yaml").write_text(START + "flag: [{x: 0, y: 0, z: 1}]\ngoal: [{x: 3, y: 3, z: 1}]\n")
-    assert isinstance(task_of("flag.yaml").success, FlagAtGoal)
+    assert task_of("flag.yaml").success == "flag_at_goal"
     assert task_of("flag.yaml").shows_flag
     with pytest.raises(BlueprintError, match=r"nothere\.yaml: no such file"):
         task_of("nothere.yaml")

@@ -1,5 +1,7 @@
 """Tasks and rewards: the paper's figures, the code's figures, and a task of one's own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,12 +9,17 @@ from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
-from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
-from craftsim.discrete.tasks.measures import CodePlatform, Complexity, PaperPlatform
-from craftsim.discrete.tasks.rewards import CodeBarrier, PaperBarrier, Reward
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS, Reward
+from craftsim.discrete.tasks.starts import targets_of
 from craftsim.errors import BlueprintError, InputError
 
 BLOCK, GEAR, FSLOPE, BODY, FOOT = Kind.BLOCK, Kind.GEAR, Kind.FSLOPE, Kind.BODY, Kind.FOOT
+
+
+def worth(task, grid):
+    """Return the potential of one world."""
+    return task.potential(grid[None], targets_of(task.design)[None])[0]
 
 
 def finished(task, rng):
@@ -30,10 +37,10 @@ def finished(task, rng):
     [("strip", 8, 12), ("block", 8, 12), ("simple_two_story", 7, 13), ("complex_two_story", 16, 20)],
 )
 def test_a_finished_building_is_worth_what_paper_and_code_say(name, paper, code, rng):
-    for reward, worth in (("paper", paper), ("published_code", code)):
+    for reward, most in (("paper", paper), ("published_code", code)):
         task = make_task(name, reward=reward)
         grid = finished(task, rng)
-        assert task.reward.measure.of(grid) == worth
+        assert worth(task, grid) == most
         assert task.succeeded(grid)
         assert not task.succeeded(task.draw(rng))
 
@@ -43,29 +50,29 @@ def test_a_block_of_the_second_storey_is_worth_more_in_the_complex_building(name
     task = make_task(name)
     grid = finished(task, rng)
     target = next(t for t in task.design.targets if t.cell[2] == 2)
-    before = task.reward.measure.of(grid)
+    before = worth(task, grid)
     grid.kind[target.cell] = Kind.AIR
-    assert before - task.reward.measure.of(grid) == 4 + upper
+    assert before - worth(task, grid) == 4 + upper
 
 
 def test_a_slope_pays_only_when_both_its_parts_are_in_place_the_right_way_round(rng):
     task = make_task("simple_two_story")
     grid = task.draw(rng)
     grid.kind[2, 2, 1], grid.yaw[2, 2, 1] = BODY, 3
-    assert task.reward.measure.of(grid) == 0
+    assert worth(task, grid) == 0
     grid.kind[2, 1, 1], grid.yaw[2, 1, 1] = FOOT, 3
-    assert task.reward.measure.of(grid) == 1
+    assert worth(task, grid) == 1
     grid.yaw[2, 1, 1] = 1
-    assert task.reward.measure.of(grid) == 0
+    assert worth(task, grid) == 0
 
 
 def test_the_code_counts_gears_as_blocks_and_the_paper_does_not(rng):
-    for reward, worth in (("paper", 0), ("published_code", 1)):
+    for reward, counted in (("paper", 0), ("published_code", 1)):
         task = make_task("strip", reward=reward)
         grid = task.draw(rng)
         grid.kind[:, :, 1:] = 0
         grid.kind[3, 0, 1] = GEAR
-        assert task.reward.measure.of(grid) == worth
+        assert worth(task, grid) == counted
 
 
 def test_platforms_are_counted_level_by_level(scene):
@@ -75,10 +82,19 @@ def test_platforms_are_counted_level_by_level(scene):
         (BLOCK, (4, 1, 1)),
     ]
     for objects, paper, code in (([], 0, 0), (row[:1], 0, 0), (row, 2, 3), ([*row, (GEAR, (3, 1, 1))], 2, 5)):
-        grid = scene(objects)
-        assert (PaperPlatform().of(grid), CodePlatform().of(grid)) == (paper, code)
-    top = scene([(BLOCK, (x, 1, 3)) for x in range(3)])
-    assert (PaperPlatform().of(top), CodePlatform().of(top)) == (2, 0)
+        assert _platforms(scene(objects)) == (paper, code)
+    assert _platforms(scene([(BLOCK, (x, 1, 3)) for x in range(3)])) == (2, 0)
+
+
+def _platforms(grid):
+    return tuple(_number(name, grid) for name in ("platform", "published_platform"))
+
+
+def _number(potential, grid):
+    task = make_task("free_building")
+    return POTENTIALS[potential](
+        grid[None], task.draw_starts(np.random.default_rng(0), 1).designs, task.layout
+    )[0]
 
 
 def test_free_building_succeeds_with_one_platform_of_all_blocks(rng):
@@ -88,26 +104,24 @@ def test_free_building_succeeds_with_one_platform_of_all_blocks(rng):
     grid.kind[:, 0, 1] = BLOCK
     grid.kind[:, 1, 1] = BLOCK
     assert task.succeeded(grid)
-    assert task.reward.measure.of(grid) == 9
+    assert worth(task, grid) == 9
     grid.kind[0, 0, 1], grid.kind[4, 4, 1] = 0, BLOCK
     assert not task.succeeded(grid)
 
 
 def test_the_barrier_pays_steps_arrival_and_time_as_the_paper_says(rng):
-    episode = GridEpisode(make_task("breaking_barrier"), rng)
-    grid = episode.grid
+    task = make_task("breaking_barrier")
     before = np.array([-6.0, -5.0, -1.0, 0.0])
     after = np.array([-5.0, -5.0, 0.0, 0.0])
-    reward = episode.batch.task.reward
-    assert isinstance(reward, PaperBarrier)
-    assert reward.measure.of(grid) == -5
-    paid, _ = reward.of_tick(before, after, np.arange(4), np.zeros(4, bool))
+    assert task.reward == Reward("flag_nearness", "barrier")
+    assert worth(task, task.draw(rng)) == -5
+    paid, _ = task.reward.of_tick(before, after, np.arange(4), np.zeros(4, bool))
     assert paid.tolist() == [0, -1, 10, 9]
 
 
 def test_the_code_pays_the_barrier_bonus_once_and_nothing_in_the_first_tick(rng):
     reward = make_task("breaking_barrier", reward="published_code").reward
-    assert isinstance(reward, CodeBarrier)
+    assert reward == Reward("flag_nearness", "published_barrier")
     before = np.array([-5.0, -1.0, -1.0, -1.0, 0.0])
     after = np.array([-4.0, 0.0, 0.0, 0.0, 0.0])
     paid, spent = reward.of_tick(
@@ -122,50 +136,49 @@ def test_a_carried_flag_counts_where_its_car_is_and_a_lost_one_is_far(rng):
     grid = task.draw(rng)
     grid.kind[4, 1, 1] = Kind.AIR
     grid.cars[0, CarField.LOAD] = Kind.FLAG
-    assert task.reward.measure.of(grid) == 0
+    assert worth(task, grid) == 0
     assert task.succeeded(grid)
     grid.cars[0, CarField.LOAD] = Kind.AIR
-    assert task.reward.measure.of(grid) < -10
+    assert worth(task, grid) < -10
     assert not task.succeeded(grid)
 
 
-def test_complexity_weighs_platform_storeys_and_ramps(scene):
+def test_complexity_counts_platform_storeys_and_ramps(scene):
     objects = [(BLOCK, (2, 3, 1)), (BLOCK, (2, 4, 1)), (BLOCK, (2, 4, 2)), (BODY, (3, 3, 1), 0)]
-    assert Complexity().of(scene(objects)) == 1 + 1 + 1
-    assert Complexity(platform=2, storey=10, ramp=100).of(scene(objects)) == 112
-    assert Complexity(ramp=100).of(scene(objects[1:])) == 0 + 1
-    assert isinstance(make_task("free_building", reward="complexity").reward.measure, Complexity)
+    assert _number("complexity", scene(objects)) == 1 + 1 + 1
+    assert _number("complexity", scene(objects[1:])) == 0 + 1
+    assert make_task("free_building", reward="complexity").reward == Reward("complexity")
 
 
 @pytest.mark.parametrize("name", [name for name in TASK_NAMES if name != "breaking_barrier"])
 def test_rewards_of_an_episode_add_up_to_the_change_of_worth(name, rng):
     task = make_task(name)
-    episode = GridEpisode(task, rng)
-    start, total = task.reward.measure.of(episode.grid), 0.0
+    episodes = Episodes(task, rng)
+    start, total = worth(task, episodes.grid(0)), 0.0
     for _ in range(40):
-        mask = episode.legal()
-        total += episode.step((rng.random(mask.shape) * mask).argmax(-1)).reward
-    assert total == task.reward.measure.of(episode.grid) - start
+        mask = episodes.legal()
+        total += episodes.step((rng.random(mask.shape) * mask).argmax(-1)).reward[0]
+    assert total == worth(task, episodes.grid(0)) - start
 
 
 @pytest.mark.parametrize("max_steps", [0, 18])
 def test_an_episode_has_max_steps_and_two_more_ticks(max_steps, rng):
-    episode = GridEpisode(make_task("strip", max_steps=max_steps), rng)
-    dones = [episode.step([Action.STOP, Action.STOP]).done for _ in range(max_steps + 2)]
+    episodes = Episodes(make_task("strip", max_steps=max_steps), rng)
+    dones = [episodes.step([[Action.STOP, Action.STOP]]).done[0] for _ in range(max_steps + 2)]
     assert dones == [False] * (max_steps + 1) + [True]
-    episode.reset()
-    assert episode.t == 0
-    assert not episode.step([Action.STOP, Action.STOP]).done or max_steps == 0
+    episodes.reset()
+    assert episodes.t[0] == 0
+    assert not episodes.step([[Action.STOP, Action.STOP]]).done[0] or max_steps == 0
 
 
 def test_success_ends_an_episode_by_the_paper_but_not_by_the_code(rng):
     for reward, ends in (("paper", True), ("published_code", False)):
-        episode = GridEpisode(make_task("strip", reward=reward), rng)
-        task = episode.batch.task
-        episode.batch.worlds.put(0, finished(task, rng))
-        step = episode.step([Action.STOP, Action.STOP])
-        assert step.success
-        assert step.done == ends
+        task = make_task("strip", reward=reward)
+        episodes = Episodes(task, rng)
+        episodes.put(0, finished(task, rng))
+        steps = episodes.step([[Action.STOP, Action.STOP]])
+        assert steps.success[0]
+        assert steps.done[0] == ends
 
 
 OWN = """\
@@ -189,13 +202,30 @@ def test_a_task_of_ones_own_takes_a_few_lines(rng):
         success=lambda grid: height(grid) == 2,
         max_steps=30,
     )
-    episode = GridEpisode(task, rng)
-    assert not task.succeeded(episode.grid)
-    grid = episode.grid
+    episodes = Episodes(task, rng)
+    grid = episodes.grid(0)
+    assert not task.succeeded(grid)
     grid.kind[1, 1, 1:] = BLOCK
-    episode.batch.worlds.put(0, grid)
-    step = episode.step([Action.STOP])
-    assert (step.reward, step.success, step.done) == (1.0, True, True)
+    episodes.put(0, grid)
+    steps = episodes.step([[Action.STOP]])
+    assert (steps.reward, steps.success, steps.done) == (1.0, True, True)
+
+
+def test_a_potential_a_goal_and_a_rule_of_ones_own_may_have_names_and_look_at_all_worlds_at_once(
+    monkeypatch, rng
+):
+    monkeypatch.setitem(
+        POTENTIALS, "blocks", lambda grids, designs, layout: (grids.kind == BLOCK).sum((1, 2, 3)) * 1.0
+    )
+    monkeypatch.setitem(GOALS, "always", lambda grids, designs, layout: np.ones(len(grids), bool))
+
+    def twice(before, after, t, given):
+        return 2 * after, given
+
+    task = replace(make_task("strip"), reward=Reward("blocks", twice), success="always")
+    steps = Episodes(task, rng, 3).step(np.full((3, 2), Action.STOP))
+    assert steps.reward.tolist() == [8.0] * 3
+    assert steps.done.all()
 
 
 def test_one_of_several_start_files_is_drawn_for_each_episode():
@@ -205,7 +235,7 @@ def test_one_of_several_start_files_is_drawn_for_each_episode():
     )
     task = Task("many", starts, Reward(lambda grid: 0.0), lambda grid: False)
     episodes = Episodes(task, np.random.default_rng(0), 60)
-    drawn = {int(row) for row in episodes.worlds.arrays.cars[:, 0, CarField.X]}
+    drawn = {int(row) for row in episodes.grids.cars[:, 0, CarField.X]}
     assert drawn == {0, 1, 2}
 
 
@@ -219,6 +249,12 @@ def test_what_cannot_be_a_task_is_told():
         make_task("stripe")
     with pytest.raises(InputError, match="unknown reward 'papr'; did you mean 'paper'"):
         make_task("strip", reward="papr")
+    with pytest.raises(InputError, match="unknown potential 'plattform'; did you mean 'platform'"):
+        Reward("plattform")
+    with pytest.raises(InputError, match="unknown reward rule 'diff'; there are change"):
+        Reward("platform", "diff")
+    with pytest.raises(InputError, match="unknown goal 'build'; did you mean 'built'"):
+        replace(make_task("strip"), success="build")
     with pytest.raises(InputError, match="max_steps is -1"):
         make_task("strip", max_steps=-1)
 
@@ -229,15 +265,15 @@ def test_a_reset_empties_the_helpers_queue_and_the_slope_state(rng):
     for _ in range(200):
         mask = episodes.reachable()
         episodes.step((rng.random(mask.shape) * mask).argmax(-1))
-        if (episodes.worlds.queue >= 0).any(axis=(1, 2)).all():
+        if (episodes.queue >= 0).any(axis=(1, 2)).all():
             break
-    assert (episodes.worlds.queue >= 0).any(axis=(1, 2)).all()
-    kept = episodes.worlds.grid(2)
+    assert (episodes.queue >= 0).any(axis=(1, 2)).all()
+    kept = episodes.grid(2)
     episodes.reset([0, 1])
-    assert (episodes.worlds.queue[:2] == -1).all()
-    assert (episodes.worlds.queue[2] >= 0).any()
-    assert episodes.worlds.grid(2).same_visible(kept)
-    assert episodes.worlds.grid(0).same_visible(task.draw(rng))
+    assert (episodes.queue[:2] == -1).all()
+    assert (episodes.queue[2] >= 0).any()
+    assert episodes.grid(2).same_visible(kept)
+    assert episodes.grid(0).same_visible(task.draw(rng))
     assert episodes.t.tolist()[:2] == [0, 0]
 
 
@@ -246,7 +282,7 @@ def test_a_reset_empties_the_helpers_queue_and_the_slope_state(rng):
 def test_a_batch_does_what_single_worlds_do(rule_set, depth, rng):
     task = make_task("complex_two_story")
     batch = Episodes(task, np.random.default_rng(1), 5, rule_set, depth)
-    singles = [GridEpisode(task, np.random.default_rng(1), rule_set, depth) for _ in range(5)]
+    singles = [Episodes(task, np.random.default_rng(1), 1, rule_set, depth) for _ in range(5)]
     for _ in range(30):
         legal, reachable, vectors = batch.legal(), batch.reachable(), batch.vectors()
         mask = legal if depth is None else reachable
@@ -254,17 +290,17 @@ def test_a_batch_does_what_single_worlds_do(rule_set, depth, rng):
         order = batch.draw_order()
         steps = batch.step(actions, order)
         for i, single in enumerate(singles):
-            assert np.array_equal(single.legal(), legal[i])
-            assert np.array_equal(single.reachable(), reachable[i])
-            assert np.array_equal(single.vectors(), vectors[i])
-            step = single.step(actions[i], order[i])
+            assert np.array_equal(single.legal()[0], legal[i])
+            assert np.array_equal(single.reachable()[0], reachable[i])
+            assert np.array_equal(single.vectors()[0], vectors[i])
+            step = single.step(actions[i : i + 1], order[i : i + 1])
             assert (step.reward, step.done, step.success) == (
                 steps.reward[i],
                 steps.done[i],
                 steps.success[i],
             )
-            assert np.array_equal(step.applied, steps.applied[i])
-            assert single.grid.same_visible(batch.worlds.grid(i))
+            assert np.array_equal(step.applied[0], steps.applied[i])
+            assert single.grid(0).same_visible(batch.grid(i))
 
 
 def test_orders_are_fresh_and_uniform(rng):

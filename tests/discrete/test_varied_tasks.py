@@ -16,9 +16,8 @@ from craftsim.discrete.tasks import (
     random_tasks,
     register_task,
 )
-from craftsim.discrete.tasks.batches import Starts
-from craftsim.discrete.tasks.episodes import Episodes, GridEpisode
-from craftsim.discrete.tasks.splits import belongs, read_split
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.starts import Starts, belongs, read_split
 from craftsim.errors import InputError
 from craftsim.planning import plan_building
 
@@ -56,8 +55,7 @@ def test_every_start_is_a_sound_world_with_work_to_do(name, split):
     blocks, slopes = ((starts.grids.kind == kind).sum((1, 2, 3)) for kind in (Kind.BLOCK, Kind.FSLOPE))
     assert (blocks <= layout.n_blocks).all()
     assert (slopes <= layout.n_slopes).all()
-    done = task.success_measure.of_episodes(starts.grids.world(), starts.designs)
-    assert not done.any()
+    assert not task.reached(starts.grids, starts.designs).any()
     for i in range(0, len(starts), 10):
         grid = starts.grid(i)
         check_grid(grid)
@@ -99,7 +97,7 @@ def test_a_held_out_start_has_a_plan_that_ends_in_success_in_time(rng):
     for name in ("random_strip", "designs"):
         task, (starts, ticks) = as_task(f"{name}@test"), read_split(name, "test")
         i = int(np.argmin(ticks))
-        one = task.starting_at(starts.grid(i), starts.design(i, name) if task.draws_designs else None)
+        one = task.starting_from([starts.grid(i)], starts.design(i, name) if task.draws_designs else None)
         planned = plan_building(starts.grid(i), one, Rules("physical"), rounds=2)
         assert len(planned.ticks) <= task.max_steps + 2
         assert one.succeeded(planned.schedule.final)
@@ -116,15 +114,15 @@ def test_each_world_of_a_batch_is_judged_by_its_own_design_as_if_it_were_alone(r
     batch.begin(np.arange(12), starts)
     alone = []
     for i in range(12):
-        one = task.starting_at(starts.grid(i), starts.design(i, "one"))
-        alone.append(GridEpisode(one, np.random.default_rng(0)))
+        one = task.starting_from([starts.grid(i)], starts.design(i, "one"))
+        alone.append(Episodes(one, np.random.default_rng(0)))
     order, rewarded, finished = np.tile([0, 1], (12, 1)), 0, 0
     for _ in range(15):
         mask = batch.offered()
         actions = (rng.random(mask.shape) * mask).argmax(-1)
         steps = batch.step(actions, order)
         for i, one in enumerate(alone):
-            step = one.step(actions[i], [0, 1])
+            step = one.step(actions[i : i + 1], order[:1])
             assert (step.reward, step.success, step.done) == (
                 steps.reward[i],
                 steps.success[i],
@@ -189,7 +187,7 @@ def test_numbers_and_area_can_be_others():
     assert starts.grids.cars.shape == (50, 4, 7)
     held_out = random_task("strip", "test", n_cars=4, n_blocks=6, area=(6, 5))
     assert not set(starts.digests()) & set(held_out.draw_starts(np.random.default_rng(0), 50).digests())
-    assert as_task("random_free_building", n_blocks=5).success_measure.n_blocks == 5
+    assert as_task("random_free_building", n_blocks=5).layout.n_blocks == 5
     wide = random_task("breaking_barrier", area=(6, 7)).draw(np.random.default_rng(0))
     assert (wide.kind[3, :, 1] == Kind.BLOCK).all()
     assert (wide.kind == Kind.BLOCK).sum() == 10
@@ -236,6 +234,6 @@ def test_the_task_of_one_episode_goes_on_to_show_its_design():
     one = task.for_episode(np.random.default_rng(3))
     assert one.layout == task.layout
     episodes = Episodes(one, np.random.default_rng(0), 2)
-    assert episodes.designs.shape == (2, task.n_targets, 5)
+    assert episodes.designs.shape == (2, task.layout.n_targets, 5)
     shown = {tuple(row[1:4]) for row in episodes.designs[0].tolist() if row[0]}
     assert shown == {target.cell for target in one.design.targets}

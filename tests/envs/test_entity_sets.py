@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 import craftsim
 from craftsim.designs.tasks import with_reflections
-from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import as_task
-from craftsim.discrete.tasks.worlds import Worlds
 from craftsim.envs.entity_sets import FILLED, OWN, WHAT, X, Y, Z, entity_sets, observe_entities
 from craftsim.errors import InputError
 
@@ -25,22 +23,20 @@ def test_in_the_cars_frame_a_turned_world_looks_the_same() -> None:
     task = as_task("designs")
     starts = task.draw_starts(np.random.default_rng(0), 8)
     turned = with_reflections(starts)
-    worlds = Worlds(Rules("physical"), [turned.grid(i) for i in range(len(turned))])
-    seen = entity_sets(worlds, task.layout, turned.designs)
+    seen = entity_sets(turned.grids, task.layout, turned.designs)
     for turn in (16, 32, 48):  # the reflected ones stand between
         for i in range(8):
             for car in range(2):
                 np.testing.assert_array_equal(_sorted(seen[i, car]), _sorted(seen[turn + i, car]))
-    on_map = entity_sets(worlds, task.layout, turned.designs, "map")
+    on_map = entity_sets(turned.grids, task.layout, turned.designs, "map")
     assert any((_sorted(on_map[i, 0]) != _sorted(on_map[16 + i, 0])).any() for i in range(8))
 
 
 def test_own_row_stands_at_the_origin_and_nothing_beyond_the_radius_is_seen() -> None:
     task = as_task("designs")
     starts = task.draw_starts(np.random.default_rng(1), 8)
-    worlds = Worlds(Rules("physical"), [starts.grid(i) for i in range(8)])
-    everything = entity_sets(worlds, task.layout, starts.designs)
-    near = entity_sets(worlds, task.layout, starts.designs, radius=1)
+    everything = entity_sets(starts.grids, task.layout, starts.designs)
+    near = entity_sets(starts.grids, task.layout, starts.designs, radius=1)
     own = everything[everything[..., OWN] == 1]
     assert len(own) == 16
     assert not own[:, X : Z + 1].any()

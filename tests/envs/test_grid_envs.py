@@ -10,7 +10,7 @@ from craftsim.discrete.files.plan import read_plan, shipped_plan
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task, shipped_blueprint
-from craftsim.discrete.tasks.episodes import GridEpisode
+from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.errors import InputError
 from craftsim.testing import check_api, check_deterministic, check_masks, random_policy
@@ -83,12 +83,12 @@ def test_an_episode_that_takes_too_long_truncates_and_does_not_terminate():
 
 def test_rewards_observations_and_masks_are_those_of_an_episode_of_the_task():
     env = parallel_env("simple_two_story", "grid")
-    episode = GridEpisode(make_task("simple_two_story"), np.random.default_rng(0))
+    episode = Episodes(make_task("simple_two_story"), np.random.default_rng(0))
     act = random_policy(np.random.default_rng(0))
     observations, _ = env.reset(seed=5)
     while env.agents:
-        np.testing.assert_array_equal([o["observation"] for o in observations.values()], episode.vectors())
-        np.testing.assert_array_equal([o["action_mask"] for o in observations.values()], episode.legal())
+        np.testing.assert_array_equal([o["observation"] for o in observations.values()], episode.vectors()[0])
+        np.testing.assert_array_equal([o["action_mask"] for o in observations.values()], episode.legal()[0])
         actions = act(observations)
         before = env.grid
         agents = list(env.agents)
@@ -96,15 +96,15 @@ def test_rewards_observations_and_masks_are_those_of_an_episode_of_the_task():
         told = [actions[agent] for agent in agents]
         # The order of the cars is drawn; find the one that explains what happened.
         for order in ((0, 1), (1, 0)):
-            assert episode.grid.same_visible(before)
-            tried = GridEpisode(make_task("simple_two_story"), np.random.default_rng(0))
-            tried.batch.worlds.put(0, before)
-            tried.batch.potential, tried.batch.t = episode.batch.potential, episode.batch.t
-            step = tried.step(told, order)
-            if tried.grid.same_visible(env.grid):
+            assert episode.grid(0).same_visible(before)
+            tried = Episodes(make_task("simple_two_story"), np.random.default_rng(0))
+            tried.put(0, before)
+            tried.potential, tried.t = episode.potential, episode.t
+            step = tried.step([told], [order])
+            if tried.grid(0).same_visible(env.grid):
                 break
-        assert tried.grid.same_visible(env.grid)
-        assert set(rewards.values()) == {step.reward}
+        assert tried.grid(0).same_visible(env.grid)
+        assert set(rewards.values()) == {step.reward[0]}
         episode = tried
 
 

@@ -7,7 +7,6 @@ import pytest
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.starts import starting_from
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.envs.images import Images
 from craftsim.envs.vector import GridVectorEnv
@@ -111,7 +110,7 @@ def test_a_seed_is_a_whole_number_from_0(seed):
 
 def test_stored_starts_are_held_to_the_same():
     with pytest.raises(InputError, match="outside the map"):
-        starting_from(make_task("strip"), [_start(_a_car_outside)])
+        make_task("strip").starting_from([_start(_a_car_outside)])
 
 
 def _central():

@@ -8,7 +8,7 @@ from gymnasium.vector import AutoresetMode
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.starts import load_starts, save_starts, starting_from
+from craftsim.discrete.tasks.starts import load_starts, save_starts
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.envs.collecting import reached_worlds
 from craftsim.envs.vector import GridVectorEnv
@@ -97,14 +97,11 @@ def test_worlds_that_were_reached_are_kept_in_a_file_and_are_the_starts_of_train
     save_starts(tmp_path / "starts.npz", worlds)
     loaded = load_starts(tmp_path / "starts.npz")
     assert all(a.same_visible(b) and a.same_marks(b) for a, b in zip(worlds, loaded, strict=True))
-    task = starting_from(make_task("strip"), loaded)
+    task = make_task("strip").starting_from(loaded)
     envs = GridVectorEnv(task, 200)
     envs.reset(seed=0)
     starts = {world.cars.tobytes() + world.kind.tobytes() for world in worlds}
-    drawn = {
-        envs.episodes.worlds.grid(i).cars.tobytes() + envs.episodes.worlds.grid(i).kind.tobytes()
-        for i in range(200)
-    }
+    drawn = {envs.episodes.grid(i).cars.tobytes() + envs.episodes.grid(i).kind.tobytes() for i in range(200)}
     assert drawn <= starts
     assert len(drawn) > len(starts) / 2
     env.reset(options={"grid": loaded[-1]})
@@ -128,6 +125,6 @@ def test_files_that_hold_no_starts_and_starts_that_do_not_fit_are_refused(tmp_pa
     with pytest.raises(InputError, match="one size"):
         save_starts(path, [strip, complex_])
     with pytest.raises(InputError, match="4 cars"):
-        starting_from(make_task("strip"), [complex_])
+        make_task("strip").starting_from([complex_])
     with pytest.raises(InputError, match="at least one"):
-        starting_from(make_task("strip"), [])
+        make_task("strip").starting_from([])

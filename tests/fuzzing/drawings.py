@@ -13,7 +13,7 @@ from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import read_actions, read_plan
 from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
-from craftsim.discrete.tasks.task_files import read_task
+from craftsim.discrete.tasks.registry import read_task
 from craftsim.errors import InputError
 from craftsim.models.parameter_files import load_machines
 from craftsim.models.randomization_files import load_noise

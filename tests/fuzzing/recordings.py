@@ -12,7 +12,7 @@ from craftsim.discrete.conformance import Checker, read_records
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
-from craftsim.discrete.tasks.starts import load_starts, starting_from
+from craftsim.discrete.tasks.starts import load_starts
 from fuzzing.mutations import mutated_bytes, mutated_json
 
 DATA = Path(__file__).parents[1] / "data"
@@ -63,7 +63,7 @@ def starts(rng: np.random.Generator, folder: Path) -> None:
     file = io.BytesIO()
     np.savez(file, **arrays)
     path.write_bytes(file.getvalue() if kind else mutated_bytes(file.getvalue(), rng))
-    starting_from(make_task_once(), load_starts(path))
+    make_task_once().starting_from(load_starts(path))
 
 
 @cache

@@ -7,6 +7,7 @@ from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.starts import targets_of
 from craftsim.errors import InputError
 from craftsim.training.config import TrainConfig
 from craftsim.training.demonstrations import NOT_SHOWN
@@ -21,9 +22,13 @@ def _explored(seed, rules="published", ticks=20_000):
     return task, explore(task, rules, ticks, np.random.default_rng(seed))
 
 
+def potential(task, grid):
+    return task.potential(grid[None], targets_of(task.design)[None])[0]
+
+
 def test_it_reaches_every_potential_but_the_last():
     task, found = _explored(0)
-    assert {task.reward.measure.of(grid) for grid in found.starts} == {0.0, 1.0, 2.0, 3.0}
+    assert {potential(task, grid) for grid in found.starts} == {0.0, 1.0, 2.0, 3.0}
     assert not any(task.succeeded(grid) for grid in found.starts)
 
 
@@ -37,9 +42,7 @@ def test_the_way_to_the_best_world_can_be_gone_again(rules):
         grid, applied = Rules(rules).tick(grid, joint)
         assert applied.all()
         assert grid.same_visible(reached)
-    assert task.reward.measure.of(grid) == max(
-        task.reward.measure.of(other) for other in found.starts + found.way
-    )
+    assert potential(task, grid) == max(potential(task, other) for other in found.starts + found.way)
 
 
 def test_what_no_actions_do_is_no_way():
@@ -86,7 +89,7 @@ def test_a_run_that_explored_goes_on_with_the_same_starts(goes_on):
 def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkeypatch):
     trainer = Trainer(TrainConfig("strip", worlds=4, width=4, rules="published", helper_depth=20))
     assert trainer.identity.rules == "published"
-    assert trainer.env.episodes.worlds.depth == 20
+    assert trainer.env.episodes.depth == 20
     monkeypatch.setattr("craftsim.training.trainer.evaluate", lambda *given: given)
     assert trainer.evaluate(3)[-3:] == ("published", 20, "greedy")
 

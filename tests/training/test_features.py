@@ -111,9 +111,9 @@ def test_a_design_that_is_built_looks_otherwise_than_one_that_is_not():
     task = as_task("random_strip")
     encoder = make_encoder(Shape.of(task, 4, "relative"))
     episodes = Episodes(task, np.random.default_rng(0), 50)
-    free = encoder.places(torch.from_numpy(episodes.vectors()))[..., -task.n_targets :]
+    free = encoder.places(torch.from_numpy(episodes.vectors()))[..., -task.layout.n_targets :]
     rows = episodes.vectors().reshape(50, task.layout.n_cars, -1, ROW)
-    targets, blocks = rows[..., -task.n_targets :, :3], rows[..., IS_BLOCK].astype(bool)
+    targets, blocks = rows[..., -task.layout.n_targets :, :3], rows[..., IS_BLOCK].astype(bool)
     built = (rows[:, :, None, :, :3] == targets[..., None, :]).all(-1) & (blocks & (rows[..., IS_GOAL] == 0))[
         :, :, None
     ]

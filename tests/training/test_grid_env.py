@@ -43,7 +43,7 @@ def test_a_rollout_is_what_the_episodes_do():
 def test_a_car_that_can_do_nothing_is_offered_stop():
     task = make_task("simple_two_story")
     episodes = Episodes(task, np.random.default_rng(0), 1)
-    cars = episodes.worlds.arrays.cars
+    cars = episodes.grids.cars
     cars[0, 0, [CarField.YAW, CarField.SLOPE]] = 2, 1  # as if on a slope that leads up to the edge of the map
     assert not episodes.legal()[0, 0].any()
     assert episodes.offered()[0, 0].nonzero()[0].tolist() == [Action.STOP]

@@ -1,20 +1,25 @@
-"""Episodes of a task: reset, step, reward, done. Many at once, or a single one."""
+"""Episodes of a task, many side by side: reset, masks, tick, reward, done."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules import DEFAULT_DEPTH, Rules, RuleSet
-from craftsim.discrete.tasks.batches import Starts
-from craftsim.discrete.tasks.measures import Measure
-from craftsim.discrete.tasks.observation import car_vectors
+from craftsim.discrete.kernel import batch
+from craftsim.discrete.kernel.batch import NO_HELPER
+from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.search import search_buffers
+from craftsim.discrete.kernel.state import World
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import DEFAULT_DEPTH, Rules, RuleSet, empty_queue
+from craftsim.discrete.tasks.observation import car_vectors, entity_rows
+from craftsim.discrete.tasks.starts import Starts
 from craftsim.discrete.tasks.task import Task
-from craftsim.discrete.tasks.worlds import Worlds
 
 
 @dataclass(frozen=True)
@@ -36,9 +41,9 @@ class Steps:
 class Episodes:
     """B episodes of one task, side by side. Nothing is hidden: all state is in public attributes.
 
-    With ``helper_depth`` the action helper is on: a MOVE asks for the neighbour cell, and ``worlds.queue``
-    holds what is left to do. ``rng`` draws start worlds and, where the caller gives none, the order in which
-    cars act.
+    With ``helper_depth`` the action helper is on: a MOVE asks for the neighbour cell, and ``queue`` holds what is left
+    to do. ``rng`` draws starts and, where the caller gives none, the order in which cars act; episodes whose ``starts``
+    are given begin with those.
     """
 
     def __init__(
@@ -48,139 +53,134 @@ class Episodes:
         n: int = 1,
         rule_set: RuleSet = "physical",
         helper_depth: int | None = None,
+        starts: Starts | None = None,
     ) -> None:
+        starts = starts or task.draw_starts(rng, n)
         self.task = task
         self.rng = rng
         self.layout = task.layout
-        starts = task.draw_starts(rng, n)
-        self.worlds = Worlds(Rules(rule_set), [starts.grid(i) for i in range(n)], helper_depth)
+        self.corrections = int(Rules(rule_set).corrections)
+        self.depth = helper_depth
+        self.grids = starts.grids
+        """The B worlds, a batch that is changed in place."""
         self.designs = starts.designs
-        """(B, T, 5): what is to be built in each world, see :data:`craftsim.discrete.tasks.batches.Targets`."""
-        self.t = np.zeros(n, np.int64)
-        self.bonus_given = np.zeros(n, np.bool_)
-        self.done = np.zeros(n, np.bool_)
-        self.potential = self._measured(task.reward.measure)
+        """(B, T, 5): what is to be built in each world, see :data:`craftsim.discrete.tasks.starts.Targets`."""
+        self.queue = np.stack([empty_queue(self.n_cars, helper_depth or 0) for _ in range(len(starts))])
+        """(B, n, depth + 1): what the helper has still to do, -1 where nothing."""
+        self.t = np.zeros(len(starts), np.int64)
+        self.bonus_given = np.zeros(len(starts), np.bool_)
+        self.done = np.zeros(len(starts), np.bool_)
+        self.potential = task.potential(self.grids, self.designs)
+        self._space = search_buffers(self.grids.size)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.designs)
+
+    @property
+    def n_cars(self) -> int:
+        """Number of cars in each world."""
+        return self.grids.n_cars
+
+    def grid(self, i: int) -> Grid:
+        """Return a copy of one world."""
+        return self.grids[i].copy()
+
+    def put(self, rows: Any, grids: Grid) -> None:
+        """Replace the world of an episode by a copy of another, or those of several by a batch; the episodes go on."""
+        self.grids.cells[rows], self.grids.cars[rows] = grids.cells, grids.cars
 
     def reset(self, which: Sequence[int] | NDArray[np.integer] | None = None) -> None:
         """Start some episodes anew, or all."""
-        rows = np.arange(len(self.worlds)) if which is None else np.asarray(which, np.int64)
+        rows = np.arange(len(self)) if which is None else np.asarray(which, np.int64)
         if len(rows):
             self.begin(rows, self.task.draw_starts(self.rng, len(rows)))
 
     def begin(self, rows: NDArray[np.integer], starts: Starts) -> None:
         """Start the episodes ``rows`` anew, each as the start of the same place says."""
-        self.worlds.put(rows, starts.grids)
+        self.put(rows, starts.grids)
         self.designs[rows] = starts.designs
+        self.queue[rows] = -1
         self.t[rows] = 0
         self.bonus_given[rows] = False
         self.done[rows] = False
-        self.potential[rows] = self.task.reward.measure.of_episodes(starts.grids.world(), starts.designs)
-
-    def _measured(self, measure: Measure) -> NDArray[np.float64]:
-        return measure.of_episodes(self.worlds.arrays, self.designs)
+        self.potential[rows] = self.task.potential(starts.grids, starts.designs)
 
     def draw_order(self) -> NDArray[np.int64]:
         """Return (B, n): for each episode a fresh, uniform order of its cars."""
-        return np.argsort(self.rng.random((len(self.worlds), self.worlds.n_cars)), axis=1)
+        return np.argsort(self.rng.random((len(self), self.n_cars)), axis=1)
 
     def step(self, actions: NDArray[np.integer], order: NDArray[np.integer] | None = None) -> Steps:
         """Let all cars act once; ``actions`` (B, n) by car, ``order`` (B, n) of the cars' turns."""
         turns = self.draw_order() if order is None else np.asarray(order, np.int64)
-        applied = self.worlds.tick(actions, turns)
-        after = self._measured(self.task.reward.measure)
+        return self.score(self.act(actions, turns), turns)
+
+    def act(self, actions: NDArray[np.integer], order: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Let all cars act; return (B, n), by car, whether what each did was legal when its turn came.
+
+        ``actions`` (B, n) is by car, ``order`` (B, n) lists the cars of each world as they act. Raises ValueError if
+        a shape or an order is wrong. A tick of an episode ends with :meth:`score`.
+        """
+        turns: NDArray[np.int64] = np.ascontiguousarray(order, np.int64)
+        acts: NDArray[np.int64] = np.asarray(actions, np.int64)
+        shape = (len(self), self.n_cars)
+        if acts.shape != shape or turns.shape != shape:
+            raise ValueError(f"actions and order must have shape {shape}, not {acts.shape} and {turns.shape}")
+        if self.n_cars and (np.sort(turns, axis=1) != np.arange(self.n_cars)).any():
+            raise ValueError(f"an order must name each of the cars 0 to {self.n_cars - 1} once")
+        acting = np.take_along_axis(acts, turns, axis=1)
+        in_order = np.empty(turns.shape, np.bool_)
+        if self.depth is None:
+            batch.step(*self._world, turns, acting, in_order)
+        else:
+            helper = self.queue, self._space, self.depth
+            batch.step_with_helper(*self._world, turns, acting, in_order, *helper)
+        applied = np.empty_like(in_order)
+        np.put_along_axis(applied, turns, in_order, axis=1)
+        return applied
+
+    def score(self, applied: NDArray[np.bool_], order: NDArray[np.int64], readable: bool = True) -> Steps:
+        """End a tick: return what it brought. What is not ``readable`` as a grid has the potential of before."""
+        after, success = self.potential, np.zeros(len(self), np.bool_)
+        if readable:
+            after = self.task.potential(self.grids, self.designs)
+            success = self.task.reached(self.grids, self.designs)
         reward, self.bonus_given = self.task.reward.of_tick(self.potential, after, self.t, self.bonus_given)
-        success = self._measured(self.task.success_measure) != 0
         self.potential = after
         self.done = self.task.over(self.t, success)
         self.t = self.t + 1
-        return Steps(reward, self.done, success, applied, turns)
+        return Steps(reward, self.done, success, applied, order)
+
+    @property
+    def _world(self) -> World:
+        return self.grids.world(self.corrections)
 
     def legal(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what each car could do at once."""
-        return self.worlds.legal()
+        return self._masks(NO_HELPER)
 
     def reachable(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): the same, and the moves that the helper finds a plan for."""
-        depth = self.worlds.depth
-        return self.worlds.reachable(DEFAULT_DEPTH if depth is None else depth)
+        return self._masks(DEFAULT_DEPTH if self.depth is None else self.depth)
+
+    def _masks(self, depth: int) -> NDArray[np.bool_]:
+        out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
+        batch.masks(*self._world, self._space, depth, out)
+        return out
 
     def offered(self) -> NDArray[np.bool_]:
-        """Return (B, n, 15): what each car is offered to do, STOP where the rules leave it nothing; never all false."""
-        return self.worlds.offered()
+        """Return (B, n, 15): what is legal, with the helper also what is reachable; never all false.
+
+        A car that the rules leave nothing, on a ramp with both ways blocked, is offered STOP, which does nothing.
+        """
+        mask = self.legal() if self.depth is None else self.reachable()
+        mask[..., Action.STOP] |= ~mask.any(-1)
+        return mask
 
     def entity_rows(self) -> NDArray[np.int32]:
         """Return (B, n_observed, 13): what is where, as :mod:`craftsim.discrete.tasks.observation` lays it out."""
-        return self.worlds.entity_rows(self.layout, self.designs)
+        return entity_rows(self.grids, self.layout, self.designs)
 
     def vectors(self) -> NDArray[np.int32]:
         """Return (B, n, vector_length): each car's observation."""
-        return car_vectors(self.entity_rows(), self.worlds.n_cars)
-
-
-@dataclass(frozen=True)
-class EpisodeStep:
-    """What a tick of a single episode brought; see :class:`Steps`."""
-
-    reward: float
-    done: bool
-    success: bool
-    applied: NDArray[np.bool_]
-    order: NDArray[np.int64]
-
-
-class GridEpisode:
-    """A single episode: a batch of one, without the leading dimension."""
-
-    def __init__(
-        self,
-        task: Task,
-        rng: np.random.Generator,
-        rule_set: RuleSet = "physical",
-        helper_depth: int | None = None,
-    ) -> None:
-        self.batch = Episodes(task, rng, 1, rule_set, helper_depth)
-
-    @property
-    def grid(self) -> Grid:
-        """A copy of the world as it is."""
-        return self.batch.worlds.grid(0)
-
-    @property
-    def queue(self) -> NDArray[np.int8]:
-        """(n, depth + 1): what the helper has still to do, -1 where nothing."""
-        return self.batch.worlds.queue[0].copy()
-
-    @property
-    def t(self) -> int:
-        """Number of ticks since the reset."""
-        return int(self.batch.t[0])
-
-    def reset(self) -> None:
-        """Start anew."""
-        self.batch.reset()
-
-    def step(
-        self, actions: Sequence[int] | NDArray[np.integer], order: Sequence[int] | None = None
-    ) -> EpisodeStep:
-        """Let all cars act once; ``actions`` by car, ``order`` of their turns."""
-        turns = None if order is None else np.asarray(order)[None]
-        steps = self.batch.step(np.asarray(actions, np.int64)[None], turns)
-        return EpisodeStep(
-            float(steps.reward[0]),
-            bool(steps.done[0]),
-            bool(steps.success[0]),
-            steps.applied[0],
-            steps.order[0],
-        )
-
-    def legal(self) -> NDArray[np.bool_]:
-        """Return (n, 15): what each car could do at once."""
-        return self.batch.legal()[0]
-
-    def reachable(self) -> NDArray[np.bool_]:
-        """Return (n, 15): the same, and the moves that the helper finds a plan for."""
-        return self.batch.reachable()[0]
-
-    def vectors(self) -> NDArray[np.int32]:
-        """Return (n, vector_length): each car's observation."""
-        return self.batch.vectors()[0]
+        return car_vectors(self.entity_rows(), self.n_cars)

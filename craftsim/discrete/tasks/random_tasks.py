@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.blueprint import Blueprint
 from craftsim.discrete.files.listing import ListedObject
-from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.geometry import DIRECTIONS
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind
 from craftsim.discrete.grid_checks import check_size
-from craftsim.discrete.tasks.batches import Starts, StartSource
-from craftsim.discrete.tasks.measures import OnePlatform, target_array
-from craftsim.discrete.tasks.placing import place_all
-from craftsim.discrete.tasks.splits import Split, Stored, belongs, check_split
+from craftsim.discrete.tasks.starts import Split, Starts, belongs, check_split, read_split, targets_of
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
-from craftsim.discrete.tasks.varied import VariedTask, whole_size
 from craftsim.errors import InputError
 
 RANDOM: Final = "random_"
@@ -33,18 +30,18 @@ MAX_STEPS: Final = {
 }
 """Step limits: about 1.5 times what 95 % of the planner's plans for random starts take (docs/tasks.md)."""
 _TRIES: Final = 1000
+_YAWS: Final = 4
 
 
 @dataclass(frozen=True)
 class RandomPlacement:
-    """Random starts of a split, drawn as they are needed: what a blueprint lists stands, all else is placed at random.
+    """Random starts of a task and its split, drawn as they are needed: what its blueprint lists stands, all else is
+    placed at random.
 
     A start at which the work is done already is none.
     """
 
-    blueprint: Blueprint
     task: Task
-    split: Split
     flag_x: int = -1
     """The lowest x at which a flag is placed; -1 for none."""
 
@@ -57,7 +54,7 @@ class RandomPlacement:
             again, wrong = self._place(rng, len(missing))
             starts.put(missing, again)
             missing = missing[wrong]
-        plan = self.blueprint
+        plan = self.task.starts[0]
         raise InputError(
             f"task '{self.task.name}': no room for {plan.n_cars} cars, {plan.n_slopes} slopes and {plan.n_blocks} "
             f"blocks in an area of {plan.size[:2]} cells; try a larger one, or fewer of them"
@@ -66,25 +63,90 @@ class RandomPlacement:
     @cached_property
     def _bare(self) -> Starts:
         """The world before anything is placed."""
-        plan = self.blueprint
+        plan = self.task.starts[0]
         bare = replace(plan, n_cars=0, n_blocks=plan.listed(Kind.BLOCK), n_slopes=0)
         grid = bare.grid(np.random.default_rng(0))
         grid.cars = np.zeros((plan.n_cars, len(CarField)), np.int16)
         grid.cars[:, CarField.Z] = 1
-        return Starts.of([grid], target_array(self.task.design))
+        return Starts.of([grid], targets_of(self.task.design))
 
     def _place(self, rng: np.random.Generator, n: int) -> tuple[Starts, NDArray[np.int64]]:
         """Return n starts, and which of them will not do."""
-        plan = self.blueprint
-        starts, blocks = self._bare.take(np.zeros(n, np.int64)), plan.n_blocks - plan.listed(Kind.BLOCK)
-        n_things = (self.flag_x >= 0) + plan.n_slopes + blocks
-        found_room = np.zeros(n, np.bool_)
-        place_all(
-            *(starts.grids.world(), plan.n_slopes, blocks, self.flag_x),
-            *(rng.random((n, n_things + 2 * plan.n_cars)), found_room),
-        )
-        done = self.task.success_measure.of_episodes(starts.grids.world(), starts.designs) != 0
-        return starts, np.flatnonzero(~found_room | done | ~belongs(starts.digests(), self.split))
+        plan, starts = self.task.starts[0], self._bare.take(np.zeros(n, np.int64))
+        kinds = [Kind.FLAG] * (self.flag_x >= 0) + [Kind.FSLOPE] * plan.n_slopes
+        kinds += [Kind.BLOCK] * (plan.n_blocks - plan.listed(Kind.BLOCK))
+        chances = rng.random((n, len(kinds) + 2 * plan.n_cars))
+        found_room = place_things(starts.grids, kinds, self.flag_x, chances[:, : len(kinds)])
+        found_room &= place_cars(starts.grids, chances[:, len(kinds) :])
+        starts.grids.derive_marks()
+        done = self.task.reached(starts.grids, starts.designs)
+        mine = belongs(starts.digests(), self.task.split or "train")
+        return starts, np.flatnonzero(~found_room | done | ~mine)
+
+
+def place_things(
+    grids: Grid, kinds: list[Kind], flag_x: int, chances: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Place things on the floor of each of B worlds, one after the other; return (B,) where all found room.
+
+    A slope takes the cell that its yaw points to for its gear, and no wall is behind it. ``flag_x`` is the lowest x of
+    a flag; ``chances`` (B, things), from 0 to below 1, decide.
+    """
+    kind, yaw = grids.kind[..., 1], grids.yaw[..., 1]
+    each, found_room = np.arange(len(grids)), np.ones(len(grids), np.bool_)
+    for thing, chance in zip(kinds, chances.T, strict=True):
+        free = (kind == Kind.AIR)[:, None]
+        if thing == Kind.FLAG:
+            free[:, :, :flag_x] = False
+        elif thing == Kind.FSLOPE:
+            around = np.pad(kind, ((0, 0), (1, 1), (1, 1)), constant_values=Kind.WALL)
+            ahead, behind = _beside(around, 1) == Kind.AIR, _beside(around, -1) != Kind.WALL
+            free = free & ahead & behind
+        found, (turn, x, y) = _choose(free, chance)
+        found_room &= found
+        kind[each, x, y], yaw[each, x, y] = thing, turn
+        if thing == Kind.FSLOPE:
+            dx, dy = DIRECTIONS[turn[found]].T
+            gear = each[found], x[found] + dx, y[found] + dy
+            kind[gear], yaw[gear] = SECOND_PART[thing], turn[found]
+    return found_room
+
+
+def place_cars(grids: Grid, chances: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Place all cars of each of B worlds in free cells of the floor; return (B,) where all found room.
+
+    ``chances`` (B, 2 n), from 0 to below 1, decide: the cell and the yaw of each car.
+    """
+    each, found_room = np.arange(len(grids)), np.ones(len(grids), np.bool_)
+    free = (grids.kind[..., 1] == Kind.AIR)[:, None]
+    for car in range(grids.n_cars):
+        found, (_, x, y) = _choose(free, chances[:, 2 * car])
+        found_room &= found
+        free[each, 0, x, y] = False
+        grids.cars[:, car, CarField.X], grids.cars[:, car, CarField.Y] = x, y
+        grids.cars[:, car, CarField.YAW] = (chances[:, 2 * car + 1] * _YAWS).astype(np.int16)
+    return found_room
+
+
+def _beside(around: NDArray[np.int16], sign: int) -> NDArray[np.int16]:
+    """Return (B, 4, L, W): what is ahead of each cell in each yaw, with sign -1 behind it; ``around`` has an edge."""
+    length, width = around.shape[1] - 2, around.shape[2] - 2
+    steps = [(1 + sign * dx, 1 + sign * dy) for dx, dy in DIRECTIONS.tolist()]
+    return np.stack([around[:, x : x + length, y : y + width] for x, y in steps], axis=1)
+
+
+def _choose(
+    free: NDArray[np.bool_], chance: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], tuple[NDArray[np.intp], ...]]:
+    """Return in which of B worlds there is a free place, and one of them, all as likely: its yaw, x and y.
+
+    ``free`` is (B, yaws, L, W); where nothing is free the place is the first one.
+    """
+    places = free.reshape(len(free), -1)
+    count = places.sum(axis=1)
+    nth = np.minimum((chance * count).astype(np.int64), count - 1)
+    place = (places.cumsum(axis=1) > nth[:, None]).argmax(axis=1)
+    return count > 0, np.unravel_index(place, free.shape[1:])
 
 
 def random_task(
@@ -123,16 +185,16 @@ def random_task(
     check_split(split)
     own = make_task(name, reward, MAX_STEPS.get(name, 0) if max_steps is None else max_steps)
     blueprint, flag_x = _blueprint(own, n_cars, n_blocks, area)
-    known = own.parts | {
-        "name": RANDOM + name + (f"@{split}" if split == "test" else ""),
-        "starts": (blueprint,),
-    }
-    if own.design is None and own.goal_cell is None:
-        known["success"] = OnePlatform(blueprint.n_blocks)
-    source: StartSource = RandomPlacement(blueprint, Task(**known), split, flag_x)
+    task = replace(
+        own,
+        name=RANDOM + name + (f"@{split}" if split == "test" else ""),
+        starts=(blueprint,),
+        split=split,
+        shown_targets=0 if own.design is None else len(own.design.targets),
+    )
     if split == "test" and (n_cars, n_blocks, area) == (None, None, None):
-        source = Stored(RANDOM + name, "test")
-    return VariedTask(**known, source=source, split=split)
+        return replace(task, sampler=read_split(RANDOM + name, "test")[0])
+    return replace(task, sampler=RandomPlacement(task, flag_x))
 
 
 def _blueprint(
@@ -158,3 +220,11 @@ def _blueprint(
         raise InputError(f"task '{RANDOM}{task.name}': {blocks} blocks; allowed: at least {needed}")
     bare = replace(paper, size=size, objects=tuple(stays), cars=(), n_blocks=blocks)
     return bare.with_counts(n_cars), flag_x
+
+
+def whole_size(area: tuple[int, ...] | None, usual: Cell) -> Cell:
+    """Return length, width and height of an area that is given without some of them; InputError for what is none."""
+    given = () if area is None else area
+    if len(given) not in (0, 2, 3):
+        raise InputError(f"the area is {given}; allowed: length and width, perhaps height, in cells")
+    return cast(Cell, (*given, *usual[len(given) :]))

@@ -1,79 +1,196 @@
-"""Rewards: one number a tick, shared by all cars. docs/tasks.md shows how to write one's own."""
+"""Potentials, goals and rewards of many worlds at once: functions by name, to which one's own may be added."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from copy import copy
-from typing import Final
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import Grid
-from craftsim.discrete.tasks.measures import Custom, Measure
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kernel.tasks import (
+    count_storeys_and_ramps,
+    flag_distances,
+    largest_platforms,
+    score_buildings,
+    score_buildings_as_published,
+)
+from craftsim.discrete.tasks.observation import Layout
+from craftsim.discrete.tasks.starts import Targets
+from craftsim.errors import InputError, suggestion
 
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Potential = Callable[[Grid, Targets, Layout], Floats]
+"""(B,): a number for each of B worlds, from the worlds, what is to be built in each, and what the task announces."""
+Goal = Callable[[Grid, Targets, Layout], Bools]
+"""(B,): whether the work is done in each of B worlds; arguments as of a potential."""
+RewardRule = Callable[[Floats, Floats, NDArray[np.int64], Bools], tuple[Floats, Bools]]
+"""The reward of a tick, and whether a one-time bonus counts as given from now on.
+
+All arguments and results have one element a world: the potential before and after the tick, the tick's number from 0,
+and whether the bonus was given in an earlier tick.
+"""
+
+COMPLETION: Final = 4.0
+"""Extra potential of a finished building by the paper's table 1."""
+PUBLISHED_COMPLETION: Final = 8.0
+"""Extra potential of a finished building in CraftEnv's code."""
 ALPHA: Final = 10.0
 """Reward of a tick that ends with the flag on the goal, by the paper."""
-
 BETA: Final = 1.0
 """What every tick of the barrier task costs, by the paper."""
-
-CODE_BONUS: Final = 20.0
+PUBLISHED_BONUS: Final = 20.0
 """From this CraftEnv's code subtracts the tick's number when the flag first reaches the goal."""
 
-Potentials = NDArray[np.float64]
+
+def building(grids: Grid, designs: Targets, layout: Layout, upper_block: float = 1.0) -> Floats:
+    """Return how far each building is by table 1; ``upper_block`` is for a block above the floor level."""
+    out = np.empty(len(grids))
+    score_buildings(grids.world(), designs, 1.0, upper_block, COMPLETION, out)
+    return out
 
 
+def published_building(grids: Grid, designs: Targets, layout: Layout) -> Floats:
+    """Return how far each building is as CraftEnv's code computes it."""
+    out = np.empty(len(grids))
+    score_buildings_as_published(grids.world(), designs, PUBLISHED_COMPLETION, out)
+    return out
+
+
+def platform(grids: Grid, designs: Targets, layout: Layout) -> Floats:
+    """Return the blocks of the largest platform less one (equation 3); 0 without blocks."""
+    return np.maximum(_platforms(grids, Kind.BLOCK, grids.size[2]) - 1, 0)
+
+
+def published_platform(grids: Grid, designs: Targets, layout: Layout) -> Floats:
+    """Return the blocks and gears of the largest platform, 0 for a single one; the top level is not looked at."""
+    sizes = _platforms(grids, Kind.GEAR, grids.size[2] - 1)
+    return np.where(sizes > 1, sizes, 0.0)
+
+
+def flag_nearness(grids: Grid, designs: Targets, layout: Layout) -> Floats:
+    """Return minus the Manhattan distance of the flag to the goal; a lost flag is farther than any cell."""
+    out = np.empty(len(grids))
+    flag_distances(grids.world(), layout.goal_cell, out)
+    return -out
+
+
+def complexity(grids: Grid, designs: Targets, layout: Layout) -> Floats:
+    """Return how elaborate a building is: its largest platform, levels of blocks above the floor, ramps to blocks."""
+    out = np.empty(len(grids))
+    count_storeys_and_ramps(grids.world(), out)
+    return platform(grids, designs, layout) + out
+
+
+POTENTIALS: Final[dict[str, Potential]] = {
+    "building": building,
+    "complex_building": partial(building, upper_block=3.0),
+    "published_building": published_building,
+    "platform": platform,
+    "published_platform": published_platform,
+    "flag_nearness": flag_nearness,
+    "complexity": complexity,
+}
+
+
+def built(grids: Grid, designs: Targets, layout: Layout) -> Bools:
+    """Return whether each cell to be built holds its kind with its yaw."""
+    out = np.empty(len(grids))
+    score_buildings(grids.world(), designs, 0.0, 0.0, 1.0, out)
+    return out != 0
+
+
+def one_platform(grids: Grid, designs: Targets, layout: Layout) -> Bools:
+    """Return whether all blocks that the task announces form one platform."""
+    return platform(grids, designs, layout) == layout.n_blocks - 1
+
+
+def flag_at_goal(grids: Grid, designs: Targets, layout: Layout) -> Bools:
+    """Return whether the flag, carried or not, is in the goal cell."""
+    return flag_nearness(grids, designs, layout) == 0
+
+
+GOALS: Final[dict[str, Goal]] = {"built": built, "one_platform": one_platform, "flag_at_goal": flag_at_goal}
+
+
+def change(before: Floats, after: Floats, t: NDArray[np.int64], given: Bools) -> tuple[Floats, Bools]:
+    """Return the change of the potential: over an episode that of the end less that of the start."""
+    return after - before, given
+
+
+def published_change(
+    before: Floats, after: Floats, t: NDArray[np.int64], given: Bools
+) -> tuple[Floats, Bools]:
+    """Return the change of the potential, but in the first tick the whole potential (docs/rules.md#first-tick)."""
+    return np.where(t == 0, after, after - before), given
+
+
+def barrier(before: Floats, after: Floats, t: NDArray[np.int64], given: Bools) -> tuple[Floats, Bools]:
+    """Return each step of the flag towards the goal, ALPHA while it is there, less BETA every tick."""
+    return after - before + ALPHA * (after == 0) - BETA, given
+
+
+def published_barrier(
+    before: Floats, after: Floats, t: NDArray[np.int64], given: Bools
+) -> tuple[Floats, Bools]:
+    """Return nothing in the first tick, then each step of the flag, and one bonus (docs/rules.md#flag-bonus)."""
+    arrived = (t >= 1) & (after == 0) & ~given
+    return np.where(t == 0, 0.0, after - before) + np.where(
+        arrived, PUBLISHED_BONUS - t, 0.0
+    ), given | arrived
+
+
+REWARD_RULES: Final[dict[str, RewardRule]] = {
+    "change": change,
+    "published_change": published_change,
+    "barrier": barrier,
+    "published_barrier": published_barrier,
+}
+
+
+@dataclass(frozen=True)
 class Reward:
-    """The change of a potential: over an episode this adds up to that of the end less that of the start."""
+    """The reward of a tick, one number shared by all cars: what a rule makes of a potential before and after.
 
-    def __init__(self, measure: Measure | Callable[[Grid], float]) -> None:
-        self.measure = measure if isinstance(measure, Measure) else Custom(measure)
+    Example:
+        >>> from craftsim.discrete.tasks.rewards import Reward
+        >>> Reward("building", "published_change").rule
+        'published_change'
+    """
 
-    def for_design(self, design: Design | None) -> Reward:
-        """Return the same reward for another design, or, for None, for one in each world."""
-        other = copy(self)
-        other.measure = self.measure.for_design(design)
-        return other
+    potential: str | Callable[[Grid], float]
+    """A name in POTENTIALS, or any function of a Grid, which then looks at a batch world by world."""
+    rule: str | RewardRule = "change"
+    """A name in REWARD_RULES, or a function such as those."""
 
-    def of_tick(
-        self, before: Potentials, after: Potentials, t: NDArray[np.int64], given: NDArray[np.bool_]
-    ) -> tuple[Potentials, NDArray[np.bool_]]:
-        """Return the reward of tick t (from 0), and whether a one-time bonus counts as given from now on.
-
-        All arguments and results have one element a world: the potential before and after the tick, the tick's
-        number, and whether the bonus was given in an earlier tick.
-        """
-        return after - before, given
-
-
-class CodeReward(Reward):
-    """The change of the potential, but in the first tick the whole potential (docs/rules.md#first-tick)."""
+    def __post_init__(self) -> None:
+        check_name("potential", self.potential, POTENTIALS)
+        check_name("reward rule", self.rule, REWARD_RULES)
 
     def of_tick(
-        self, before: Potentials, after: Potentials, t: NDArray[np.int64], given: NDArray[np.bool_]
-    ) -> tuple[Potentials, NDArray[np.bool_]]:
-        """Return the reward of tick t; there is no bonus."""
-        return np.where(t == 0, after, after - before), given
+        self, before: Floats, after: Floats, t: NDArray[np.int64], given: Bools
+    ) -> tuple[Floats, Bools]:
+        """Return the reward of tick t, and whether the bonus is spent; see :data:`RewardRule`."""
+        rule = REWARD_RULES[self.rule] if isinstance(self.rule, str) else self.rule
+        return rule(before, after, t, given)
 
 
-class PaperBarrier(Reward):
-    """Each step of the flag towards the goal, ALPHA while it is there, less BETA every tick."""
-
-    def of_tick(
-        self, before: Potentials, after: Potentials, t: NDArray[np.int64], given: NDArray[np.bool_]
-    ) -> tuple[Potentials, NDArray[np.bool_]]:
-        """Return the reward of tick t; the bonus comes every tick, so nothing is remembered."""
-        return after - before + ALPHA * (after == 0) - BETA, given
+def check_name(what: str, value: Any, known: Iterable[str]) -> None:
+    """Raise InputError for what is neither a function nor a known name of one."""
+    if not callable(value) and value not in (names := list(known)):
+        raise InputError(
+            f"unknown {what} '{value}'{suggestion(str(value), names)}; there are {', '.join(names)}, or a function"
+        )
 
 
-class CodeBarrier(Reward):
-    """Nothing in the first tick, then each step of the flag, and one bonus (docs/rules.md#flag-bonus)."""
-
-    def of_tick(
-        self, before: Potentials, after: Potentials, t: NDArray[np.int64], given: NDArray[np.bool_]
-    ) -> tuple[Potentials, NDArray[np.bool_]]:
-        """Return the reward of tick t, and whether the bonus is spent."""
-        arrived = (t >= 1) & (after == 0) & ~given
-        return np.where(t == 0, 0.0, after - before) + np.where(arrived, CODE_BONUS - t, 0.0), given | arrived
+def _platforms(grids: Grid, also: Kind, levels: int) -> Floats:
+    """Return the size of the largest platform of each world; ``also`` is another kind that counts as a block."""
+    length, width, _ = grids.size
+    seen, stack = np.empty((length, width), np.bool_), np.empty((length * width, 2), np.int64)
+    out = np.empty(len(grids))
+    largest_platforms(grids.world(), int(also), levels, seen, stack, out)
+    return out

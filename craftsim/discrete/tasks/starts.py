@@ -1,23 +1,154 @@
-"""Worlds that were reached once, kept in a file, as the starts of later episodes."""
+"""Starts of episodes: worlds with what is to be built in each, in two splits that have none in common, and in files.
+
+A digest of a start decides to which split it belongs, so that those to train from and the held-out ones are disjoint
+by construction.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal, Protocol, Self, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from craftsim.discrete.grid import FILE_DTYPES, CarField, Grid, Kind, beside
+from craftsim.discrete.files.design import Design, Target
+from craftsim.discrete.grid import FILE_DTYPES, Grid, Kind
 from craftsim.discrete.grid_checks import check_grid
-from craftsim.discrete.tasks.task import Task
-from craftsim.errors import InputError
+from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import START_WORLDS, STARTS, size_text
 from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.writing import whole
 
+Targets = NDArray[np.int64]
+"""(..., T, 5): what is to be built, rows (kind, x, y, z, yaw); yaw -1 where it does not matter, kind 0 in rows that are
+not needed."""
+
+Split = Literal["train", "test"]
+SPLITS: Final[tuple[str, ...]] = get_args(Split)
+_TEST_EVERY: Final = 8
+"""One digest of so many is held out."""
+_FOLDER: Final = Path(__file__).parents[2] / "data" / "splits"
 _ARRAYS: Final = tuple(FILE_DTYPES)
+
+
+def targets_of(design: Design | None) -> Targets:
+    """Return the targets of a design, (T, 5), yaw -1 where the drawing does not say; none of none."""
+    rows = [(t.kind, *t.cell, design.yaw(t)) for t in design.targets] if design else []
+    return np.array(rows, np.int64).reshape(-1, 5)
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """How n episodes begin; as a sampler, a list from which starts are drawn with replacement."""
+
+    grids: Grid
+    """A batch of n worlds."""
+    designs: Targets
+    """(n, T, 5)."""
+
+    @classmethod
+    def of(cls, grids: Sequence[Grid], designs: Targets) -> Self:
+        """Return the starts of some worlds, one or more; ``designs`` (n, T, 5), or (T, 5) for all of them."""
+        return cls(Grid.stack(grids), np.broadcast_to(designs, (len(grids), *designs.shape[-2:])).copy())
+
+    @classmethod
+    def joined(cls, parts: Sequence[Starts]) -> Self:
+        """Return the starts of several batches, one after the other."""
+        cells, cars = (
+            np.concatenate([getattr(part.grids, name) for part in parts]) for name in ("cells", "cars")
+        )
+        return cls(Grid(cells, cars), np.concatenate([part.designs for part in parts]))
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.designs)
+
+    def draw(self, rng: np.random.Generator, n: int) -> Starts:
+        """Return n of them, each as likely."""
+        return self.take(rng.integers(len(self), size=n))
+
+    def take(self, rows: NDArray[np.integer]) -> Starts:
+        """Return copies of some of them."""
+        return Starts(self.grids[rows], self.designs[rows])
+
+    def put(self, rows: NDArray[np.integer], others: Starts) -> None:
+        """Replace some of them by others, each by the one of the same place."""
+        self.grids.cells[rows], self.grids.cars[rows] = others.grids.cells, others.grids.cars
+        self.designs[rows] = others.designs
+
+    def grid(self, i: int) -> Grid:
+        """Return a copy of one world."""
+        return self.grids[i].copy()
+
+    def design(self, i: int, name: str) -> Design:
+        """Return what is to be built in one world."""
+        rows = self.designs[i].tolist()
+        return Design(Path(name), tuple(Target(Kind(kind), (x, y, z)) for kind, x, y, z, _ in rows if kind))
+
+    def digests(self) -> list[bytes]:
+        """Return a digest (SHA-256) of each start with its design; cars are alike, whatever their numbers."""
+        found, arrays = [], self.grids.to_arrays()
+        for kind, yaw, cars, design in zip(
+            *(arrays[name] for name in ("kind", "yaw", "cars")), self.designs, strict=True
+        ):
+            one = hashlib.sha256(repr(kind.shape).encode())
+            one.update(kind.tobytes() + yaw.tobytes())
+            one.update(cars[np.lexsort(cars.T)].tobytes())
+            one.update(design[design[:, 0] != 0].tobytes())
+            found.append(one.digest())
+        return found
+
+
+class StartSampler(Protocol):
+    """What the starts of a task's episodes are drawn by, where it is not from its start files."""
+
+    def draw(self, rng: np.random.Generator, n: int) -> Starts:
+        """Return n starts; only the generator decides which."""
+
+
+def belongs(digests: Sequence[bytes], split: Split) -> NDArray[np.bool_]:
+    """Return (n,): which digests belong to a split; each belongs to one."""
+    held_out = np.array([digest[0] % _TEST_EVERY == 0 for digest in digests], np.bool_)
+    return held_out if split == "test" else ~held_out
+
+
+def check_split(split: str) -> None:
+    """Raise InputError for what is no split."""
+    if split not in SPLITS:
+        raise InputError(
+            f"unknown split '{split}'{suggestion(split, SPLITS)}; there are {' and '.join(SPLITS)}"
+        )
+
+
+def split_path(task: str, split: Split) -> Path:
+    """Return the file of the shipped starts of a task and a split."""
+    return _FOLDER / f"{task}_{split}.npz"
+
+
+@cache
+def read_split(task: str, split: Split) -> tuple[Starts, NDArray[np.int64]]:
+    """Return the shipped starts of a task and a split, and (n,) the ticks of a plan for each, 0 where none is known."""
+    arrays = read_arrays(split_path(task, split), STARTS)
+    marks = dict.fromkeys(("top", "back"), np.zeros_like(arrays["kind"]))
+    starts = Starts(Grid.from_arrays({**arrays, **marks}), arrays["designs"].astype(np.int64))
+    starts.grids.derive_marks()
+    return starts, arrays["ticks"].astype(np.int64)
+
+
+def write_split(task: str, split: Split, starts: Starts, ticks: NDArray[np.integer]) -> Path:
+    """Write the starts that are shipped with a task and a split; return the file."""
+    path = split_path(task, split)
+    path.parent.mkdir(exist_ok=True)
+    known = starts.grids.to_arrays() | {"designs": starts.designs}
+    arrays = {name: known[name].astype(np.int8) for name in ("kind", "yaw", "cars", "designs")}
+    with whole(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays, ticks=ticks.astype(np.int16))
+    return path
 
 
 def save_starts(path: Path, grids: Sequence[Grid]) -> None:
@@ -73,61 +204,3 @@ def _grids(path: Path, arrays: Arrays) -> list[Grid]:
             raise InputError(f"{path}: world {i}: {error}") from None
         grids.append(grid)
     return grids
-
-
-def check_start(task: Task, grid: Grid) -> None:
-    """Raise InputError for a world that cannot be a start of a task: another size, other things than it observes."""
-    check_grid(grid)
-    first, layout = task.starts[0], task.layout
-    if (grid.size, grid.n_cars) != (first.size, first.n_cars):
-        raise InputError(
-            f"the start has size {grid.size} and {grid.n_cars} cars; task '{task.name}' has {first.size} and "
-            f"{first.n_cars}"
-        )
-    things = [*grid.kind.ravel().tolist(), *grid.cars[:, CarField.LOAD].tolist()]
-    slopes = things.count(Kind.FSLOPE) + things.count(Kind.BODY) + _lone_feet(grid)
-    for what, count, most in (
-        ("blocks", things.count(Kind.BLOCK), layout.n_blocks),
-        ("slopes", slopes, layout.n_slopes),
-    ):
-        if count > most:
-            raise InputError(f"the start has {count} {what}; task '{task.name}' observes at most {most}")
-
-
-def _lone_feet(grid: Grid) -> int:
-    """Return the number of feet whose slope has no body: each takes a row of observations as a whole slope does."""
-    feet = [(int(x), int(y), int(z)) for x, y, z in np.argwhere(grid.kind == Kind.FOOT)]
-    bodies = set()
-    for x, y, z in np.argwhere(grid.kind == Kind.BODY):
-        cell = int(x), int(y), int(z)
-        bodies.add((beside(cell, int(grid.yaw[cell])), int(grid.yaw[cell])))
-    return sum((cell, int(grid.yaw[cell])) not in bodies for cell in feet)
-
-
-@dataclass(frozen=True)
-class StoredStarts(Task):
-    """A task whose episodes start with worlds drawn from a list instead of its start files."""
-
-    grids: tuple[Grid, ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.grids:
-            raise InputError(f"task '{self.name}' needs at least one stored start")
-        # One world may stand in the list many times.
-        for grid in {id(grid): grid for grid in self.grids}.values():
-            check_start(self, grid)
-
-    def draw(self, rng: np.random.Generator) -> Grid:
-        """Return a copy of one of the worlds."""
-        return self.grids[int(rng.integers(len(self.grids)))].copy()
-
-    @property
-    def always_starts_the_same(self) -> bool:
-        """Whether every episode starts with the same world."""
-        return False
-
-
-def starting_from(task: Task, grids: Sequence[Grid]) -> Task:
-    """Return the task with the given worlds as its starts; raises InputError for one that does not fit it."""
-    return StoredStarts(**task.parts, grids=tuple(grids))

@@ -3,37 +3,24 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.files.blueprint import NO_CELL, Blueprint, read_blueprint
+from craftsim.discrete.files.blueprint import Blueprint, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.placement import Placement
 from craftsim.discrete.files.shipped import shipped_blueprint
-from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.tasks.batches import Starts
-from craftsim.discrete.tasks.measures import (
-    CodeBuilding,
-    CodePlatform,
-    Complexity,
-    Custom,
-    Finished,
-    FlagAtGoal,
-    FlagNearness,
-    Measure,
-    OnePlatform,
-    PaperBuilding,
-    PaperPlatform,
-    target_array,
-)
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid_checks import check_grid
 from craftsim.discrete.tasks.observation import Layout
-from craftsim.discrete.tasks.rewards import CodeBarrier, CodeReward, PaperBarrier, Reward
+from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS, Reward, check_name
+from craftsim.discrete.tasks.starts import Split, Starts, StartSampler, Targets, targets_of
 from craftsim.errors import BlueprintError, InputError, suggestion
 
 TaskName = Literal[
@@ -47,8 +34,15 @@ RewardName = Literal["paper", "published_code", "complexity"]
 DEFAULT_MAX_STEPS: Final = 18
 """The published step limit; an episode has two ticks more (docs/rules.md#episode-length)."""
 
-UPPER_BLOCK: Final = {"simple_two_story": 1.0, "complex_two_story": 3.0}
-"""Potential of a block above the floor by the paper's table 1, in simple and in complex buildings."""
+_REWARDS: Final = {
+    ("built", "paper"): Reward("building"),
+    ("built", "published_code"): Reward("published_building", "published_change"),
+    ("flag_at_goal", "paper"): Reward("flag_nearness", "barrier"),
+    ("flag_at_goal", "published_code"): Reward("flag_nearness", "published_barrier"),
+    ("one_platform", "paper"): Reward("platform"),
+    ("one_platform", "published_code"): Reward("published_platform", "published_change"),
+}
+"""By goal and name; the reward of a name that is not here is the same for all goals."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +60,22 @@ class Task:
     starts: tuple[Blueprint, ...]
     """One of them is drawn for every episode; all announce the same numbers of cars, slopes and blocks."""
     reward: Reward
-    success: Measure | Callable[[Grid], float | bool]
-    """Whether the work is done: not zero when it is."""
+    success: str | Callable[[Grid], float | bool] | None
+    """When the work is done: a name in :data:`craftsim.discrete.tasks.rewards.GOALS`, or any function of a Grid that is
+    not zero then; None where there is nothing to reach."""
     design: Design | None = None
+    """What is to be built in every episode; None where nothing is, or each has a design of its own."""
     max_steps: int = DEFAULT_MAX_STEPS
     ends_on_success: bool = True
     shows_flag: bool = False
     """Whether observations have the flag's place; else that row repeats the goal."""
     placement: Placement = "sane"
+    sampler: StartSampler | None = None
+    """What starts are drawn by, where not from the start files; they have the numbers that those announce."""
+    split: Split | None = None
+    """Of the starts of a task that varies."""
+    shown_targets: int = 0
+    """Rows of an observation that show what is to be built; 0 for none."""
 
     def __post_init__(self) -> None:
         if not self.starts:
@@ -90,22 +92,28 @@ class Task:
                 )
         if self.design is not None:
             self.design.check_fits(first.size)
+        if self.success is not None:
+            check_name("goal", self.success, GOALS)
 
-    @property
+    @cached_property
     def layout(self) -> Layout:
         """Layout of the task's observations."""
-        return Layout.of(self.starts[0], self.shows_flag)
+        first, n_shown = self.starts[0], len(self._targets) if self.shown_targets else 0
+        return Layout(
+            first.n_cars, first.n_slopes, first.n_blocks, first.goal, self.shows_flag, n_targets=n_shown
+        )
 
     @property
     def digest(self) -> str:
-        """SHA-256 of its starts and its design, whatever their files are called."""
+        """SHA-256 of its start files and its design, whatever these are called, and the split of its starts."""
         parts = [replace(start, path=Path()) for start in self.starts], self.design and self.design.targets
-        return hashlib.sha256(repr(parts).encode()).hexdigest()
+        digest = hashlib.sha256(repr(parts).encode()).hexdigest()
+        return digest if self.split is None else f"{digest}-{self.split}"
 
     @property
     def has_goal(self) -> bool:
         """Whether there is something to reach; without it success is never reported."""
-        return self.success is not _no_goal
+        return self.success is not None
 
     @property
     def goal_cell(self) -> Cell | None:
@@ -121,9 +129,20 @@ class Task:
         return [] if goal is None or goal[2] != 1 else [goal]
 
     @property
-    def success_measure(self) -> Measure:
-        """The success predicate as a measure."""
-        return self.success if isinstance(self.success, Measure) else Custom(self.success)
+    def always_starts_the_same(self) -> bool:
+        """Whether every episode starts with the same world."""
+        return self.sampler is None and len(self.starts) == 1 and self.starts[0].is_fixed
+
+    @property
+    def draws_designs(self) -> bool:
+        """Whether each episode has a design of its own."""
+        return self.design is None and self.shown_targets > 0
+
+    @cached_property
+    def _targets(self) -> Targets:
+        """(T, 5): the rows of its design, of which there are as many as are shown."""
+        rows = targets_of(self.design)
+        return np.pad(rows, ((0, max(0, self.shown_targets - len(rows))), (0, 0)))
 
     @cached_property
     def _fixed(self) -> list[Grid | None]:
@@ -132,78 +151,124 @@ class Task:
         return [start.grid(rng, self.placement) if start.is_fixed else None for start in self.starts]
 
     def draw(self, rng: np.random.Generator) -> Grid:
-        """Return a new world from one of the start files."""
-        start = int(rng.integers(len(self.starts))) if len(self.starts) > 1 else 0
-        fixed = self._fixed[start]
-        return self.starts[start].grid(rng, self.placement) if fixed is None else fixed.copy()
-
-    @cached_property
-    def _only(self) -> Starts:
-        """The start of all episodes."""
-        return Starts.of([self.draw(np.random.default_rng(0))], target_array(self.design))
-
-    @property
-    def always_starts_the_same(self) -> bool:
-        """Whether every episode starts with the same world."""
-        return len(self.starts) == 1 and self.starts[0].is_fixed
+        """Return the world of a new episode."""
+        return self.draw_starts(rng, 1).grid(0)
 
     def draw_starts(self, rng: np.random.Generator, n: int) -> Starts:
         """Return the starts of n new episodes, one or more, and what is to be built in each."""
-        if self.always_starts_the_same:
-            return self._only.take(np.zeros(n, np.int64))
-        return Starts.of([self.draw(rng) for _ in range(n)], target_array(self.design))
+        if self.sampler is not None:
+            starts = self.sampler.draw(rng, n)
+            if self.draws_designs:
+                return starts
+            grids = starts.grids
+        elif self.always_starts_the_same and (only := self._fixed[0]) is not None:
+            grids = only[None][np.zeros(n, np.int64)]
+        else:
+            grids = Grid.stack([self._from_a_file(rng) for _ in range(n)])
+        return Starts(grids, np.repeat(self._targets[None], n, axis=0))
 
-    @property
-    def n_targets(self) -> int:
-        """How many rows say what is to be built."""
-        return 0 if self.design is None else len(self.design.targets)
+    def _from_a_file(self, rng: np.random.Generator) -> Grid:
+        start = int(rng.integers(len(self.starts))) if len(self.starts) > 1 else 0
+        fixed = self._fixed[start]
+        return self.starts[start].grid(rng, self.placement) if fixed is None else fixed
 
-    @property
-    def listed_starts(self) -> Starts | None:
-        """The starts of all episodes where they are a list, such as held-out ones."""
-        return None
+    def starting_from(self, grids: Sequence[Grid], design: Design | None = None) -> Task:
+        """Return the task whose episodes start with one of these worlds, each as likely.
 
-    @property
-    def draws_designs(self) -> bool:
-        """Whether each episode has a design of its own."""
-        return False
+        Where each episode has a design of its own, the one that is given is built in all of them.
+
+        Raises InputError for worlds that do not fit the task, for none at all, for a design where the task has a goal
+        of its own, and for none, or one of too many cells, where it needs one.
+        """
+        if not grids:
+            raise InputError(f"task '{self.name}' needs at least one stored start")
+        # One world may stand in the list many times.
+        for grid in {id(grid): grid for grid in grids}.values():
+            self.check_start(grid)
+        if not self.draws_designs:
+            if design is not None:
+                raise InputError(f"task '{self.name}' has its own goal; leave the option 'design' out")
+            return replace(self, sampler=Starts.of(grids, self._targets))
+        if not isinstance(design, Design):
+            raise InputError(
+                f"in task '{self.name}' each episode has a design of its own; with a start give the option 'design', "
+                f"a Design, not {design!r}"
+            )
+        if len(design.targets) > self.shown_targets:
+            raise InputError(
+                f"{design.path}: {len(design.targets)} cells; allowed in task '{self.name}': at most "
+                f"{self.shown_targets}"
+            )
+        return replace(self, design=design, split=None, sampler=Starts.of(grids, targets_of(design)))
 
     def for_episode(self, rng: np.random.Generator) -> Task:
         """Return the task of a new episode: itself, or where each has a design of its own, that one from its start."""
-        return self
+        if not self.draws_designs:
+            return self
+        starts = self.draw_starts(rng, 1)
+        return self.starting_from([starts.grid(0)], starts.design(0, self.name))
 
-    def starting_at(self, start: Grid, design: Design | None = None) -> Task:
-        """Return the task of an episode with a given start: itself, as it has a design of its own, or needs none.
+    def check_start(self, grid: Grid) -> None:
+        """Raise InputError for a world that cannot be a start: another size, other things than the task observes."""
+        check_grid(grid)
+        first, layout = self.starts[0], self.layout
+        if (grid.size, grid.n_cars) != (first.size, first.n_cars):
+            raise InputError(
+                f"the start has size {grid.size} and {grid.n_cars} cars; task '{self.name}' has {first.size} and "
+                f"{first.n_cars}"
+            )
+        things = [*grid.kind.ravel().tolist(), *grid.cars[:, CarField.LOAD].tolist()]
+        slopes = things.count(Kind.FSLOPE) + things.count(Kind.BODY) + _lone_feet(grid)
+        for what, count, most in (
+            ("blocks", things.count(Kind.BLOCK), layout.n_blocks),
+            ("slopes", slopes, layout.n_slopes),
+        ):
+            if count > most:
+                raise InputError(f"the start has {count} {what}; task '{self.name}' observes at most {most}")
 
-        Raises InputError for a design that is given nevertheless.
-        """
-        if design is not None:
-            raise InputError(f"task '{self.name}' has its own goal; leave the option 'design' out")
-        return self
+    def potential(self, grids: Grid, designs: Targets) -> NDArray[np.float64]:
+        """Return (B,): the potential of each of B worlds, in which ``designs`` (B, T, 5) are to be built."""
+        potential = self.reward.potential
+        if isinstance(potential, str):
+            return POTENTIALS[potential](grids, designs, self.layout)
+        return np.array([potential(grids[i]) for i in range(len(grids))], np.float64)
 
-    @property
-    def parts(self) -> dict[str, Any]:
-        """What makes it a task, by name: that of which another kind of task can be made."""
-        return {field.name: getattr(self, field.name) for field in fields(Task)}
+    def reached(self, grids: Grid, designs: Targets) -> NDArray[np.bool_]:
+        """Return (B,): whether the work is done in each of B worlds, in which ``designs`` (B, T, 5) are to be built."""
+        success = self.success
+        if isinstance(success, str):
+            return GOALS[success](grids, designs, self.layout)
+        if success is None:
+            return np.zeros(len(grids), np.bool_)
+        return np.array([bool(success(grids[i])) for i in range(len(grids))])
+
+    def succeeded(self, grid: Grid) -> bool:
+        """Return whether the work is done; InputError where each episode has a design of its own."""
+        if self.draws_designs:
+            raise InputError(
+                "this task has a design of its own in each episode; task.for_episode(rng) is the task of one"
+            )
+        return bool(self.reached(grid[None], self._targets[None])[0])
 
     def over(self, t: NDArray[np.int64], success: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return whether episodes are over after tick t (from 0), elementwise."""
         too_long: NDArray[np.bool_] = t > self.max_steps
         return too_long | success if self.ends_on_success else too_long
 
-    def succeeded(self, grid: Grid) -> bool:
-        """Return whether the work is done."""
-        return bool(self.success_measure.of(grid))
 
-
-def _no_goal(grid: Grid) -> bool:
-    return False
+def _lone_feet(grid: Grid) -> int:
+    """Return the number of feet whose slope has no body: each takes a row of observations as a whole slope does."""
+    feet = [(int(x), int(y), int(z)) for x, y, z in np.argwhere(grid.kind == Kind.FOOT)]
+    bodies = set()
+    for x, y, z in np.argwhere(grid.kind == Kind.BODY):
+        cell = int(x), int(y), int(z)
+        bodies.add((beside(cell, int(grid.yaw[cell])), int(grid.yaw[cell])))
+    return sum((cell, int(grid.yaw[cell])) not in bodies for cell in feet)
 
 
 def free_play(name: str, starts: tuple[Blueprint, ...], max_steps: int = DEFAULT_MAX_STEPS) -> Task:
     """Return a task without a goal around start files: the reward is how elaborate a building is."""
-    reward = Reward(Complexity())
-    return Task(name, starts, reward, _no_goal, max_steps=max_steps, ends_on_success=False)
+    return Task(name, starts, Reward("complexity"), None, max_steps=max_steps, ends_on_success=False)
 
 
 def make_task(
@@ -229,60 +294,49 @@ def make_task(
         raise InputError(
             f"unknown task '{name}'{suggestion(name, TASK_NAMES)}; there are {', '.join(TASK_NAMES)}"
         )
-    start = read_blueprint(shipped_blueprint(name)).with_counts(n_cars, n_blocks)
-    goal, design = None, None
-    if name == "breaking_barrier":
-        goal = start.goal or NO_CELL
-    elif name != "free_building":
-        design = read_design(shipped_blueprint(f"{name}_goal"))
-    return build_task(name, (start,), design, goal, reward, max_steps, UPPER_BLOCK.get(name, 1.0))
+    starts = (read_blueprint(shipped_blueprint(name)).with_counts(n_cars, n_blocks),)
+    if name in ("free_building", "breaking_barrier"):
+        goal = "one_platform" if name == "free_building" else "flag_at_goal"
+        return build_task(name, starts, goal, reward, max_steps)
+    design = read_design(shipped_blueprint(f"{name}_goal"))
+    task = build_task(name, starts, "built", reward, max_steps, design)
+    # By table 1 a block of the second storey is worth more in this building.
+    complex_paper = name == "complex_two_story" and reward == "paper"
+    return replace(task, reward=Reward("complex_building")) if complex_paper else task
 
 
 def build_task(
     name: str,
     starts: tuple[Blueprint, ...],
-    design: Design | None,
-    goal: Cell | None,
+    goal: str,
     reward: RewardName,
     max_steps: int,
-    upper_block: float = 1.0,
+    design: Design | None = None,
 ) -> Task:
-    """Return a task whose goal is a building, a flag at a cell or, with neither, one platform of all blocks.
+    """Return a task with one of the three goals and the reward that has a name.
 
     Args:
         name: of the task.
         starts: one of them is drawn for every episode.
-        design: the building.
-        goal: the cell that the flag is to reach; not both.
+        goal: ``built``, ``flag_at_goal`` or ``one_platform``.
         reward: see :func:`make_task`.
         max_steps: the step limit.
-        upper_block: potential of a block above the floor.
+        design: the building that is the goal.
     """
     if reward not in get_args(RewardName):
         known = get_args(RewardName)
         raise InputError(
             f"unknown reward '{reward}'{suggestion(reward, known)}; there are {', '.join(known)}"
         )
-    code = reward == "published_code"
-    success: Measure
-    rewards: Reward
-    if design is not None:
-        rewards = CodeReward(CodeBuilding(design)) if code else Reward(PaperBuilding(design, upper_block))
-        success = Finished(design)
-    elif goal is not None:
-        rewards = (CodeBarrier if code else PaperBarrier)(FlagNearness(goal))
-        success = FlagAtGoal(goal)
-    else:
-        rewards = CodeReward(CodePlatform()) if code else Reward(PaperPlatform())
-        success = OnePlatform(starts[0].n_blocks)
+    published = reward == "published_code"
     return Task(
         name=name,
         starts=starts,
-        reward=Reward(Complexity()) if reward == "complexity" else rewards,
-        success=success,
+        reward=_REWARDS.get((goal, reward), Reward("complexity")),
+        success=goal,
         design=design,
         max_steps=max_steps,
-        ends_on_success=not code,
-        shows_flag=goal is not None,
-        placement="published" if code else "sane",
+        ends_on_success=not published,
+        shows_flag=goal == "flag_at_goal",
+        placement="published" if published else "sane",
     )

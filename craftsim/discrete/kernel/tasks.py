@@ -1,0 +1,251 @@
+"""What tasks ask of many worlds at once, compiled: buildings, platforms, the flag, and rows of observations.
+
+All arrays have a leading axis over worlds. What a car carries is in no cell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import (
+    AIR,
+    BLOCK,
+    BODY,
+    F_LOAD,
+    F_LOAD_YAW,
+    F_X,
+    F_Y,
+    F_YAW,
+    F_Z,
+    FLAG,
+    FOOT,
+    GEAR,
+    KIND,
+    World,
+    car_field,
+    dir_x,
+    dir_y,
+    kind_at,
+    standable,
+    world_at,
+    yaw_at,
+)
+
+ROW = 13
+"""Numbers of a row of an observation, in this order: x, y, z, then these."""
+IS_CAR, IS_FSLOPE, IS_BODY, IS_FOOT, IS_BLOCK, IS_FLAG, IS_GOAL, YAW_HIGH, YAW_LOW, IS_LOADED = range(3, ROW)
+
+
+@compiled
+def holds(w: World, kind: int, x: int, y: int, z: int, yaw: int) -> bool:
+    """Return whether a cell of one world holds a kind, with a yaw if that is not -1."""
+    return kind_at(w, x, y, z) == kind and (yaw < 0 or yaw_at(w, x, y, z) == yaw)
+
+
+@compiled
+def score_buildings(
+    worlds: World,
+    designs: NDArray[np.int64],
+    thing: float,
+    upper_block: float,
+    completion: float,
+    out: NDArray[np.float64],
+) -> None:
+    """Write how far each building is into out (B,).
+
+    ``designs`` (B, T, 5) has rows (kind, x, y, z, yaw), yaw -1 where it does not matter, and rows of kind 0 that say
+    nothing. A block on the floor and a folded slope count ``thing``, a block higher up ``upper_block``, a slope
+    ``thing`` once its body and foot are both in place; a finished building counts ``completion`` more.
+    """
+    for i in range(out.shape[0]):
+        w = world_at(worlds, i)
+        score, finished = 0.0, True
+        for row in range(designs.shape[1]):
+            kind, x, y, z, yaw = designs[i, row]
+            if kind == AIR:
+                continue
+            if not holds(w, kind, x, y, z, yaw):
+                finished = False
+            elif kind == BLOCK and z > 1:
+                score += upper_block
+            elif kind == BODY:
+                if holds(w, FOOT, x + dir_x(yaw), y + dir_y(yaw), z, yaw):
+                    score += thing
+            elif kind != FOOT:
+                score += thing
+        out[i] = score + completion if finished else score
+
+
+@compiled
+def score_buildings_as_published(
+    worlds: World, designs: NDArray[np.int64], completion: float, out: NDArray[np.float64]
+) -> None:
+    """Write how far each building is as CraftEnv's code computes it (docs/rules.md#goal-score) into out (B,)."""
+    for i in range(out.shape[0]):
+        w = world_at(worlds, i)
+        score = 0.0
+        hits = wanted = 0
+        for row in range(designs.shape[1]):
+            kind, x, y, z, _ = designs[i, row]
+            if kind == AIR:
+                continue
+            wanted += 1
+            if kind == BLOCK and z == 2:
+                score += 1.0
+            if z >= w.cells.shape[2] - 1:
+                continue
+            there = kind_at(w, x, y, z)
+            if there == kind or (kind == BLOCK and there == GEAR):
+                hits += 1
+        out[i] = score + hits + (completion if hits == wanted else 0.0)
+
+
+@compiled
+def platform_size(
+    w: World, x: int, y: int, z: int, also: int, seen: NDArray[np.bool_], stack: NDArray[np.int64]
+) -> int:
+    """Return how many blocks side by side the block of a cell belongs to, and mark them as seen."""
+    seen[x, y] = True
+    stack[0, 0], stack[0, 1] = x, y
+    waiting, size = 1, 0
+    while waiting > 0:
+        waiting -= 1
+        here_x, here_y = stack[waiting, 0], stack[waiting, 1]
+        size += 1
+        for d in range(4):
+            next_x, next_y = here_x + dir_x(d), here_y + dir_y(d)
+            kind = kind_at(w, next_x, next_y, z)
+            if kind in (BLOCK, also) and not seen[next_x, next_y]:
+                seen[next_x, next_y] = True
+                stack[waiting, 0], stack[waiting, 1] = next_x, next_y
+                waiting += 1
+    return size
+
+
+@compiled
+def largest_platforms(
+    worlds: World,
+    also: int,
+    levels: int,
+    seen: NDArray[np.bool_],
+    stack: NDArray[np.int64],
+    out: NDArray[np.float64],
+) -> None:
+    """Write the size of the largest group of blocks side by side on one of the levels 1 to ``levels`` into out (B,).
+
+    ``also`` is another kind that counts as a block; ``seen`` (L, W) and ``stack`` (L * W, 2) are scratch.
+    """
+    for i in range(out.shape[0]):
+        w = world_at(worlds, i)
+        largest = 0
+        for z in range(1, levels + 1):
+            seen[:] = False
+            for x in range(w.cells.shape[0]):
+                for y in range(w.cells.shape[1]):
+                    if w.cells[x, y, z, KIND] in (BLOCK, also) and not seen[x, y]:
+                        largest = max(largest, platform_size(w, x, y, z, also, seen, stack))
+        out[i] = largest
+
+
+@compiled
+def count_storeys_and_ramps(worlds: World, out: NDArray[np.float64]) -> None:
+    """Write, for each world, the levels that blocks stand above the floor, and how many ramps lead to a block, in all.
+
+    Such a ramp is an unfolded slope with its foot below and a block behind its body. ``out`` is (B,).
+    """
+    for i in range(out.shape[0]):
+        w = world_at(worlds, i)
+        total = 0
+        for x in range(w.cells.shape[0]):
+            for y in range(w.cells.shape[1]):
+                for z in range(1, w.cells.shape[2]):
+                    if w.cells[x, y, z, KIND] == BLOCK:
+                        total += z - 1
+                    elif w.cells[x, y, z, KIND] == BODY:
+                        yaw = yaw_at(w, x, y, z)
+                        dx, dy = dir_x(yaw), dir_y(yaw)
+                        leads = standable(kind_at(w, x - dx, y - dy, z))
+                        total += leads and holds(w, FOOT, x + dx, y + dy, z, yaw)
+        out[i] = total
+
+
+@compiled
+def flag_distance(w: World, goal: tuple[int, int, int]) -> int:
+    """Return the Manhattan distance of the flag, carried or not, to the goal; a lost one is farther than any cell."""
+    for car in range(w.cars.shape[0]):
+        if car_field(w, car, F_LOAD) == FLAG:
+            return (
+                abs(car_field(w, car, F_X) - goal[0])
+                + abs(car_field(w, car, F_Y) - goal[1])
+                + abs(car_field(w, car, F_Z) - goal[2])
+            )
+    for x in range(w.cells.shape[0]):
+        for y in range(w.cells.shape[1]):
+            for z in range(1, w.cells.shape[2]):
+                if w.cells[x, y, z, KIND] == FLAG:
+                    return abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2])
+    return w.cells.shape[0] + w.cells.shape[1] + w.cells.shape[2]
+
+
+@compiled
+def flag_distances(worlds: World, goal: tuple[int, int, int], out: NDArray[np.float64]) -> None:
+    """Write the distance of the flag to the goal in each world into out (B,)."""
+    for i in range(out.shape[0]):
+        out[i] = flag_distance(world_at(worlds, i), goal)
+
+
+@compiled
+def add_row(
+    rows: NDArray[np.int32], slots: NDArray[np.int64], flag: int, x: int, y: int, z: int, yaw: int
+) -> bool:
+    """Write an entity into the next free row of its type flag; return False if there is none.
+
+    A flag may have no row; ``slots`` is as in :func:`write_rows`.
+    """
+    if slots[1, flag] == 0:
+        return flag == IS_FLAG
+    row = slots[0, flag]
+    rows[row, 0], rows[row, 1], rows[row, 2] = x, y, z
+    rows[row, flag] = 1
+    rows[row, YAW_HIGH], rows[row, YAW_LOW] = yaw >> 1, yaw & 1
+    slots[0, flag] += 1
+    slots[1, flag] -= 1
+    return True
+
+
+@compiled
+def write_rows(
+    worlds: World,
+    type_flags: NDArray[np.int64],
+    first_slots: NDArray[np.int64],
+    slots: NDArray[np.int64],
+    out: NDArray[np.int32],
+) -> bool:
+    """Write the rows of cars and things into out (B, n_rows, 13), zero there before; return whether all found one.
+
+    ``type_flags`` (9,) is by kind the place of its type flag, 0 for kinds without rows. ``first_slots`` (2, 13) has by
+    type flag the first row and how many there are; ``slots`` is scratch of that shape.
+    """
+    fit = True
+    for i in range(out.shape[0]):
+        w, rows = world_at(worlds, i), out[i]
+        for flag in range(slots.shape[1]):
+            slots[0, flag], slots[1, flag] = first_slots[0, flag], first_slots[1, flag]
+        for car in range(w.cars.shape[0]):
+            x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
+            fit &= add_row(rows, slots, IS_CAR, x, y, z, car_field(w, car, F_YAW))
+            flag = type_flags[car_field(w, car, F_LOAD)]
+            if flag != 0:
+                rows[car, IS_LOADED] = 1
+                fit &= add_row(rows, slots, flag, x, y, z, car_field(w, car, F_LOAD_YAW))
+        for x in range(w.cells.shape[0]):
+            for y in range(w.cells.shape[1]):
+                for z in range(1, w.cells.shape[2]):
+                    if w.cells[x, y, z, KIND] == AIR:
+                        continue
+                    flag = type_flags[w.cells[x, y, z, KIND]]
+                    if flag != 0:
+                        fit &= add_row(rows, slots, flag, x, y, z, yaw_at(w, x, y, z))
+    return fit

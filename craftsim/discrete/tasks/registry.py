@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -121,13 +120,7 @@ def task_of(
     Raises InputError as :func:`known_task` does, for a factory that raises, and for counts and an area for a factory,
     which has its own.
     """
-    if not _is_code(text):
-        return _known(text, reward, n_cars, n_blocks, area, "a file .yaml, or module:factory")
-    if area is not None:
-        raise _own_area(text)
-    if n_cars is not None or n_blocks is not None:
-        raise _own_numbers(text)
-    return _made(text)
+    return _found(text, True, reward, n_cars, n_blocks, area)
 
 
 def known_task(
@@ -154,57 +147,43 @@ def known_task(
         raise InputError(
             f"task '{text[:40]}...': a name of {len(text)} characters; allowed: at most {_LONGEST}"
         )
-    if _is_code(text):
-        raise InputError(
-            f"task '{text}': module:factory is code, which is imported where the command line or Python names it, "
-            f"never where a file does; allowed: {', '.join(task_names())}, a file .yaml"
-        )
-    return _known(text, reward, n_cars, n_blocks, area, "a file .yaml")
+    return _found(text, False, reward, n_cars, n_blocks, area)
 
 
-def _is_code(text: str) -> bool:
-    return ":" in text and not _is_varied(text) and not is_file(text)
-
-
-def _is_varied(text: str) -> bool:
-    return text.partition("@")[0] in VARIED_NAMES
-
-
-def _own_area(text: str) -> InputError:
-    return InputError(
-        f"task '{text}' has its own area; only those that vary take one: {', '.join(VARIED_NAMES)}"
-    )
-
-
-def _own_numbers(text: str) -> InputError:
-    return InputError(f"task '{text}' has its own numbers of cars and blocks; they cannot be given")
-
-
-def _known(
+def _found(
     text: str,
+    may_import: bool,
     reward: RewardName,
     n_cars: int | None,
     n_blocks: int | None,
     area: tuple[int, ...] | None,
-    else_allowed: str,
 ) -> Task:
-    """Return the task of a name or a file."""
-    if _is_varied(text):
-        varied, _, split = text.partition("@")
-        return _varied(varied, split or "train", reward, n_cars, n_blocks, area)
+    """Return the task of a name, a file or, where code may be imported, ``module:factory``."""
+    name, _, split = text.partition("@")
+    if name in VARIED_NAMES:
+        return _varied(name, split or "train", reward, n_cars, n_blocks, area)
+    names = task_names()
+    is_code = ":" in text and not is_file(text)
+    if is_code and not may_import:
+        raise InputError(
+            f"task '{text}': module:factory is code, which is imported where the command line or Python names it, "
+            f"never where a file does; allowed: {', '.join(names)}, a file .yaml"
+        )
     if area is not None:
-        raise _own_area(text)
+        raise InputError(
+            f"task '{text}' has its own area; only those that vary take one: {', '.join(VARIED_NAMES)}"
+        )
     if text in TASK_NAMES:
         return make_task(text, reward, n_cars=n_cars, n_blocks=n_blocks)
-    if text in _REGISTERED:
+    if is_code or text in _REGISTERED:
         if n_cars is not None or n_blocks is not None:
-            raise _own_numbers(text)
-        return _REGISTERED[text]
+            raise InputError(f"task '{text}' has its own numbers of cars and blocks; they cannot be given")
+        return _made(text) if is_code else _REGISTERED[text]
     if is_file(text) or text.endswith((".yaml", ".yml")):
         return read_task(text, reward, n_cars, n_blocks)
-    names = task_names()
+    others = "a file .yaml, or module:factory" if may_import else "a file .yaml"
     raise InputError(
-        f"unknown task '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, {else_allowed}"
+        f"unknown task '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, {others}"
     )
 
 
@@ -250,19 +229,15 @@ def _made(text: str) -> Task:
         raise InputError(
             f"task '{text}': '{attribute}' is neither a Task nor callable, but {type(found).__name__}"
         )
-    task = _called(text, found)
-    if not isinstance(task, Task):
-        raise InputError(f"task '{text}': returned {type(task).__name__}; it must return a Task")
-    return task
-
-
-def _called(text: str, factory: Callable[[], object]) -> object:
     try:
-        return factory()
+        task = found()
     except CraftsimError:
         raise
     except _ANYTHING as error:
         raise InputError(f"task '{text}': the factory raised {type(error).__name__}: {error}") from error
+    if not isinstance(task, Task):
+        raise InputError(f"task '{text}': returned {type(task).__name__}; it must return a Task")
+    return task
 
 
 def read_task(

@@ -1,4 +1,4 @@
-"""Worlds as coloured text, level by level."""
+"""The colours of machines and things in films, pictures and plots, and worlds as coloured text, level by level."""
 
 from __future__ import annotations
 
@@ -9,8 +9,46 @@ from rich.color import Color
 from rich.style import Style
 from rich.text import Text
 
-from craftsim.discrete.colours import car_colour
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+
+Rgb = tuple[float, float, float]
+"""Red, green, blue, each 0..1."""
+
+CAR_COLOURS: Final[tuple[Rgb, ...]] = (
+    (0.80, 0.24, 0.22),
+    (0.16, 0.47, 0.72),
+    (0.20, 0.58, 0.32),
+    (0.56, 0.33, 0.66),
+    (0.88, 0.50, 0.12),
+    (0.10, 0.60, 0.62),
+    (0.72, 0.30, 0.50),
+    (0.45, 0.42, 0.16),
+)
+"""What distinguishes the cars; car ids beyond the last start over."""
+
+KIND_COLOURS: Final[dict[Kind, Rgb]] = {
+    Kind.AIR: (1.0, 1.0, 1.0),
+    Kind.GROUND: (0.93, 0.93, 0.92),
+    Kind.WALL: (0.42, 0.44, 0.47),
+    Kind.BLOCK: (0.93, 0.72, 0.35),
+    Kind.FLAG: (0.80, 0.16, 0.20),
+    Kind.FSLOPE: (0.36, 0.56, 0.76),
+    Kind.GEAR: (0.25, 0.27, 0.30),
+    Kind.BODY: (0.36, 0.56, 0.76),
+    Kind.FOOT: (0.52, 0.70, 0.86),
+}
+"""What is in a cell; machines as their MJCF colours them, an unfolded slope's two cells as its base and its flap."""
+
+TRIM: Final[Rgb] = (0.45, 0.32, 0.20)
+"""The edges of a block."""
+FLAG_POST: Final[Rgb] = (0.88, 0.84, 0.76)
+"""The column under a flag."""
+TYRE: Final[Rgb] = (0.13, 0.13, 0.14)
+GOAL: Final[Rgb] = (0.10, 0.55, 0.25)
+"""Goal cells and designs; darker than in films, where it is seen through."""
+INK: Final[Rgb] = (0.15, 0.15, 0.16)
+LINE: Final[Rgb] = (0.74, 0.74, 0.73)
+"""Between cells."""
 
 ARROWS: Final = "→↑←↓"
 """Signs of the yaws 0..3, with x to the right and y up."""
@@ -46,6 +84,11 @@ LEGEND: Final = (
     "[] block  |> flag  ## wall  S folded slope, g its gear  B body and f foot of a slope\n"
     "0→ car 0 facing +x, then b, f or s for what it carries  * goal  x to the right, y up"
 )
+
+
+def car_colour(car: int) -> Rgb:
+    """Return the colour of a car."""
+    return CAR_COLOURS[car % len(CAR_COLOURS)]
 
 
 def _car_style(car: int) -> Style:

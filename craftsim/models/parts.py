@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.colours import CAR_COLOURS, car_colour
+from craftsim.discrete.drawing import CAR_COLOURS, car_colour
 from craftsim.mjcf.meshes import Figures, mesh_bytes, mesh_file
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.mjcf.rendering import render

@@ -8,7 +8,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from craftsim.discrete.colours import Rgb
+from craftsim.discrete.drawing import Rgb
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.rendering.painting import painted, wood
 

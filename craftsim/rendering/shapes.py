@@ -13,8 +13,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.colours import FLAG_POST, GOAL, INK, KIND_COLOURS, LINE, TRIM, TYRE, Rgb, car_colour
-from craftsim.discrete.drawing import cars_by_cell
+from craftsim.discrete.drawing import (
+    FLAG_POST,
+    GOAL,
+    INK,
+    KIND_COLOURS,
+    LINE,
+    TRIM,
+    TYRE,
+    Rgb,
+    car_colour,
+    cars_by_cell,
+)
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import yaw_angle
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind

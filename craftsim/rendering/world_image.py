@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.colours import INK, Rgb
+from craftsim.discrete.drawing import INK, Rgb
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.rendering.shapes import Outline, Wanted, Word, car_shapes, level_shapes
 

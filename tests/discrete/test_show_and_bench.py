@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from craftsim.cli import main
-from craftsim.discrete.colours import GOAL, KIND_COLOURS, car_colour
-from craftsim.discrete.drawing import world_text
+from craftsim.discrete.drawing import GOAL, KIND_COLOURS, car_colour, world_text
 from craftsim.discrete.grid import Kind
 
 

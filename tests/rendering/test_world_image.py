@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from craftsim.discrete.colours import CAR_COLOURS, GOAL, KIND_COLOURS, car_colour
+from craftsim.discrete.drawing import CAR_COLOURS, GOAL, KIND_COLOURS, car_colour
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.parts import load_part

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.colours import Rgb
+from craftsim.discrete.drawing import Rgb
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.schedule import Schedule
 from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from craftsim.discrete.colours import GOAL, KIND_COLOURS, LINE, car_colour
+from craftsim.discrete.drawing import GOAL, KIND_COLOURS, LINE, car_colour
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.rendering.plots.style import WIDTH_IN
 from craftsim.rendering.shapes import Outline, Wanted, Word, car_shapes, level_shapes

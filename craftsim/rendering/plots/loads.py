@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from craftsim.discrete.colours import car_colour
+from craftsim.discrete.drawing import car_colour
 from craftsim.models.parts import WHEELS
 from craftsim.rendering.plots.signals import CarSignals, Signals
 from craftsim.rendering.plots.style import dash, shade

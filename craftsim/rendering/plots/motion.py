@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.discrete.colours import INK, car_colour
+from craftsim.discrete.drawing import INK, car_colour
 from craftsim.rendering.plots.levels import CARS, Arrangement, draw_levels
 from craftsim.rendering.plots.signals import CarSignals, Signals, end_s, path_points
 from craftsim.rendering.plots.style import WIDTH_IN, dash, shade

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
-from craftsim.discrete.colours import INK
+from craftsim.discrete.drawing import INK
 from craftsim.storage.writing import writable
 
 WIDTH_IN: Final = 7.2

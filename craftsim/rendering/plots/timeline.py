@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.checking.attempt import Attempt
-from craftsim.discrete.colours import car_colour
+from craftsim.discrete.drawing import car_colour
 from craftsim.rendering.plots.signals import CarSignals, Signals, end_s, thinned
 from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, line_of, shade
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.colours import car_colour
+from craftsim.discrete.drawing import car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
 from craftsim.models.composition import ground_pose_and_size

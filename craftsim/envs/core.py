@@ -98,7 +98,7 @@ class Core:
         start = Starts(seen[None], start.designs)
         if self._episodes is None:
             kind = self.options.rule_set, self.options.helper_depth
-            self._episodes = Episodes(self.task, self._rng, 1, *kind, start.take(_ONE))
+            self._episodes = Episodes(self.task, self._rng, 1, *kind, start)
         else:
             self._episodes.begin(_ONE, start)
         self._runs = True
@@ -138,7 +138,7 @@ class Core:
     @property
     def designs(self) -> Targets:
         """(1, T, 5): what is to be built in this episode, as in ``Episodes.designs``."""
-        return self.episodes.designs
+        return self.episodes.designs.copy()
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: all rows, flattened, shape (13 * n_observed,). Raises InputError before a reset."""

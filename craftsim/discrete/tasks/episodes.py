@@ -55,7 +55,7 @@ class Episodes:
         helper_depth: int | None = None,
         starts: Starts | None = None,
     ) -> None:
-        starts = starts or task.draw_starts(rng, n)
+        starts = task.draw_starts(rng, n) if starts is None else starts.take(np.arange(len(starts)))
         self.task = task
         self.rng = rng
         self.layout = task.layout

@@ -102,7 +102,7 @@ def test_a_second_process_compiles_nothing_and_a_damaged_file_is_compiled_again(
     assert run(tmp_path, COUNT, **place) == "8 0\n"
     folder = tmp_path / "craftsim" / "compiled"
     assert folder.stat().st_mode & 0o777 == 0o700
-    (file,) = folder.glob("outer.entry-*")
+    (file,) = folder.glob("own.outer.entry-*")
     file.write_bytes(file.read_bytes()[:-1])
     assert run(tmp_path, COUNT, **place) == "8 1\n"
     assert run(tmp_path, COUNT, **place) == "8 0\n"
@@ -137,8 +137,8 @@ def test_old_files_are_removed(tmp_path):
         os.utime(folder / str(number), (number, number))
     code = "from craftsim.discrete.kernel import code_cache; code_cache._MOST = 4; " + COUNT
     assert run(tmp_path, code, NUMBA_CACHE_DIR=str(tmp_path)) == "8 2\n"
-    kept = sorted(file.name.partition(".")[0] for file in folder.iterdir())
-    assert kept == ["4", "inner", "lock", "outer"]
+    kept = sorted(file.name.partition("-")[0] for file in folder.iterdir())
+    assert kept == ["4", "lock", "own.inner.part", "own.outer.entry"]
 
 
 @needs_compiler
@@ -242,12 +242,12 @@ def test_a_function_has_one_signature_and_there_are_few_of_them(tmp_path):
 def test_calls_neither_keep_nor_lose_the_arrays_of_a_world(rule_set, scene, car):
     rules = Rules(rule_set)
     grid = scene([(Kind.BLOCK, (3, 3, 1))], [car(3, 3)])
-    arrays = (grid.kind, grid.yaw, grid.top, grid.back, grid.cars)
+    arrays = (grid.cells, grid.cars)
     counts = [sys.getrefcount(array) for array in arrays]
     for _ in range(100):
         rules.mask(grid)
         rules.tick(grid, [(0, Action.LIFT)])
     assert [sys.getrefcount(array) for array in arrays] == counts
-    gone = weakref.ref(grid.kind)
+    gone = weakref.ref(grid.cells)
     del grid, arrays
     assert gone() is None

@@ -1,6 +1,7 @@
 """Every reason has examples, worlds in which it forbids an action, and is said in the same words as ever."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -45,3 +46,24 @@ def test_the_rules_give_the_reason(name):
         assert found & ((1 << code.DETAIL_BITS) - 1) == getattr(code, name)
         assert str(rules.explain(grid, example["car"], action)) == example["says"]
         assert not rules.mask(grid)[example["car"], action]
+
+
+def _shown(words):
+    """Return a reason's words as the documentation shows them."""
+    words = re.sub(r"\{[\w ]+:if any\}", "", words)
+    words = re.sub(r"\{[\w ]+:[\w ]+\}", "*something*", words)
+    return re.sub(r"\{(car|load)\}", r"*\1*", words).replace("car *car*", "car *n*")
+
+
+def table():
+    """Return the documentation's table of reasons."""
+    lines = ["| reason | correction |", "| --- | --- |"]
+    for reason in REASONS.values():
+        words = re.sub(r"\{[\w ]+\}", "*cell*", _shown(reason.words))
+        named = "" if reason.correction is None else f"[`{reason.correction.name}`](#{reason.heading})"
+        lines.append(f"| {words} | {named} |")
+    return "\n".join(dict.fromkeys(lines))
+
+
+def test_the_documentation_lists_every_reason():
+    assert table() in (Path(__file__).parents[2] / "docs" / "rules.md").read_text(encoding="utf-8")

@@ -14,6 +14,8 @@ from typing import Final
 from craftsim.discrete import footprint as space
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kernel.effects import apply
+from craftsim.discrete.kernel.rules import why
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action, CarField, Kind
 
 
@@ -122,6 +124,16 @@ if list(ACTIONS) != list(Action):
     raise RuntimeError(
         f"{missing.name} has a number in craftsim/discrete/kinds.py, but no row in craftsim/discrete/actions.py"
     )
+
+for _rules in (why, apply):
+    _code = getattr(_rules, "py_func", _rules).__code__
+    for _action, _spec in ACTIONS.items():
+        if (
+            _spec.performed
+            and _action not in (*MOVE_DIRECTION, Action.STOP)
+            and _action.name not in _code.co_names
+        ):
+            raise RuntimeError(f"{_action.name} is not chosen by {_code.co_name}() in {_rules.__module__}")
 
 VERBS: Final = tuple(dict.fromkeys(spec.verb for spec in ACTIONS.values()))
 """All verbs, in the order of the actions."""

@@ -140,6 +140,11 @@ REASONS: Final[dict[int, Reason]] = {
 }
 """Why an action is forbidden, by code; published rules first, then corrections."""
 
+if unexplained := set(range(1, code.N_CODES)) - REASONS.keys():
+    raise RuntimeError(
+        f"code {min(unexplained)} of craftsim/discrete/kernel/codes.py has no words in craftsim/discrete/reasons.py"
+    )
+
 
 @dataclass(frozen=True)
 class Explanation:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.codes import STOP
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.reach import car_in, carried_gear_in
@@ -47,12 +47,11 @@ def masks(cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, dept
 
     With a search depth moves that the helper finds a plan for are on, too; NO_HELPER leaves them out.
     """
-    out[:] = False
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
         for car in range(w.cars.shape[0]):
-            legal = legal_actions(w, car, pose_of(w, car), 0, STOP)
-            for action in range(STOP + 1):
+            legal = legal_actions(w, car, pose_of(w, car), 0, N_ACTIONS - 1)
+            for action in range(N_ACTIONS):
                 out[i, car, action] = legal & (1 << action) != 0
         if depth != NO_HELPER:
             add_reachable(w, space, depth, out[i])

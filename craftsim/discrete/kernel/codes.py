@@ -19,6 +19,8 @@ LAST_MOVE = int(Action.MOVE_RIGHT)
 STOP = int(Action.STOP)
 N_ACTIONS = len(Action)
 
+N_CODES = 53
+
 (
     LEGAL,
     NEVER,
@@ -73,7 +75,7 @@ N_ACTIONS = len(Action)
     WALL_OVERHEAD,
     GEARS_CROSS,
     UNDER_THING_AT_END,
-) = range(53)
+) = range(N_CODES)
 """What may forbid an action."""
 
 DETAIL_BITS = 8

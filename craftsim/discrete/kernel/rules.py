@@ -57,6 +57,7 @@ from craftsim.discrete.kernel.codes import (
     RAMP_UNDER_GEAR,
     REACHING_LOAD_HITS,
     ROTATE_LEFT,
+    ROTATE_RIGHT,
     SLOPE_HITS_CORNER,
     STOP,
     THING_AT_END,
@@ -515,9 +516,9 @@ def why(w: World, me: int, car: Pose, action: int) -> int:
         return why_fold(w, me, car)
     if action == UNFOLD:
         return why_unfold(w, me, car)
-    if action == STOP:
-        return LEGAL
-    return why_rotate(w, me, car, 1 if action == ROTATE_LEFT else -1)
+    if action in (ROTATE_LEFT, ROTATE_RIGHT):
+        return why_rotate(w, me, car, 1 if action == ROTATE_LEFT else -1)
+    return LEGAL
 
 
 @compiled(inline=False)

@@ -5,10 +5,10 @@ from .checking.perform import perform as perform
 from .designs.tasks import designs_task as designs_task
 from .discrete.files.blueprint import Blueprint as Blueprint
 from .discrete.files.blueprint import read_blueprint as read_blueprint
+from .discrete.files.blueprint import write_blueprint as write_blueprint
 from .discrete.files.plan import Plan as Plan
 from .discrete.files.plan import read_plan as read_plan
 from .discrete.files.plan import write_plan as write_plan
-from .discrete.files.saving import write_blueprint as write_blueprint
 from .discrete.grid import Grid as Grid
 from .discrete.grid import Kind as Kind
 from .discrete.kinds import Action as Action

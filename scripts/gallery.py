@@ -18,7 +18,7 @@ from craftsim.checking.settings import Setup
 from craftsim.checking.world import SEED_0, Seed
 from craftsim.cli import main as craftsim_command
 from craftsim.discrete.drawing import LEGEND, world_text
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.rendering.frames import Look
 from craftsim.rendering.processes import spread

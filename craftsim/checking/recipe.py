@@ -19,8 +19,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import SEED_0, Seed, set_up
-from craftsim.discrete.files.blueprint import Blueprint, parse_blueprint
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import Blueprint, blueprint_text, parse_blueprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Concurrency, Constraints

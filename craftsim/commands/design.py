@@ -93,7 +93,8 @@ def design(
 def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) -> None:
     from craftsim.commands.terminal import Terminal
     from craftsim.discrete.drawing import LEGEND, world_text
-    from craftsim.discrete.files.saving import blueprint_text, design_text
+    from craftsim.discrete.files.blueprint import blueprint_text
+    from craftsim.discrete.files.design import design_text
     from craftsim.discrete.kinds import Kind
     from craftsim.report import write_report
     from craftsim.storage.writing import write_whole

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from craftsim.designs.spreading import Column, FreeFloor
 from craftsim.discrete.files.blueprint import MAX_CELLS, MAX_SIDE
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.grid_checks import check_size
 from craftsim.errors import InputError
 from craftsim.storage.limits import DESIGN_CELLS
@@ -207,21 +207,17 @@ def _put_thing(
     grid: Grid, floor: FreeFloor, cell: Cell, yaw: int | None, fits: Callable[[Grid], bool] | None
 ) -> bool:
     """Put a block, or with a yaw a folded slope, where there is room for all of it and the car that backs into it."""
-    if yaw is None:
-        parts, behind = {cell: Kind.BLOCK}, None
-    else:
-        parts, behind = {cell: Kind.FSLOPE, beside(cell, yaw): Kind.GEAR}, beside(cell, yaw + 2)
-        within = (one[:2] for one in (*parts, behind))
-        if not all(0 <= x < floor.free.shape[0] and 0 <= y < floor.free.shape[1] for x, y in within):
+    piece, behind = Piece(Kind.BLOCK, cell), None
+    if yaw is not None:
+        piece, behind = Piece(Kind.FSLOPE, cell, yaw), beside(cell, yaw + 2)
+        if not all(map(grid.inside, (*piece.cells, behind))):
             return False
-    columns = [part[:2] for part in parts]
+    columns = [part[:2] for part in piece.cells]
     if (behind is not None and not floor.free[behind[:2]]) or not floor.take(*columns):
         return False
-    for part, kind in parts.items():
-        grid.kind[part], grid.yaw[part] = kind, yaw or 0
+    grid.put(piece)
     if fits is not None and not fits(grid):
-        for part in parts:
-            grid.kind[part], grid.yaw[part] = Kind.AIR, 0
+        grid.take(cell)
         floor.give_back(*columns)
         return False
     if behind is not None:

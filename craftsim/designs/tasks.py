@@ -146,7 +146,7 @@ def designs_task(
     sampler: StartSampler = drawn
     if drawn == DrawnDesigns(split="test"):
         sampler = read_split(DESIGNS, "test")[0]
-    blueprint = Blueprint(Path(DESIGNS), size, blocks, SLOPES, cars, (), (), None, (), None)
+    blueprint = Blueprint(Path(DESIGNS), size, blocks, SLOPES, cars)
     return replace(
         build_task(DESIGNS, (blueprint,), "built", reward, max_steps),
         name=DESIGNS + (f"@{split}" if split == "test" else ""),

@@ -34,7 +34,7 @@ def tiny_world(rng: np.random.Generator) -> DesignStart:
         things = int(rng.integers(1, _MOST_THINGS + 1))
         slopes = int(rng.integers(0, min(things, 2)))
         cars = int(rng.integers(1, _MOST_CARS + 1))
-        drawing = Blueprint(Path("tiny"), SIZE, things - slopes, slopes, cars, (), (), None, (), None)
+        drawing = Blueprint(Path("tiny"), SIZE, things - slopes, slopes, cars)
         start = drawing.grid(rng)
         start.derive_marks()
         goal = _play(start, rules, rng)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,15 @@ from craftsim.discrete.kernel.state import World, derive_all_marks
 from craftsim.discrete.kinds import CarField, CellField, Kind
 from craftsim.errors import InputError
 
-__all__ = ["KINDS_WITH_YAW", "SECOND_PART", "CarField", "Cell", "Grid", "Kind", "beside"]
+__all__ = ["KINDS_WITH_YAW", "SECOND_PART", "CarField", "Cell", "Grid", "Kind", "Piece", "beside"]
 
 KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
 
 SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
 """What a slope has in the next cell in direction of its yaw."""
+
+MOVABLE: Final = (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
+"""What cars can move, an unfolded slope once it is folded."""
 
 Cell = tuple[int, int, int]
 """(x, y, z)."""
@@ -38,6 +41,35 @@ def beside(cell: Cell, yaw: int) -> Cell:
     """Return the next cell in direction yaw (any integer, taken modulo 4)."""
     dx, dy = DIRECTIONS[yaw % 4]
     return cell[0] + int(dx), cell[1] + int(dy), cell[2]
+
+
+class Piece(NamedTuple):
+    """A thing in a cell: a wall, a block, a flag, a folded slope or, as BODY, an unfolded one."""
+
+    kind: Kind
+    cell: Cell
+    yaw: int = 0
+    """Of a slope, where it points: from its cell to that of its second part, downhill."""
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """The cells that it takes."""
+        return (self.cell, beside(self.cell, self.yaw)) if self.kind in SECOND_PART else (self.cell,)
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """What is in each of them."""
+        return (self.kind, SECOND_PART[self.kind]) if self.kind in SECOND_PART else (self.kind,)
+
+    @property
+    def yaws(self) -> tuple[int, ...]:
+        """The headings of a car below it: a slope's car heads uphill, half a turn from where it points."""
+        return ((self.yaw + 2) % 4,) if self.kind in SECOND_PART else (0, 1, 2, 3)
+
+    @property
+    def load(self) -> Kind:
+        """What it is on a car."""
+        return Kind.FSLOPE if self.kind == Kind.BODY else self.kind
 
 
 @dataclass(eq=False)
@@ -126,6 +158,36 @@ class Grid:
     def kind_at(self, cell: Cell) -> Kind:
         """Return what is in a cell of the map, or above the map, where there is air and a car may be."""
         return Kind(self.cells[cell][CellField.KIND]) if cell[2] <= self.size[2] else Kind.AIR
+
+    def inside(self, cell: Cell) -> bool:
+        """Return whether a cell is one of the map, the ground layer included."""
+        return all(0 <= c < n for c, n in zip(cell, self.cells.shape[-4:-1], strict=True))
+
+    def put(self, piece: Piece) -> None:
+        """Put a thing into a single world, its cells without marks; a gear gives way to what stands."""
+        self.cells[piece.cell] = (piece.kind, piece.yaw, -1, 0)
+        for cell, kind in zip(piece.cells[1:], piece.kinds[1:], strict=True):
+            if self.inside(cell) and (kind == Kind.FOOT or self.kind[cell] in (Kind.AIR, Kind.GEAR)):
+                self.cells[cell] = (kind, piece.yaw, -1, 0)
+
+    def take(self, cell: Cell) -> Piece:
+        """Take what is in a cell of a single world out of it, with its second part, and return it."""
+        piece = self._piece(cell)
+        for one in piece.cells:
+            if one == cell or (self.inside(one) and self.kind[one] in SECOND_PART.values()):
+                self.kind[one], self.yaw[one] = Kind.AIR, 0
+        return piece
+
+    def pieces(self, *kinds: Kind) -> Iterator[Piece]:
+        """Yield the things of some kinds in a single world, of all that can be moved unless given, by their cells."""
+        wanted = np.zeros(len(Kind), np.bool_)
+        wanted[list(kinds or MOVABLE)] = True
+        for x, y, z in np.argwhere(wanted[self.kind]).tolist():
+            yield self._piece((x, y, z))
+
+    def _piece(self, cell: Cell) -> Piece:
+        kind = Kind(self.kind[cell])
+        return Piece(kind, cell, int(self.yaw[cell]) if kind in KINDS_WITH_YAW else 0)
 
     def copy(self) -> Self:
         """Return a world that shares nothing with this one."""

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.drawing import LEGEND, world_text
-from craftsim.discrete.files.design import Design, Target
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import NAMES, Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
@@ -64,7 +63,7 @@ def ticks_of(task: Task) -> int:
 def goal_text(task: Task) -> str:
     """Return what is to be reached, in words, each part of a design with its cell."""
     if task.design is not None:
-        parts = "\n".join(f"  {_target(task.design, target)}" for target in task.design.targets)
+        parts = "\n".join(f"  {_target(target)}" for target in task.design.targets)
         return f"these cells hold this, put down and not carried:\n{parts}"
     if task.layout.goal is not None:
         return f"the flag is at {task.layout.goal}."
@@ -81,14 +80,13 @@ def world_words(grid: Grid, task: Task) -> str:
     if task.design is not None:
         hits = list(task.design.hits(grid))
         lines.append(f"Design: {sum(hit for _, hit in hits)} of {len(hits)} cells as they should be")
-        lines += [f"  missing: {_target(task.design, target)}" for target, hit in hits if not hit]
+        lines += [f"  missing: {_target(target)}" for target, hit in hits if not hit]
     return "\n".join(lines)
 
 
-def _target(design: Design, target: Target) -> str:
-    yaw = design.yaw(target)
+def _target(target: Piece) -> str:
     slope = target.kind in (Kind.BODY, Kind.FOOT)
-    return f"{NAMES[target.kind]} at {target.cell}" + (f", downhill {HEADINGS[yaw]}" if slope else "")
+    return f"{NAMES[target.kind]} at {target.cell}" + (f", downhill {HEADINGS[target.yaw]}" if slope else "")
 
 
 def _things(grid: Grid) -> Iterator[str]:

@@ -13,8 +13,8 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, compile_world, set_up
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Helper, Rules

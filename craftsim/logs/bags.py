@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from craftsim.discrete.files.documents import Mapping, Scalar, Source, describe, parse_keys, read_text
 from craftsim.errors import InputError
 from craftsim.logs.bag_messages import JOINTS, NUMBERS, ODOMETRY, POSE, decoder
 from craftsim.logs.bag_records import BagChannel, BagFile
@@ -24,6 +23,7 @@ from craftsim.logs.log import GROUPS, LONGEST_GAP, TIME, Floats, Log, interpolat
 from craftsim.models.parts import WHEELS
 from craftsim.storage.limits import BAG, BAG_MESSAGES
 from craftsim.storage.reading import open_file
+from craftsim.storage.yaml import Document, Loc, described, read_document
 
 Series = dict[str, "array[float]"]
 """Times and values by column of a log, in turns."""
@@ -52,23 +52,22 @@ class Topics:
 def read_topics(path: Path) -> Topics:
     """Return the topics that a YAML file names; raise InputError, with file and line, for one that it should not."""
     names = [f.name for f in fields(Topics)]
-    text, given = parse_keys(path, read_text(path), names)
+    document = read_document(path)
     found: dict[str, Any] = {}
-    for key, node in given.items.items():
+    for key, value in document.mapping(names).items():
         if key == "joint_names":
-            known = list(Topics().joint_names)
-            joints = text.mapping(node, key, known)
-            found[key] = Topics().joint_names | {name: _name(text, joints, name) for name in joints.items}
+            joints = document.mapping(Topics().joint_names, key)
+            own = {name: _name(document, joint, (key, name)) for name, joint in joints.items()}
+            found[key] = Topics().joint_names | own
         else:
-            found[key] = _name(text, given, key)
+            found[key] = _name(document, value, (key,))
     return Topics(**found)
 
 
-def _name(source: Source, section: Mapping, key: str) -> str:
-    node = section.items[key]
-    if not isinstance(node, Scalar) or not node.text:
-        source.fail(section.key_lines[key], f"'{key}' must be a name, not {describe(node)}")
-    return node.text
+def _name(document: Document, value: object, loc: Loc) -> str:
+    if not isinstance(value, str) or not value:
+        document.fail(loc, f"'{loc[-1]}' must be a name, not {described(value)}")
+    return value
 
 
 def read_bag(path: Path, topics: Path | None = None) -> Log:

@@ -13,21 +13,10 @@ one file can hold both. Example::
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.discrete.files.documents import (
-    Mapping,
-    Node,
-    Scalar,
-    Sequence,
-    Source,
-    describe,
-    parse_keys,
-    read_text,
-)
 from craftsim.errors import InputError
 from craftsim.models.figures import check_figure
 from craftsim.models.parameters import (
@@ -37,6 +26,7 @@ from craftsim.models.parameters import (
     SlopeParameters,
     SmartcarParameters,
 )
+from craftsim.storage.yaml import Document, Loc, described, read_document
 
 _KINDS: Final[dict[str, type]] = {
     "smartcar": SmartcarParameters,
@@ -46,31 +36,28 @@ _KINDS: Final[dict[str, type]] = {
 }
 MACHINE_SECTIONS: Final = (*_KINDS, "cars")
 """The keys of a file that hold machines' figures."""
-_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
-def read_keys(path: Path, known: list[str]) -> tuple[Source, Mapping]:
-    """Return the top-level keys of a YAML file of figures; raise InputError for a file that cannot be read."""
-    return parse_keys(path, read_text(path), known)
+def read_keys(path: Path, known: list[str]) -> Document:
+    """Return a YAML file of figures; raise InputError for one that cannot be read, or has other top-level keys."""
+    document = read_document(path)
+    document.mapping(known)
+    return document
 
 
-def numbers(source: Source, node: Node, section: str, known: list[str]) -> dict[str, tuple[float, int]]:
-    """Return a section's numbers, each with its line; raise InputError for what is no known key or no number."""
-    given = source.mapping(node, section, known)
-    found = {}
-    for key, value in given.items.items():
-        found[key] = number(source, value, f"{section}.{key}", given.key_lines[key])
-    return found
+def numbers(document: Document, section: str, known: list[str], *loc: str | int) -> dict[str, float]:
+    """Return the numbers of a section at a place; raise InputError for what is no known key or no number."""
+    given = document.mapping(known, *loc)
+    return {key: number(document, value, f"{section}.{key}", (*loc, key)) for key, value in given.items()}
 
 
-def number(source: Source, node: Node, name: str, line: int) -> tuple[float, int]:
-    """Return a number and its line; raise InputError for what is none."""
-    if not isinstance(node, Scalar) or node.quoted or not _NUMBER.fullmatch(node.text):
-        source.fail(line, f"{name} must be a number, not {describe(node)}")
-    found = float(node.text)
-    if not math.isfinite(found):
-        source.fail(line, f"{name} must be a finite number, not {node.text}")
-    return found, line
+def number(document: Document, value: object, name: str, loc: Loc) -> float:
+    """Return a value as a number; raise InputError for what is none."""
+    if not isinstance(value, int | float):
+        document.fail(loc, f"{name} must be a number, not {described(value)}")
+    if not math.isfinite(value):
+        document.fail(loc, f"{name} must be a finite number, not {value}")
+    return float(value)
 
 
 def load_machines(path: Path | str) -> Machines:
@@ -86,13 +73,13 @@ def load_machines(path: Path | str) -> Machines:
         2.0
     """
     path = Path(path)
-    source, given = read_keys(path, [*MACHINE_SECTIONS, "gains"])
+    document = read_keys(path, [*MACHINE_SECTIONS, "gains"])
     figures = {
-        name: _figures(source, given.items[name], name, kind) if name in given.items else {}
+        name: _figures(document, name, kind, name) if name in document.plain else {}
         for name, kind in _KINDS.items()
     }
     base = figures.pop("smartcar")
-    cars = [base | own for own in _cars(source, given.items.get("cars"))] or [base]
+    cars = [base | own for own in _cars(document)] or [base]
     try:
         made = {name: _KINDS[name](**values) for name, values in figures.items()}
         return Machines(cars=tuple(_KINDS["smartcar"](**values) for values in cars), **made)
@@ -101,29 +88,28 @@ def load_machines(path: Path | str) -> Machines:
         raise InputError(f"{path}: {message}") from error
 
 
-def _cars(source: Source, node: Node | None) -> list[dict[str, float]]:
-    if node is None:
+def _cars(document: Document) -> list[dict[str, float]]:
+    if "cars" not in document.plain:
         return []
-    if not isinstance(node, Sequence) or not node.items:
-        source.fail(node.line, f"'cars' must be a list with figures of each car, not {describe(node)}")
-    return [_figures(source, item, f"cars[{i}]", SmartcarParameters) for i, item in enumerate(node.items)]
+    cars = document.plain["cars"]
+    if not isinstance(cars, list) or not cars:
+        document.fail(("cars",), f"'cars' must be a list with figures of each car, not {described(cars)}")
+    return [_figures(document, f"cars[{i}]", SmartcarParameters, "cars", i) for i in range(len(cars))]
 
 
-def _figures(source: Source, node: Node, section: str, kind: type) -> dict[str, float]:
+def _figures(document: Document, section: str, kind: type, *loc: str | int) -> dict[str, float]:
     """Return the figures that a section gives, each checked by itself."""
-    if isinstance(node, Mapping):
-        for key, line in node.key_lines.items():
-            if isinstance(getattr(kind, key, None), property):
-                source.fail(
-                    line, f"{section}.{key} is not given but follows from other figures; change those"
-                )
+    for *place, key in document.lines:
+        if place == [*loc] and isinstance(getattr(kind, str(key), None), property):
+            text = f"{section}.{key} is not given but follows from other figures; change those"
+            document.fail((*loc, key), text)
     known: dict[str, Any] = {f.name: f for f in fields(kind)}
     figures = {}
-    for key, (value, line) in numbers(source, node, section, list(known)).items():
+    for key, value in numbers(document, section, list(known), *loc).items():
         figure = int(value) if isinstance(known[key].default, int) and value == int(value) else value
         try:
             check_figure(f"{section}.{key}", figure, known[key])
         except InputError as error:
-            source.fail(line, str(error))
+            document.fail((*loc, key), str(error))
         figures[key] = figure
     return figures

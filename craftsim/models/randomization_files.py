@@ -11,6 +11,7 @@ from craftsim.errors import InputError
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.parameter_files import number, numbers, read_keys
 from craftsim.models.randomization import DomainRandomization
+from craftsim.storage.yaml import unknown_words
 
 
 def load_noise(path: Path | str, nominal: SensorNoise = EXACT) -> SensorNoise:
@@ -25,8 +26,7 @@ def load_noise(path: Path | str, nominal: SensorNoise = EXACT) -> SensorNoise:
         0.08
     """
     path, known = Path(path), [field.name for field in fields(SensorNoise)]
-    source, given = read_keys(path, known)
-    figures = {key: value for key, (value, _) in numbers(source, given, "noise", known).items()}
+    figures = numbers(read_keys(path, known), "noise", known)
     try:
         return replace(nominal, **figures)
     except InputError as error:
@@ -51,21 +51,24 @@ def load_randomization(
     """
     path = Path(path)
     parts = {f.name: f.default for f in fields(DomainRandomization)}
-    source, given = read_keys(path, ["base", *parts, "limits"])
-    base = source.word(given.items["base"], "base", list(presets)) if "base" in given.items else "none"
+    document = read_keys(path, ["base", *parts, "limits"])
+    given = document.plain
+    base = given.get("base", "none")
+    if base not in presets:
+        document.fail(("base",), unknown_words(str(base), presets, "value of 'base'"))
     whole, figures = presets[base], dict[str, Any]()
     try:
-        for name in parts.keys() & given.items.keys():
-            node, default = given.items[name], getattr(whole, name)
+        for name in parts.keys() & given.keys():
+            default = getattr(whole, name)
             if isinstance(default, float):
-                figures[name], _ = number(source, node, name, given.key_lines[name])
+                figures[name] = number(document, given[name], name, (name,))
             else:
-                own = numbers(source, node, name, [f.name for f in fields(default)])
-                figures[name] = replace(default, **{key: value for key, (value, _) in own.items()})
+                own = numbers(document, name, [f.name for f in fields(default)], name)
+                figures[name] = replace(default, **own)
         whole = replace(whole, **figures)
     except InputError as error:
         raise InputError(
             message if (message := str(error)).startswith(str(path)) else f"{path}: {message}"
         ) from error
-    bounds = numbers(source, given.items["limits"], "limits", limits) if "limits" in given.items else {}
-    return base, whole, {key: value for key, (value, _) in bounds.items()}
+    bounds = numbers(document, "limits", limits, "limits") if "limits" in given else {}
+    return base, whole, bounds

@@ -16,20 +16,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.grid import Grid, Kind, beside
+from craftsim.discrete.grid import Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, MoveGraphs
 from craftsim.discrete.rules import Rules
-from craftsim.planning.things import BuildingPart, put, take, with_car
+from craftsim.planning.things import put, take, with_car
 
-State = frozenset[BuildingPart]
+State = frozenset[Piece]
 
 
 @dataclass(frozen=True)
 class Placing:
     """A thing put to its place, or taken away."""
 
-    thing: BuildingPart
+    thing: Piece
     taken: bool = False
 
     def after(self, state: State) -> State:
@@ -74,12 +74,12 @@ class Assembly:
             return self._can_take(state, step.thing)
         return self._can_put(state, step.thing)
 
-    def _can_put(self, state: State, thing: BuildingPart) -> bool:
+    def _can_put(self, state: State, thing: Piece) -> bool:
         grid = self.grid(state)
         nodes = self._reached_below(state, thing, thing.load)
         return bool(nodes) and has_room(grid, self.rules, thing) and self._gets_out(state | {thing}, nodes)
 
-    def _can_take(self, state: State, thing: BuildingPart) -> bool:
+    def _can_take(self, state: State, thing: Piece) -> bool:
         grid = self.grid(state)
         nodes = self._reached_below(state, thing, Kind.AIR)
         if not nodes:
@@ -94,7 +94,7 @@ class Assembly:
             return False
         return self._gets_out(rest, nodes, thing.load)
 
-    def _reached_below(self, state: State, thing: BuildingPart, load: Kind) -> list[int]:
+    def _reached_below(self, state: State, thing: Piece, load: Kind) -> list[int]:
         """Return the states below a thing, or its place, that a car with a load can reach from free floor."""
         graph, distances = self._graph(state, load)
         return [node for node in graph.nodes(thing.cell, thing.yaws) if distances[node] < UNREACHABLE]
@@ -113,7 +113,7 @@ def _outside(grid: Grid, graph: MoveGraph) -> NDArray[np.int64]:
     return graph.floor_nodes(pieces == 1 + np.argmax(sizes[1:]))
 
 
-def has_room(grid: Grid, rules: Rules, thing: BuildingPart) -> bool:
+def has_room(grid: Grid, rules: Rules, thing: Piece) -> bool:
     """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
     cells = thing.cells if thing.kind == Kind.BODY else thing.cells[:1]
     for cell in cells:
@@ -138,19 +138,19 @@ def has_room(grid: Grid, rules: Rules, thing: BuildingPart) -> bool:
     return rules.legal(with_car(folded, thing.cell, yaw), 0, Action.UNFOLD)
 
 
-def ramp_places(grid: Grid, rules: Rules) -> Iterator[BuildingPart]:
+def ramp_places(grid: Grid, rules: Rules) -> Iterator[Piece]:
     """Yield where an unfolded slope has room and leads up to a block, the lowest first."""
     for z in range(1, grid.size[2] + 1):
         for x, y in np.argwhere(grid.kind[:, :, z] == Kind.BLOCK).tolist():
             if grid.kind_at((x, y, z + 1)) not in (Kind.AIR, Kind.BLOCK, Kind.FLAG):
                 continue
             for yaw in range(4):
-                ramp = BuildingPart(Kind.BODY, beside((x, y, z), yaw), yaw)
+                ramp = Piece(Kind.BODY, beside((x, y, z), yaw), yaw)
                 if has_room(grid, rules, ramp):
                     yield ramp
 
 
-def taken_out(grid: Grid, things: list[BuildingPart]) -> Grid:
+def taken_out(grid: Grid, things: list[Piece]) -> Grid:
     """Return a world without some things."""
     if not things:
         return grid

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import nominal_durations
 from craftsim.planning.assembly import State
-from craftsim.planning.things import BuildingPart, things_in
 
 
 def makespan_bound(start: Grid, building: State) -> float:
@@ -18,7 +17,7 @@ def makespan_bound(start: Grid, building: State) -> float:
     table = nominal_durations()
     lift, drop, unfold = table[Action.LIFT, 0], table[Action.DROP, 1], table[Action.UNFOLD, 0]
     move = table[Action.MOVE_FORWARD, 1]
-    there = list(things_in(start))
+    there = list(start.pieces())
     carried = set(start.cars[:, CarField.LOAD].tolist())
     work = []
     for thing in building:
@@ -41,5 +40,5 @@ def makespan_bound(start: Grid, building: State) -> float:
     return float(max([sum(work) / max(start.n_cars, 1), *work], default=0.0))
 
 
-def _least(source: BuildingPart, target: BuildingPart, move: float) -> float:
+def _least(source: Piece, target: Piece, move: float) -> float:
     return float(move * sum(abs(a - b) for a, b in zip(source.cell[:2], target.cell[:2], strict=True)))

@@ -16,7 +16,6 @@ from craftsim.planning.assembly import Assembly, Order, State, has_room, taken_o
 from craftsim.planning.grounds import Grounds
 from craftsim.planning.joint_plan import FLAP_TICKS, Delivery, JointPlan, Saved, cells_on_path
 from craftsim.planning.reach import Reach, nearest, onward_from, sources
-from craftsim.planning.things import things_in
 
 _FAILURES: Final = 40
 """So many deliveries in vain end an attempt."""
@@ -122,7 +121,7 @@ class Construction:
             return False
         grid = self.plan.end
         if k is not None and self.order.steps[k].taken:
-            here = delivery.source in set(things_in(grid))
+            here = delivery.source in set(grid.pieces())
         else:
             here = delivery.source in sources(self.assembly, grid, self._standing).get(
                 delivery.source.load, []

@@ -26,7 +26,6 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import nominal_durations
 from craftsim.planning.goals import BuildingGoal
 from craftsim.planning.least import least_left
-from craftsim.planning.things import things_in
 
 MOST_WORLDS: Final = 400_000
 """So many worlds are looked at unless told otherwise."""
@@ -58,7 +57,7 @@ class Exact:
 
 def is_small(start: Grid, rules: Rules) -> bool:
     """Return whether a world is small enough for :func:`least_work` to find a building's plan as a rule."""
-    n_things = sum(1 for _ in things_in(start)) + int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
+    n_things = sum(1 for _ in start.pieces()) + int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
     return (
         Correction.derived_marks in rules.corrections
         and int(np.prod(start.size)) <= _MOST_CELLS
@@ -122,7 +121,7 @@ class _Worlds:
         actions = [action for action, spec in ACTIONS.items() if spec.performed and action != Action.STOP]
         self._actions = np.array(actions, np.int64)
         self._costs = np.rint(nominal_durations() * 1000).astype(np.int64)
-        things = list(things_in(start))
+        things = list(start.pieces())
         carried = int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
         sortable = goal.building is not None and len(things) + carried <= _MOST_SORTED
         targets = sorted(goal.building or ()) if sortable else []

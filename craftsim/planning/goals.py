@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import NAMES
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import State
-from craftsim.planning.things import BuildingPart, things_in
 
 
 class NoPlanError(InputError):
@@ -43,14 +42,14 @@ def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingG
         if goal.design is not None:
             return make_goal(goal.design)
         if goal.success == "flag_at_goal":
-            flag = BuildingPart(Kind.FLAG, goal.layout.goal_cell)
+            flag = Piece(Kind.FLAG, goal.layout.goal_cell)
             return BuildingGoal(goal.succeeded, frozenset({flag}))
         if goal.success == "one_platform":
             return BuildingGoal(goal.succeeded, platform=goal.layout.n_blocks)
         return BuildingGoal(goal.succeeded)
     if isinstance(goal, Design):
         things = frozenset(
-            BuildingPart(target.kind, target.cell, max(goal.yaw(target), 0))
+            Piece(target.kind, target.cell, max(target.yaw, 0))
             for target in goal.targets
             if target.kind != Kind.FOOT
         )
@@ -60,14 +59,14 @@ def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingG
 
 def check_supplies(start: Grid, building: State) -> None:
     """Raise NoPlanError where a building cannot be: too few things, outside the area, in the air or in each other."""
-    have = Counter(thing.load for thing in things_in(start))
+    have = Counter(thing.load for thing in start.pieces())
     have.update(Kind(int(load)) for load in start.cars[:, CarField.LOAD] if load)
     want = Counter(thing.load for thing in building)
     for kind, count in sorted(want.items()):
         if count > have[kind]:
             what = {Kind.BLOCK: "blocks", Kind.FLAG: "flags", Kind.FSLOPE: "slopes"}[kind]
             raise NoPlanError(f"no plan: not enough {what}; the design has {count}, the start {have[kind]}")
-    taken: dict[Cell, BuildingPart] = {}
+    taken: dict[Cell, Piece] = {}
     for thing in sorted(building):
         # A folded slope may stand as it likes, and its gear may hang or lie beside the area.
         for cell in thing.cells if thing.kind == Kind.BODY else (thing.cell,):
@@ -83,7 +82,7 @@ def check_supplies(start: Grid, building: State) -> None:
         borne = cell[2] == 1 or (below in taken and taken[below].kind == Kind.BLOCK)
         if not borne:
             raise NoPlanError(f"no plan: what is to be at {cell} has nothing below it that bears it")
-    there = {(thing.kind, thing.cell) for thing in things_in(start)}
+    there = {(thing.kind, thing.cell) for thing in start.pieces()}
     upper = [
         thing for thing in sorted(building) if thing.cell[2] > 1 and (thing.kind, thing.cell) not in there
     ]
@@ -94,7 +93,7 @@ def check_supplies(start: Grid, building: State) -> None:
 def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[State]:
     """Yield buildings of so many blocks side by side on the floor, around those that stand; without end."""
     length, width, _ = start.size
-    blocks = [thing.cell for thing in things_in(start) if thing.kind == Kind.BLOCK and thing.cell[2] == 1]
+    blocks = [thing.cell for thing in start.pieces() if thing.kind == Kind.BLOCK and thing.cell[2] == 1]
     there = set(blocks)
     while True:
         seed = blocks[int(rng.integers(len(blocks)))] if blocks else (length // 2, width // 2, 1)
@@ -123,4 +122,4 @@ def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[
             ]
             chosen.add(edge[int(np.argmax(scores))])
         if len(chosen) == n_blocks:
-            yield frozenset(BuildingPart(Kind.BLOCK, cell) for cell in chosen)
+            yield frozenset(Piece(Kind.BLOCK, cell) for cell in chosen)

@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.grid import Grid, Kind, beside
+from craftsim.discrete.grid import Grid, Kind, Piece, beside
 from craftsim.discrete.move_graph import UNREACHABLE, MoveGraph
 from craftsim.planning.assembly import Assembly, has_room, taken_out
-from craftsim.planning.things import BuildingPart, put
+from craftsim.planning.things import put
 
 _PLACES: Final = 24
 """So many places where something could be put aside are looked at."""
@@ -19,7 +19,7 @@ _PLACES: Final = 24
 class Grounds:
     """The cells of a building and around it."""
 
-    def __init__(self, assembly: Assembly, things: Iterable[BuildingPart]) -> None:
+    def __init__(self, assembly: Assembly, things: Iterable[Piece]) -> None:
         """Take the things of the building, and the ramps that serve only for putting it up."""
         self._assembly, things = assembly, list(things)
         self.cells = {cell for thing in things for cell in thing.cells}
@@ -46,7 +46,7 @@ class Grounds:
 
         return places
 
-    def aside(self, grid: Grid, thing: BuildingPart, fits: Callable[[Grid], bool]) -> BuildingPart | None:
+    def aside(self, grid: Grid, thing: Piece, fits: Callable[[Grid], bool]) -> Piece | None:
         """Return where a thing could stand out of the way: the nearest such place with which a world will do."""
         load = thing.load
         rest = taken_out(grid, [thing])
@@ -55,7 +55,7 @@ class Grounds:
         places = []
         for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
             for yaw in range(4) if load == Kind.FSLOPE else [0]:
-                there = BuildingPart(load, (x, y, 1), yaw)
+                there = Piece(load, (x, y, 1), yaw)
                 far = min(int(distances[node]) for node in graph.nodes(there.cell, there.yaws))
                 free = set(there.cells).isdisjoint(self._keep_free)
                 if (

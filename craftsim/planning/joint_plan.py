@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import (
     UNREACHABLE,
@@ -27,7 +27,6 @@ from craftsim.discrete.move_graph import (
 )
 from craftsim.planning.assembly import taken_out
 from craftsim.planning.paths import WAIT, PathFinder
-from craftsim.planning.things import BuildingPart
 from craftsim.planning.timeline import NOTHING_DONE, Timeline
 
 FLAP_TICKS: Final = 10
@@ -42,9 +41,9 @@ _DELAYS: Final = 6
 class Delivery:
     """A thing brought from where it stands, or from the car that carries it, to where it is to stand."""
 
-    source: BuildingPart | None
+    source: Piece | None
     """None: the car carries it."""
-    target: BuildingPart
+    target: Piece
     hold: bool = False
     """Whether the car keeps it there, and waits."""
 
@@ -205,7 +204,7 @@ class JointPlan:
             return -1 if after is None else after
         return self._swing(car, after, Action.UNFOLD) if delivery.target.kind == Kind.BODY else after
 
-    def _fetch(self, car: int, source: BuildingPart, target: BuildingPart, tick: int, not_before: int) -> int:
+    def _fetch(self, car: int, source: Piece, target: Piece, tick: int, not_before: int) -> int:
         """Drive to a thing and take it up; return the tick after, or -1."""
         graph, _ = self._graph(car, Kind.AIR)
         nodes = self._pick_up(graph, source, target, self.node(car, tick))
@@ -229,7 +228,7 @@ class JointPlan:
         self.timeline.write(car, tick, actions)
         self.timeline.replay(max(0, tick - 1))
 
-    def _pick_up(self, graph: MoveGraph, source: BuildingPart, target: BuildingPart, start: int) -> list[int]:
+    def _pick_up(self, graph: MoveGraph, source: Piece, target: Piece, start: int) -> list[int]:
         """Return the states in which to take up a thing so that the way there and on to its place is short."""
         loaded = self._graphs.graph(taken_out(self.end, [source]), source.load)
         there = graph.distances_from([start])

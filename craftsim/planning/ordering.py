@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from craftsim.discrete.grid import Kind
+from craftsim.discrete.grid import Kind, Piece
 from craftsim.planning.assembly import Assembly, Order, Placing, State, ramp_places
-from craftsim.planning.things import BuildingPart
 
 _TRIES = 200
 """Steps backwards that a search may take beyond six for each thing..."""
@@ -115,7 +114,7 @@ def _options(
 
 
 def _ramps(
-    assembly: Assembly, state: State, upper: list[BuildingPart], rng: np.random.Generator
+    assembly: Assembly, state: State, upper: list[Piece], rng: np.random.Generator
 ) -> Iterator[tuple[Placing, bool]]:
     """Yield ramps that may have been taken away last, and whether something is in reach with each."""
     places = list(ramp_places(assembly.grid(state), assembly.rules))

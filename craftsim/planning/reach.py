@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from craftsim.discrete.grid import Cell, Grid, Kind, beside
+from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph
 from craftsim.planning.assembly import Assembly, has_room, taken_out
-from craftsim.planning.things import BuildingPart, things_in, with_car
+from craftsim.planning.things import with_car
 
 
-def sources(
-    assembly: Assembly, grid: Grid, standing: Collection[BuildingPart]
-) -> dict[Kind, list[BuildingPart]]:
+def sources(assembly: Assembly, grid: Grid, standing: Collection[Piece]) -> dict[Kind, list[Piece]]:
     """Return what can be taken up and does not stand in its place already, by the load that it makes."""
-    found: dict[Kind, list[BuildingPart]] = {}
-    for thing in things_in(grid):
+    found: dict[Kind, list[Piece]] = {}
+    for thing in grid.pieces():
         if thing in standing or (thing.kind == Kind.BLOCK and thing._replace(yaw=0) in standing):
             continue
         if _can_be_taken(assembly, grid, thing):
@@ -24,7 +22,7 @@ def sources(
     return found
 
 
-def _can_be_taken(assembly: Assembly, grid: Grid, thing: BuildingPart) -> bool:
+def _can_be_taken(assembly: Assembly, grid: Grid, thing: Piece) -> bool:
     yaw = thing.yaws[0]
     action = Action.FOLD if thing.kind == Kind.BODY else Action.LIFT
     return assembly.rules.legal(with_car(grid, thing.cell, yaw), 0, action)
@@ -33,11 +31,11 @@ def _can_be_taken(assembly: Assembly, grid: Grid, thing: BuildingPart) -> bool:
 class Reach:
     """What cars that wait in some states can bring."""
 
-    def __init__(self, assembly: Assembly, standing: Collection[BuildingPart], nodes: list[int]) -> None:
+    def __init__(self, assembly: Assembly, standing: Collection[Piece], nodes: list[int]) -> None:
         """Take what must stay where it is, and the states."""
         self._assembly, self._standing, self._nodes = assembly, standing, nodes
 
-    def barring(self, grid: Grid, loose: list[BuildingPart], target: BuildingPart) -> list[BuildingPart]:
+    def barring(self, grid: Grid, loose: list[Piece], target: Piece) -> list[Piece]:
         """Return the loose things that must go before a place can be filled; none of the others need to."""
         gone = list(loose)
         if not self.reaches(grid, gone, target):
@@ -49,7 +47,7 @@ class Reach:
                 gone = fewer
         return gone
 
-    def reaches(self, grid: Grid, gone: list[BuildingPart], target: BuildingPart) -> bool:
+    def reaches(self, grid: Grid, gone: list[Piece], target: Piece) -> bool:
         """Return whether a load can be driven to a place from somewhere else, once some things are gone."""
         rest = taken_out(grid, gone)
         if not has_room(rest, self._assembly.rules, target):
@@ -58,7 +56,7 @@ class Reach:
         distances = graph.distances_to(graph.nodes(target.cell, target.yaws))
         walking = self._assembly.graphs.graph(rest)
         reached = walking.distances_from(self._nodes)
-        for thing in things_in(grid):
+        for thing in grid.pieces():
             if thing in self._standing or thing.load != target.load:
                 continue
             if thing in gone:
@@ -74,12 +72,12 @@ class Reach:
         return False
 
 
-def nearest(distances: Distances, graph: MoveGraph, thing: BuildingPart) -> int:
+def nearest(distances: Distances, graph: MoveGraph, thing: Piece) -> int:
     """Return the distance of the states below a thing."""
     return min(int(distances[node]) for node in graph.nodes(thing.cell, thing.yaws))
 
 
-def onward_from(distances: Distances, graph: MoveGraph, grid: Grid, thing: BuildingPart) -> int:
+def onward_from(distances: Distances, graph: MoveGraph, grid: Grid, thing: Piece) -> int:
     """Return the distance from a thing that has been taken up: from there, or from the next cell that is free."""
     far = nearest(distances, graph, thing)
     for direction in range(4):

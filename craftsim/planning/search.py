@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.grid import Grid, Kind, Piece
 from craftsim.discrete.kinds import Correction
 from craftsim.discrete.rules import Rules
 from craftsim.planning.assembly import Assembly, Order, State
@@ -23,7 +23,7 @@ from craftsim.planning.joint_plan import Saved
 from craftsim.planning.objective import Objective
 from craftsim.planning.ordering import find_order
 from craftsim.planning.planned import EQUAL, Planned, Ticks, judge
-from craftsim.planning.things import BuildingPart, things_in, without_things
+from craftsim.planning.things import without_things
 from craftsim.planning.variation import vary
 
 _ORDERS: Final = 100
@@ -93,7 +93,7 @@ class PlanSearch:
         self.start, self.goal, self.rules, self.objective, self.rng = start, goal, rules, objective, rng
         self.assembly = Assembly(without_things(start), rules)
         self.standing = frozenset(
-            thing._replace(yaw=thing.yaw if thing.load == Kind.FSLOPE else 0) for thing in things_in(start)
+            thing._replace(yaw=thing.yaw if thing.load == Kind.FSLOPE else 0) for thing in start.pieces()
         )
         self.n_slopes = sum(thing.load == Kind.FSLOPE for thing in self.standing) + int(
             (start.cars[:, 4] == Kind.FSLOPE).sum()
@@ -108,7 +108,7 @@ class PlanSearch:
         self._best: Made | None = None
         self._here: Made | None = None
         self._candidate: Made | None = None
-        self._things = tuple(things_in(start))
+        self._things = tuple(start.pieces())
         self._n_fresh, self._n_stale, self._lowest = _FRESH, 0, math.inf
 
     def run(self, rounds: int, time_s: float, report: Callable[[int, Planned | None], None]) -> Planned:
@@ -175,7 +175,7 @@ class PlanSearch:
             )
         check_supplies(self.start, building)
         fixed = building & self.standing
-        for kept in dict.fromkeys([fixed, frozenset[BuildingPart]()]):
+        for kept in dict.fromkeys([fixed, frozenset[Piece]()]):
             order = find_order(self.assembly, building, kept, self.n_slopes, self.rng)
             if order is not None:
                 self._orders.append((order, kept))

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.discrete.grid import Piece
 from craftsim.planning.building import Turn
-from craftsim.planning.things import BuildingPart
 
 _CUT: Final = 0.25
 """So often all is decided anew from some turn on."""
@@ -24,14 +24,14 @@ _CHANGES: Final = 8
 Turns = list[Turn | None]
 """What is tried turn after turn; None: whatever seems best then."""
 
-Change = Callable[[Turns, int, Sequence[BuildingPart], int, np.random.Generator], None]
+Change = Callable[[Turns, int, Sequence[Piece], int, np.random.Generator], None]
 """Changes the turn with a number, in place."""
 
 
 def vary(
     turns: Sequence[Turn],
     critical: Sequence[int],
-    things: Sequence[BuildingPart],
+    things: Sequence[Piece],
     n_cars: int,
     rng: np.random.Generator,
 ) -> tuple[int, Turns]:
@@ -60,41 +60,31 @@ def vary(
     return n_kept, new[n_kept:]
 
 
-def _other_car(
-    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
-) -> None:
+def _other_car(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
     if turn := turns[i]:
         turns[i] = turn._replace(car=int(rng.integers(n_cars)))
 
 
-def _swap_cars(
-    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
-) -> None:
+def _swap_cars(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
     j = int(rng.integers(len(turns)))
     if (one := turns[i]) and (other := turns[j]):
         turns[i], turns[j] = one._replace(car=other.car), other._replace(car=one.car)
 
 
-def _move(
-    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
-) -> None:
+def _move(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
     turns.insert(int(rng.integers(len(turns))), turns.pop(i))
 
 
-def _drop(
-    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
-) -> None:
+def _drop(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
     turns.pop(i)
 
 
-def _anything(
-    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
-) -> None:
+def _anything(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
     turns[i] = None
 
 
 def _other_source(
-    turns: Turns, i: int, things: Sequence[BuildingPart], n_cars: int, rng: np.random.Generator
+    turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.random.Generator
 ) -> None:
     """Use another thing of the same kind; who would have used that takes this one."""
     changed = turns[i]

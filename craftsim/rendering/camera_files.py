@@ -15,11 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.files.documents import Mapping, Sequence, Source, describe
 from craftsim.errors import InputError
 from craftsim.models.framing import Aim
-from craftsim.models.parameter_files import numbers, read_keys
+from craftsim.models.parameter_files import number, read_keys
 from craftsim.storage.limits import Range
+from craftsim.storage.yaml import Document, Loc, described
 
 _RANGES: Final = {
     "distance": Range(0.05, 1000.0),
@@ -37,37 +37,36 @@ def read_aim(path: Path) -> Aim:
 
     Raises InputError, naming the file and line, for what is missing, unknown, no number or out of range.
     """
-    source, given = read_keys(path, ["lookat", *_RANGES])
-    missing = [key for key in ("lookat", "distance", "azimuth", "elevation") if key not in given.items]
+    document = read_keys(path, ["lookat", *_RANGES])
+    given = document.plain
+    missing = [key for key in ("lookat", "distance", "azimuth", "elevation") if key not in given]
     if missing:
-        source.fail(None, f"a camera needs {', '.join(missing)}; fovy alone can be left out")
-    plain = {key: node for key, node in given.items.items() if key != "lookat"}
-    figures = numbers(source, Mapping(1, plain, given.key_lines), "camera", list(_RANGES))
+        document.fail((), f"a camera needs {', '.join(missing)}; fovy alone can be left out")
     values = {"fovy": _FOVY_DEG}
-    for key, (value, line) in figures.items():
-        values[key] = _within(source, line, f"camera.{key}", value, _RANGES[key])
-    return Aim(
-        _lookat(source, given), values["distance"], values["azimuth"], values["elevation"], values["fovy"]
-    )
+    for key, allowed in _RANGES.items():
+        if key in given:
+            values[key] = _within(document, f"camera.{key}", given[key], allowed, (key,))
+    return Aim(_lookat(document), values["distance"], values["azimuth"], values["elevation"], values["fovy"])
 
 
-def _lookat(source: Source, given: Mapping) -> NDArray[np.float64]:
-    node = given.items["lookat"]
-    if not isinstance(node, Sequence) or len(node.items) != 3:
-        source.fail(node.line, f"camera.lookat must be a list of x, y and z in metres, not {describe(node)}")
-    entries = Mapping(node.line, dict(zip("xyz", node.items, strict=True)), dict.fromkeys("xyz", node.line))
-    found = numbers(source, entries, "camera.lookat", list("xyz"))
+def _lookat(document: Document) -> NDArray[np.float64]:
+    given = document.plain["lookat"]
+    if not isinstance(given, list) or len(given) != 3:
+        text = f"camera.lookat must be a list of x, y and z in metres, not {described(given)}"
+        document.fail(("lookat",), text)
+    places = enumerate(zip("xyz", given, strict=True))
     return np.array(
         [
-            _within(source, line, f"camera.lookat.{axis}", value, _LOOKAT)
-            for axis, (value, line) in found.items()
+            _within(document, f"camera.lookat.{axis}", value, _LOOKAT, ("lookat", i))
+            for i, (axis, value) in places
         ]
     )
 
 
-def _within(source: Source, line: int, name: str, value: float, allowed: Range) -> float:
+def _within(document: Document, name: str, value: object, allowed: Range, loc: Loc) -> float:
+    found = number(document, value, name, loc)
     try:
-        allowed.check(name, value)
+        allowed.check(name, found)
     except InputError as error:
-        source.fail(line, str(error))
-    return value
+        document.fail(loc, str(error))
+    return found

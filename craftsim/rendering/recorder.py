@@ -108,4 +108,4 @@ class Recorder:
 
 def _targets(design: Design) -> Iterator[GoalCell]:
     for target in design.targets:
-        yield GoalCell(KINDS[target.kind], target.cell, design.yaw(target))
+        yield GoalCell(KINDS[target.kind], target.cell, target.yaw)

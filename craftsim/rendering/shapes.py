@@ -79,7 +79,7 @@ def wanted_of(design: Design | None) -> tuple[Wanted, ...]:
     """Return the cells of a design; none of None."""
     if design is None:
         return ()
-    return tuple(Wanted(target.kind, target.cell, design.yaw(target)) for target in design.targets)
+    return tuple(Wanted(target.kind, target.cell, target.yaw) for target in design.targets)
 
 
 def levels_of(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.models.config import SimulationConfig

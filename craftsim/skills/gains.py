@@ -303,24 +303,25 @@ def load_gains(path: Path | str | None = None) -> Gains:
         raise InputError(
             f"unknown gains '{path}'{suggestion(str(path), PRESETS)}; there are {known}, or give a YAML file"
         )
-    source, given = read_keys(path, [*SECTIONS, "gains", "source", *MACHINE_SECTIONS])
-    sections = {name: node for name, node in given.items.items() if name in SECTIONS}
-    if "gains" in given.items:
+    document = read_keys(path, [*SECTIONS, "gains", "source", *MACHINE_SECTIONS])
+    sections, at = [name for name in document.plain if name in SECTIONS], tuple[str, ...]()
+    if "gains" in document.plain:
         if sections:
-            line = given.key_lines[next(iter(sections))]
-            source.fail(line, "gains stand both at the top and under 'gains'; give them in one place")
-        sections = source.mapping(given.items["gains"], "gains", [*SECTIONS, "source"]).items
-        sections = {name: node for name, node in sections.items() if name in SECTIONS}
+            text = "gains stand both at the top and under 'gains'; give them in one place"
+            document.fail((sections[0],), text)
+        at = ("gains",)
+        sections = [name for name in document.mapping([*SECTIONS, "source"], *at) if name in SECTIONS]
     merged = {}
     for name, kind in SECTIONS.items():
-        own = (
-            numbers(source, sections[name], name, [f.name for f in fields(kind)]) if name in sections else {}
-        )
-        for key, (value, line) in own.items():
+        own: dict[str, float] = {}
+        if name in sections:
+            own = numbers(document, name, [f.name for f in fields(kind)], *at, name)
+        for key, value in own.items():
             if not 0 < value < math.inf:
-                source.fail(line, f"{name}.{key} must be a positive number, not {value:g}")
+                document.fail((*at, name, key), f"{name}.{key} must be a positive number, not {value:g}")
+            line = document.lines[*at, name, key]
             check_reach(f"{path}:{line}: {name}.{key}", value, nominal[name][key])
-        merged[name] = kind(**(nominal[name] | {key: value for key, (value, _) in own.items()}))
+        merged[name] = kind(**(nominal[name] | own))
     return Gains(**merged, source=str(path) if sections else "robust")
 
 

@@ -11,7 +11,6 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.discrete.files.documents import Node, Scalar, Sequence, parse_keys, read_text
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import (
@@ -25,6 +24,7 @@ from craftsim.storage.limits import (
 )
 from craftsim.storage.paths import exists
 from craftsim.storage.schema import Schema
+from craftsim.storage.yaml import read_document
 from craftsim.training.config import PRESETS, AlgoName, PresetName, TrainConfig
 from craftsim.training.guidance import check_guidance
 from craftsim.training.policy import policy_file
@@ -224,19 +224,5 @@ def read_study(text: str) -> Study:
             )
         text = str(SHIPPED / f"{text}.yaml")
     path = Path(text)
-    _, keys = parse_keys(path, read_text(path), [field.name for field in fields(Study)])
-    return _STUDY.parse(json.dumps(_plain(keys)).encode(), str(path))
-
-
-def _plain(node: Node) -> Any:
-    """Return a node as Python has it; a word stays a text, a number becomes one."""
-    if isinstance(node, Scalar):
-        for number in () if node.quoted else (int, float):
-            try:
-                return number(node.text)
-            except ValueError:
-                continue
-        return node.text
-    if isinstance(node, Sequence):
-        return [_plain(item) for item in node.items]
-    return {key: _plain(item) for key, item in node.items.items()}
+    plain = read_document(path).mapping(field.name for field in fields(Study))
+    return _STUDY.parse(json.dumps(plain).encode(), str(path))

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields, is_dataclass
-from enum import Enum
-from typing import Any, Final
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.starts import Starts
 from craftsim.training.starts import HalfShown
-
-_NO_PART: Final = {"path", "line", "notes"}
-"""Where something was read from changes nothing in the world."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +27,8 @@ class TaskIdentity:
     @classmethod
     def of(cls, task: Task, rules: RuleSet = "physical") -> TaskIdentity:
         """Return the identity of a task under a rule set; rewards, lengths and stored starts are no part of it."""
-        world = _digest([task.shows_flag, *map(_content, task.starts)])
-        design = "" if task.design is None else _digest(_content(task.design))
+        world = _digest([task.shows_flag, *(start.content for start in task.starts)])
+        design = "" if task.design is None else _digest(task.design.content)
         return cls(task.name, world, design, rules)
 
     @property
@@ -75,14 +71,3 @@ def starts_digest(task: Task) -> str:
 
 def _digest(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-
-
-def _content(value: Any) -> Any:
-    """Return a value as JSON knows it, without what says where it was read."""
-    if isinstance(value, Enum):
-        return value.name
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _content(getattr(value, f.name)) for f in fields(value) if f.name not in _NO_PART}
-    if isinstance(value, list | tuple):
-        return [_content(item) for item in value]
-    return value

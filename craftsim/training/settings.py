@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from craftsim.discrete.files.documents import Node, Scalar, describe, parse_keys, read_text
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import Range
+from craftsim.storage.yaml import described, read_document
 
 if TYPE_CHECKING:
     from craftsim.training.config import AlgoName
@@ -129,26 +129,15 @@ def settings_of(algo: AlgoName, given: Mapping[str, float]) -> Settings:
 
 def read_settings(path: Path, algo: AlgoName) -> dict[str, float]:
     """Return what a YAML file says of an algorithm's settings; raises InputError with file, line and key."""
-    source, keys = parse_keys(path, read_text(path), [of.name for of in fields(KINDS[algo])])
-    given = {}
-    for name, node in keys.items.items():
-        value = _number(node)
-        if value is None:
-            source.fail(node.line, f"key '{name}': must be a number, not {describe(node)}")
-        given[name] = value
+    document = read_document(path)
+    given = document.mapping(of.name for of in fields(KINDS[algo]))
+    document.refuse(
+        ((name,), f"key '{name}': must be a number, not {described(value)}")
+        for name, value in given.items()
+        if not isinstance(value, int | float)
+    )
     try:
         settings_of(algo, given)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return given
-
-
-def _number(node: Node) -> float | None:
-    if not isinstance(node, Scalar) or node.quoted:
-        return None
-    for number in (int, float):
-        try:
-            return number(node.text)
-        except ValueError:
-            continue
-    return None

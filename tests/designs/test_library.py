@@ -8,8 +8,7 @@ from craftsim.designs.font import SIGNS, cells_of
 from craftsim.designs.growth import Ramp
 from craftsim.designs.library import AWAY, LIBRARY, make_design, sizes_of
 from craftsim.designs.starts import make_start
-from craftsim.discrete.files.design import Design, design_in, read_design
-from craftsim.discrete.files.saving import write_design
+from craftsim.discrete.files.design import Design, design_in, read_design, write_design
 from craftsim.discrete.grid import Kind
 from craftsim.errors import InputError
 
@@ -19,7 +18,7 @@ def _text(name):
 
 
 def _cells(design):
-    return sorted((target.kind, target.cell, design.yaw(target)) for target in design.targets)
+    return sorted((target.kind, target.cell, target.yaw) for target in design.targets)
 
 
 @pytest.fixture(params=LIBRARY)

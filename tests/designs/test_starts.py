@@ -10,8 +10,7 @@ from craftsim.designs.library import make_design
 from craftsim.designs.spreading import FreeFloor
 from craftsim.designs.starts import make_start
 from craftsim.designs.tiny import SIZE, tiny_world
-from craftsim.discrete.files.blueprint import parse_blueprint
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.grid import CarField, Kind, beside
 from craftsim.discrete.grid_checks import check_grid
 from craftsim.errors import InputError

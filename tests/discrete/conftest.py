@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, beside
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 
 Scene = Callable[..., Grid]
 
@@ -14,12 +14,7 @@ def make_scene(objects=(), cars=(), size=(7, 7, 3), marks="derived") -> Grid:
     """Return a world: objects are (kind, cell[, yaw]), slopes with their second part; cars are dicts of CarField."""
     grid = Grid.empty(size, len(cars))
     for kind, cell, *yaw in objects:
-        grid.kind[cell] = kind
-        grid.yaw[cell] = yaw[0] if yaw else 0
-        if kind in SECOND_PART:
-            second = beside(cell, yaw[0])
-            grid.kind[second] = SECOND_PART[kind]
-            grid.yaw[second] = yaw[0]
+        grid.put(Piece(kind, cell, *yaw))
     for row, car in zip(grid.cars, cars, strict=True):
         for name, value in car.items():
             row[CarField[name.upper()]] = value

@@ -150,6 +150,18 @@ MISTAKES = {
         None,
         "'block_num': 1, but 2 are listed; allowed: at least 2",
     ),
+    "car without an id": (
+        "{id: 1, x: 2, y: 0",
+        "{x: 2, y: 0",
+        14,
+        r"smartcar\[1\]': needs 'id'; required: id, x, y, z, yaw",
+    ),
+    "no mapping": (
+        "area_length: 5",
+        "- 5\n---\narea_length: 5",
+        1,
+        "key 'document': must be a mapping with keys area_length, .*, not a list",
+    ),
     "id taken": ("{id: 1, x: 1, y: 0, z: 2}", "{id: 0, x: 1, y: 0, z: 2}", 9, "0 is taken, see line 8"),
     "car id too high": (
         "{id: 1, x: 2",
@@ -198,6 +210,21 @@ def test_a_mistake_is_told_with_file_line_and_what_is_allowed(mistake, tmp_path)
     assert text.startswith(str(path))
     assert re.search(message, text), text
     assert "\n" not in text
+
+
+def test_the_first_five_mistakes_are_told_at_once_in_the_order_of_the_file():
+    text = GOOD.replace("area_length: 5", "area_length: none").replace("slope_num: 1\n", "")
+    text = text.replace("x: 1, y: 0", "x: 1, y: 9").replace("yaw: 0", "yaw: 7, lod: block")
+    with pytest.raises(BlueprintError) as caught:
+        parse_blueprint(text, "b.yaml")
+    assert [line.split("; ")[0] for line in str(caught.value).splitlines()] == [
+        "b.yaml: key 'slope_num' is missing",
+        "b.yaml:1: key 'area_length': must be an integer from 1 to 128, not 'none'",
+        "b.yaml:7: key 'block[0].y': 9 is out of range, allowed: 0 to 3",
+        "b.yaml:8: key 'block[1].y': 9 is out of range, allowed: 0 to 3",
+        "b.yaml:12: key 'smartcar[0].yaw': 7 is out of range, allowed: 0 to 3",
+        "b.yaml: and more",
+    ]
 
 
 def test_a_goal_inside_a_wall_and_cars_that_do_not_fit_slopes_are_told():

@@ -14,8 +14,7 @@ from fuzzing.mutations import mutated_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
 from craftsim.errors import BlueprintError, InputError
 from craftsim.skills.gains import load_gains

@@ -5,9 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint, write_blueprint
 from craftsim.discrete.files.plan import read_plan, write_plan
-from craftsim.discrete.files.saving import write_blueprint
 from craftsim.discrete.files.shipped import shipped_names
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action

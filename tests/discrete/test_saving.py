@@ -8,9 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.conformance import read_records, recorded_grid
-from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
-from craftsim.discrete.files.design import design_in, read_design
-from craftsim.discrete.files.saving import blueprint_text, design_text
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
+from craftsim.discrete.files.design import design_in, design_text, read_design
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import TASK_NAMES, make_task

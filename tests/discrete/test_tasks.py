@@ -28,7 +28,7 @@ def finished(task, rng):
     grid.kind[:, :, 1:] = 0
     for target in task.design.targets:
         grid.kind[target.cell] = target.kind
-        grid.yaw[target.cell] = max(task.design.yaw(target), 0)
+        grid.yaw[target.cell] = max(target.yaw, 0)
     return grid
 
 

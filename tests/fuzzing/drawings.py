@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import read_actions, read_plan
-from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
 from craftsim.discrete.tasks.registry import read_task
 from craftsim.errors import InputError

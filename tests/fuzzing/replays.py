@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from craftsim.checking.recipe import Recipe, Step
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.validation.replays.bundle import AFTER, BEFORE, PHYSICS, TEXT, read_bundle, write_bundle

@@ -7,7 +7,7 @@ import craftsim
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import set_up
 from craftsim.commands.validate import validate
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError

@@ -9,14 +9,14 @@ from craftsim import cli
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.plan import read_plan
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.assembly import Assembly
 from craftsim.planning.ordering import find_order
-from craftsim.planning.things import BuildingPart, put, without_things
+from craftsim.planning.things import put, without_things
 
 RULES = Rules("physical")
 ROUNDS = 6
@@ -25,8 +25,8 @@ ROUNDS = 6
 def yard(size, n_cars, blocks=(), slopes=()):
     """A world with things on its floor, and cars along its lower edge."""
     grid = Grid.empty(size, n_cars)
-    put(grid, [BuildingPart(Kind.BLOCK, cell) for cell in blocks])
-    put(grid, [BuildingPart(Kind.FSLOPE, cell, yaw) for cell, yaw in slopes])
+    put(grid, [Piece(Kind.BLOCK, cell) for cell in blocks])
+    put(grid, [Piece(Kind.FSLOPE, cell, yaw) for cell, yaw in slopes])
     grid.cars[:, CarField.X] = range(n_cars)
     grid.derive_marks()
     return grid
@@ -118,7 +118,7 @@ def test_nothing_is_done_where_the_goal_is_reached():
 def test_a_pyramid_has_an_order_whose_steps_can_be_made():
     blocks = [(3 + x, 3 + y, 1) for x in range(5) for y in range(5)]
     blocks += [(4 + x, 4 + y, 2) for x in range(3) for y in range(3)]
-    goal = frozenset(BuildingPart(Kind.BLOCK, cell) for cell in [*blocks, (5, 5, 3)])
+    goal = frozenset(Piece(Kind.BLOCK, cell) for cell in [*blocks, (5, 5, 3)])
     assembly = Assembly(without_things(yard((12, 12, 4), 0)), RULES)
     order = find_order(assembly, goal, frozenset(), 2, np.random.default_rng(0))
     state = frozenset()

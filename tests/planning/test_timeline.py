@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from craftsim.discrete.grid import Kind
+from craftsim.discrete.grid import Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning.assembly import Assembly, Placing
-from craftsim.planning.things import BuildingPart, without_things
+from craftsim.planning.things import without_things
 from craftsim.planning.timeline import Timeline
 
 RULES = Rules("physical")
@@ -52,7 +52,7 @@ def test_without_a_car_the_others_do_as_before():
 
 
 def test_what_bears_something_is_not_taken():
-    low, high = BuildingPart(Kind.BLOCK, (1, 1, 1)), BuildingPart(Kind.BLOCK, (1, 1, 2))
+    low, high = Piece(Kind.BLOCK, (1, 1, 1)), Piece(Kind.BLOCK, (1, 1, 2))
     assembly = Assembly(without_things(start()), RULES)
     assert assembly.possible(frozenset({low}), Placing(low, taken=True))
     assert not assembly.possible(frozenset({low, high}), Placing(low, taken=True))

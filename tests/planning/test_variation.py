@@ -3,19 +3,18 @@
 import numpy as np
 import pytest
 
-from craftsim.discrete.grid import Kind
+from craftsim.discrete.grid import Kind, Piece
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning import plan_building
 from craftsim.planning.building import Turn
 from craftsim.planning.joint_plan import Delivery
 from craftsim.planning.planned import Planned
-from craftsim.planning.things import BuildingPart
 from craftsim.planning.variation import vary
 
 RULES = Rules("physical")
-BLOCKS = tuple(BuildingPart(Kind.BLOCK, (x, 0, 1)) for x in range(5))
-TURNS = [Turn(x % 2, Delivery(BLOCKS[x], BuildingPart(Kind.BLOCK, (x, 3, 1))), x) for x in range(4)]
+BLOCKS = tuple(Piece(Kind.BLOCK, (x, 0, 1)) for x in range(5))
+TURNS = [Turn(x % 2, Delivery(BLOCKS[x], Piece(Kind.BLOCK, (x, 3, 1))), x) for x in range(4)]
 
 
 def neighbours(n=300, critical=()):

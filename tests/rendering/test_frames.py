@@ -10,7 +10,7 @@ import pytest
 
 from craftsim import Trajectory
 from craftsim.checking.recipe import Recipe, Step, do, start
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError

@@ -11,7 +11,7 @@ from craftsim.checking.forces import impact_limit_n
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.cli import main
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError

@@ -9,7 +9,7 @@ import pytest
 
 from craftsim import Trajectory
 from craftsim.checking.recipe import Recipe, start
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.rendering.cameras import make_view
 from craftsim.rendering.painting import floor, number_plate

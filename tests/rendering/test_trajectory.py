@@ -11,7 +11,7 @@ import pytest
 from craftsim import Trajectory
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.checking.settings import setup_of
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError

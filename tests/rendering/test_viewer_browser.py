@@ -11,7 +11,7 @@ import pytest
 
 from craftsim import Action, Grid, LiveView, Trajectory
 from craftsim.checking.recipe import Recipe, Step, do, start
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import CarField
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.viewer.page import REAL_TIME

@@ -67,7 +67,7 @@ WRONG = {
     "td_lambda: 0.5": "unknown key 'td_lambda'",
     "gamma: 1.5": "settings.yaml: gamma is 1.5; allowed: 0 to 1",
     "gamma: .nan": "settings.yaml:1: key 'gamma': must be a number, not '.nan'",
-    "gamma: nan": "gamma is nan; allowed: 0 to 1",
+    "gamma: nan": "settings.yaml:1: key 'gamma': must be a number, not 'nan'",
     "epochs: 2.5": "epochs is 2.5; it must be an integer",
     "epochs: true": "must be a number, not 'true'",
     "clip: [1]": "must be a number, not a list",

@@ -11,10 +11,10 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import setup_of
 from craftsim.checking.world import SEED_0, set_up
 from craftsim.cli import main
-from craftsim.discrete.files.design import Design, Target
-from craftsim.discrete.files.saving import write_blueprint
+from craftsim.discrete.files.blueprint import write_blueprint
+from craftsim.discrete.files.design import ANY_YAW, Design
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.envs import parallel_env
@@ -38,7 +38,7 @@ def _world(blocks, cars, size=(5, 3, 1)):
 
 
 def _task(*cells):
-    design = Design(Path("goal.yaml"), tuple(Target(Kind.BLOCK, cell, 1) for cell in cells))
+    design = Design(Path("goal.yaml"), tuple(Piece(Kind.BLOCK, cell, ANY_YAW) for cell in cells))
     return replace(STRIP, design=design, success="built")
 
 

@@ -5,19 +5,33 @@ docs/blueprints.md describes the keys.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator
 
-from craftsim.discrete.files.blueprint_checks import check_blueprint, check_written
-from craftsim.discrete.files.documents import Mapping, Scalar, Sequence, Source, parse_keys, read_text
-from craftsim.discrete.files.listing import ListedCar, ListedObject, Listing, Override, Snapshot
 from craftsim.discrete.files.placement import Placement, build_grid
+from craftsim.discrete.files.sense import CarRow, check_sense, outside
 from craftsim.discrete.files.shipped import find
-from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
 from craftsim.errors import BlueprintError
+from craftsim.storage.limits import YAML_VALUES
+from craftsim.storage.writing import write_whole
+from craftsim.storage.yaml import (
+    Between,
+    Document,
+    Loc,
+    Mistake,
+    dump,
+    key_words,
+    parse_document,
+    read_document,
+)
 
 NO_CELL: Final[Cell] = (-1, -2, 1)
 """The coordinates with which CraftEnv's files say that there is no flag or no goal."""
@@ -35,18 +49,143 @@ OBJECT_KEYS: Final = {
 }
 """Lists of objects, in the order in which they are placed."""
 
+_KIND_NAMES: Final = np.array([kind.name.lower() for kind in Kind])
 LOADS: Final = {"block": Kind.BLOCK, "flag": Kind.FLAG, "fold_slope": Kind.FSLOPE}
 
-REQUIRED_KEYS: Final = ["area_length", "area_width", "area_height", "block_num", "slope_num", "smartcar_num"]
-KEYS: Final = [
-    *REQUIRED_KEYS,
-    *OBJECT_KEYS,
-    *("smartcar", "goal", "legged_robot_num", "legged_robot", "wall_num", "yaml_generated_time", "snapshot"),
-]
+T = TypeVar("T")
+_List = Annotated[tuple[T, ...], BeforeValidator(lambda given: () if given is None else given)]
+"""A list, empty where nothing stands behind its key."""
+_UNLESS_NO_CELL: Final = BeforeValidator(lambda entry: None if _is_no_cell(entry) else entry)
+_Side = Annotated[int, Between(1, MAX_SIDE)]
+_Count = Annotated[int, Between(0, "cells")]
+_Yaw = Annotated[int, Between(0, 3)]
 
 
-class Blueprint(Listing):
-    """A checked start file.
+def _is_no_cell(entry: Any) -> bool:
+    return isinstance(entry, dict) and tuple(entry.get(axis) for axis in "xyz") == NO_CELL
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Place:
+    id: Annotated[int, Between(0, MAX_CELLS)] | None = None
+    x: Annotated[int, Between(0, "last_x")]
+    y: Annotated[int, Between(0, "last_y")]
+    z: Annotated[int, Between(1, "height")]
+
+    @property
+    def cell(self) -> Cell:
+        return self.x, self.y, self.z
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Slope(_Place):
+    yaw: _Yaw
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Car(_Slope):
+    id: Annotated[int, Between(0, "last_car")] = field()  # An object may leave its id out, a car not.
+    z: Annotated[int, Between(1, "above")]
+    load: Literal["block", "flag", "fold_slope"] | None = None
+    load_yaw: _Yaw | None = None
+    slope: Annotated[int, Between(0, 2)] = 0
+
+    @property
+    def row(self) -> CarRow:
+        load = Kind.AIR if self.load is None else LOADS[self.load]
+        behind = (self.yaw + 2) % 4 if load == Kind.FSLOPE else 0
+        load_yaw = behind if self.load_yaw is None else self.load_yaw
+        return *self.cell, self.yaw, load, load_yaw, self.slope
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OddCell(_Slope):
+    kind: Literal["air", "ground", "wall", "block", "flag", "fslope", "gear", "body", "foot"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Mark(_Place):
+    z: Annotated[int, Between(0, "height")]
+    mark: Annotated[int, Between(-2, "last_mark")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Landing(_Mark):
+    mark: Annotated[int, Between(0, 1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """What a world saved while it runs has beyond its listed objects: odd cells and marks that differ."""
+
+    cells: _List[_OddCell] = ()
+    top: _List[_Mark] = ()
+    back: _List[_Landing] = ()
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """The odd cells, whatever they hold."""
+        return tuple(Piece(Kind[one.kind.upper()], one.cell, one.yaw) for one in self.cells)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File:
+    area_length: _Side
+    area_width: _Side
+    area_height: _Side
+    block_num: _Count
+    slope_num: _Count
+    smartcar_num: Annotated[int, Between(0, MAX_CARS)]
+    block: _List[_Place] = ()
+    fold_slope: _List[_Slope] = ()
+    unfold_slope: _List[_Slope] = ()
+    flag: _List[Annotated[_Place | None, _UNLESS_NO_CELL]] = ()
+    wall: _List[_Place] = ()
+    smartcar: _List[_Car] = ()
+    goal: _List[Annotated[_Place | None, _UNLESS_NO_CELL]] = ()
+    legged_robot_num: _Count | None = None
+    legged_robot: Any = None
+    wall_num: _Count | None = None
+    yaml_generated_time: Any = None
+    snapshot: Snapshot | None = None
+
+    @classmethod
+    def of(cls, document: Document) -> _File:
+        """Return what a document says, held to the area and the number of cars that it gives."""
+
+        def given(key: str, low: int, high: int) -> int:
+            number = document.plain.get(key)
+            return number if type(number) is int and low <= number <= high else high
+
+        length, width, height = (given(key, 1, MAX_SIDE) for key in KEYS[:3])
+        n_cars = given("smartcar_num", 0, MAX_CARS)
+        area = {"last_x": length - 1, "last_y": width - 1, "height": height, "above": height + 1}
+        cars = {"last_car": max(n_cars - 1, 0), "last_mark": n_cars - 1}
+        return document.to(cls, cells=length * width * height, **area, **cars)
+
+    def objects(self) -> Iterator[tuple[Loc, Piece]]:
+        """Yield the objects, each with its place in the file."""
+        for key, kind in OBJECT_KEYS.items():
+            for i, entry in enumerate(getattr(self, key)):
+                if entry is not None:
+                    yield (key, i), Piece(kind, entry.cell, getattr(entry, "yaw", 0))
+
+    def repeated_ids(self, document: Document) -> Iterator[Mistake]:
+        """Yield the entries whose id an entry of the same list before has."""
+        for key in (*OBJECT_KEYS, "smartcar", "goal"):
+            first: dict[int, int] = {}
+            for i, entry in enumerate(getattr(self, key)):
+                if entry is not None and entry.id is not None and first.setdefault(entry.id, i) != i:
+                    line = document.lines.get((key, first[entry.id]))
+                    yield (key, i), f"{key_words((key, i, 'id'))}: {entry.id} is taken, see line {line}"
+
+
+KEYS: Final = [one.name for one in fields(_File)]
+
+
+@dataclass(frozen=True)
+class Blueprint:
+    """A checked start file; what its numbers have beyond the listed objects and cars is drawn at random.
 
     Example:
         >>> import craftsim
@@ -54,6 +193,51 @@ class Blueprint(Listing):
         >>> blueprint.size, blueprint.n_cars, blueprint.n_blocks
         ((4, 4, 3), 2, 4)
     """
+
+    path: Path
+    size: Cell
+    """(L, W, H) in cells."""
+    n_blocks: int
+    n_slopes: int
+    n_cars: int
+    objects: tuple[Piece, ...] = ()
+    cars: Mapping[int, CarRow] = field(default_factory=dict, hash=False)
+    """By number: a row as in :attr:`Grid.cars`."""
+    goal: Cell | None = None
+    notes: tuple[str, ...] = ()
+    """What the file has that is accepted and ignored, in plain words."""
+    snapshot: Snapshot | None = None
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether nothing is left to chance."""
+        numbers = (self.n_blocks, self.n_slopes, self.n_cars)
+        return numbers == (self.listed(Kind.BLOCK), self.listed(Kind.FSLOPE, Kind.BODY), len(self.cars))
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What is in it, whatever its file, as JSON has it: that of which digests are made."""
+
+        def plain(pieces: tuple[Piece, ...]) -> list[dict[str, Any]]:
+            return [{"kind": kind.name, "cell": cell, "yaw": yaw} for kind, cell, yaw in pieces]
+
+        names = ("yaw", "load", "load_yaw", "slope")
+        cars = [
+            {"car": car, "cell": row[:3], **dict(zip(names, row[3:], strict=True)), "load": Kind(row[4]).name}
+            for car, row in self.cars.items()
+        ]
+        found = {name: getattr(self, name) for name in ("size", "n_blocks", "n_slopes", "n_cars", "goal")}
+        found |= {"objects": plain(self.objects), "cars": cars, "snapshot": None}
+        if self.snapshot:
+            top, back = ([(one.cell, one.mark) for one in m] for m in (self.snapshot.top, self.snapshot.back))
+            found["snapshot"] = {"cells": plain(self.snapshot.pieces), "top": top, "back": back}
+        return found
+
+    def listed(self, *kinds: Kind) -> int:
+        """Return how many objects of some kinds are listed, carried and odd ones included."""
+        odd = self.snapshot.pieces if self.snapshot else ()
+        present = [*(piece.kind for piece in (*self.objects, *odd)), *(row[4] for row in self.cars.values())]
+        return sum(kind in kinds for kind in present)
 
     def grid(self, rng: np.random.Generator, placement: Placement = "sane") -> Grid:
         """Return a new world; unlisted objects and cars are drawn from ``rng``.
@@ -67,11 +251,11 @@ class Blueprint(Listing):
 
         Raises BlueprintError for fewer than the file lists, and for more than there is room for.
         """
-        asked = [
+        cells = self.size[0] * self.size[1] * self.size[2]
+        for what, number, listed, most in (
             ("cars", n_cars, len(self.cars), MAX_CARS),
-            ("blocks", n_blocks, self.listed(Kind.BLOCK), self.size[0] * self.size[1] * self.size[2]),
-        ]
-        for what, number, listed, most in asked:
+            ("blocks", n_blocks, self.listed(Kind.BLOCK), cells),
+        ):
             if number is not None and not listed <= number <= most:
                 raise BlueprintError(
                     f"{self.path}: {number} {what} asked for; it lists {listed}, allowed: {listed} to {most}"
@@ -81,7 +265,7 @@ class Blueprint(Listing):
             n_cars=self.n_cars if n_cars is None else n_cars,
             n_blocks=self.n_blocks if n_blocks is None else n_blocks,
         )
-        check_written(counted)
+        _check_values(counted)
         return counted
 
 
@@ -97,159 +281,170 @@ def read_blueprint(path: str | Path) -> Blueprint:
         >>> grid.n_cars
         2
     """
-    found = find(path, "blueprints")
-    return parse_blueprint(read_text(found), found)
+    return blueprint_of(read_document(find(path, "blueprints"), BlueprintError))
 
 
 def parse_blueprint(text: str, path: str | Path) -> Blueprint:
     """Read and check a start file's text; ``path`` is the file that messages speak of."""
-    source, keys = parse_keys(Path(path), text, KEYS)
-    for key in REQUIRED_KEYS:
-        if key not in keys.items:
-            source.fail(None, f"key '{key}' is missing; required: {', '.join(REQUIRED_KEYS)}")
-    size = (
-        source.integer(keys.items["area_length"], "area_length", 1, MAX_SIDE),
-        source.integer(keys.items["area_width"], "area_width", 1, MAX_SIDE),
-        source.integer(keys.items["area_height"], "area_height", 1, MAX_SIDE),
-    )
-    cells = size[0] * size[1] * size[2]
-    if cells > MAX_CELLS:
-        source.fail(keys.items["area_length"].line, f"area of {cells} cells; allowed: at most {MAX_CELLS}")
+    return blueprint_of(parse_document(text, Path(path), BlueprintError))
 
-    def count(key: str, high: int) -> int:
-        return source.integer(keys.items[key], key, 0, high) if key in keys.items else 0
 
-    for ignored_count in ("legged_robot_num", "wall_num"):
-        count(ignored_count, cells)
-    reader = _Reader(source, keys, size)
+def blueprint_of(document: Document) -> Blueprint:
+    """Check a start file that has been read. Worlds saved while they run need not make sense: play led to them."""
+    file = _File.of(document)
+    size = (file.area_length, file.area_width, file.area_height)
+    if (cells := size[0] * size[1] * size[2]) > MAX_CELLS:
+        document.fail((KEYS[0],), f"area of {cells} cells; allowed: at most {MAX_CELLS}")
+    document.refuse(file.repeated_ids(document))
+    things = list(file.objects())
+    cars = sorted((entry.id, ("smartcar", i), entry.row) for i, entry in enumerate(file.smartcar))
+    goal = file.goal[0] if file.goal else None
+    notes = []
+    if file.legged_robot is not None or file.legged_robot_num is not None:
+        notes.append("legged robots are ignored: there are none in this world")
+    if len(file.goal) > 1:
+        notes.append("only the first goal is used")
     blueprint = Blueprint(
-        path=Path(path),
+        path=document.path,
         size=size,
-        n_blocks=count("block_num", cells),
-        n_slopes=count("slope_num", cells),
-        n_cars=count("smartcar_num", MAX_CARS),
-        objects=tuple(o for key, kind in OBJECT_KEYS.items() for o in reader.objects(key, kind)),
-        cars=reader.cars(count("smartcar_num", MAX_CARS)),
-        goal=reader.goal(),
-        notes=reader.notes(),
-        snapshot=reader.snapshot(count("smartcar_num", MAX_CARS)),
+        n_blocks=file.block_num,
+        n_slopes=file.slope_num,
+        n_cars=file.smartcar_num,
+        objects=tuple(piece for _, piece in things),
+        cars={car: row for car, _, row in cars},
+        goal=None if goal is None else goal.cell,
+        notes=tuple(notes),
+        snapshot=file.snapshot,
     )
-    check_blueprint(blueprint)
+    document.refuse(_counts(blueprint))
+    _check_values(blueprint)
+    document.refuse(outside(size, things))
+    if file.snapshot is None:
+        check_sense(document, size, things, cars, blueprint.goal)
     return blueprint
 
 
-class _Reader:
-    """Reads the lists of one start file."""
+def _counts(blueprint: Blueprint) -> Iterator[Mistake]:
+    """Yield the numbers that do not cover what is listed."""
+    for key, number, found in (
+        ("block_num", blueprint.n_blocks, blueprint.listed(Kind.BLOCK)),
+        ("slope_num", blueprint.n_slopes, blueprint.listed(Kind.FSLOPE, Kind.BODY)),
+        ("smartcar_num", blueprint.n_cars, len(blueprint.cars)),
+    ):
+        if found > number:
+            yield (), f"key '{key}': {number}, but {found} are listed; allowed: at least {found}"
 
-    def __init__(self, source: Source, keys: Mapping, size: Cell) -> None:
-        self.source = source
-        self.keys = keys
-        self.size = size
 
-    def entries(self, key: str, known: list[str], required: list[str]) -> list[Mapping]:
-        """Return the entries of a list, which may be absent; ids, where given, must differ."""
-        if key not in self.keys.items:
-            return []
-        entries = self.source.entries(self.keys.items[key], key, ["id", *known], required)
-        lines: dict[int, int] = {}
-        for i, entry in enumerate(entries):
-            if "id" in entry.items:
-                name = self.source.integer(entry.items["id"], f"{key}[{i}].id", 0, MAX_CELLS)
-                if name in lines:
-                    taken = f"{name} is taken, see line {lines[name]}"
-                    self.source.fail(entry.line, f"key '{key}[{i}].id': {taken}")
-                lines[name] = entry.line
-        return entries
+def _check_values(blueprint: Blueprint) -> None:
+    """Raise BlueprintError for a world that may make more values than allowed when it is written as a blueprint.
 
-    def field(self, entry: Mapping, where: str, name: str, low: int, high: int, default: int = 0) -> int:
-        """Return one integer of an entry, or the default when it is absent."""
-        if name not in entry.items:
-            return default
-        return self.source.integer(entry.items[name], f"{where}.{name}", low, high)
-
-    def cell(self, entry: Mapping, where: str, low_z: int = 1, high_z: int | None = None) -> Cell:
-        """Return the cell of an entry, which must lie in the area."""
-        length, width, height = self.size
-        return (
-            self.field(entry, where, "x", 0, length - 1),
-            self.field(entry, where, "y", 0, width - 1),
-            self.field(entry, where, "z", low_z, height if high_z is None else high_z),
+    Everything is listed then, and what was drawn at random leaves marks that are listed, too.
+    """
+    entry, slope, car = 9, 11, 18  # A mapping with its keys and values; 50 are in no list.
+    n_slopes = blueprint.listed(Kind.FSLOPE, Kind.BODY)
+    values = 50 + car * blueprint.n_cars + entry * (blueprint.n_cars - len(blueprint.cars))
+    values += sum(slope if piece.kind in SECOND_PART else entry for piece in blueprint.objects)
+    values += 3 * entry * (blueprint.n_blocks - blueprint.listed(Kind.BLOCK))
+    values += (slope + 2 * entry) * (blueprint.n_slopes - n_slopes)
+    if snapshot := blueprint.snapshot:
+        # A cell that the objects do not account for makes what it breaks, and the marks left behind.
+        cells = [cell for piece in blueprint.objects for cell in piece.cells]
+        odd = len(snapshot.cells) + len(cells) - len({*cells})
+        values += (entry + 3 * slope) * odd + entry * (len(snapshot.top) + len(snapshot.back))
+    if values > YAML_VALUES:
+        numbers = f"{blueprint.n_blocks} blocks, {blueprint.n_slopes} slopes and {blueprint.n_cars} cars"
+        listed, drawn = (YAML_VALUES // each // 100 * 100 for each in (entry, 3 * entry))
+        raise BlueprintError(
+            f"{blueprint.path}: a world of {numbers} makes {values} values when all is written down; allowed: at "
+            f"most {YAML_VALUES}, which are about {listed} listed blocks, or {drawn} that are drawn"
         )
 
-    def is_no_cell(self, entry: Mapping) -> bool:
-        """Return whether an entry has the coordinates that stand for "none"."""
-        texts = [node.text for name in "xyz" if isinstance(node := entry.items[name], Scalar)]
-        return texts == [str(value) for value in NO_CELL]
 
-    def objects(self, key: str, kind: Kind) -> list[ListedObject]:
-        """Return the objects of one list."""
-        yawed = kind in KINDS_WITH_YAW
-        names = ["x", "y", "z", "yaw"] if yawed else ["x", "y", "z"]
-        found = []
-        for i, entry in enumerate(self.entries(key, names, names)):
-            if kind == Kind.FLAG and self.is_no_cell(entry):
-                continue
-            where = f"{key}[{i}]"
-            yaw = self.field(entry, where, "yaw", 0, 3)
-            found.append(ListedObject(kind, self.cell(entry, where), yaw, entry.line))
-        return found
+def blueprint_text(grid: Grid, goal: Cell | None = None) -> str:
+    """Return a world as the text of a blueprint.
 
-    def cars(self, n_cars: int) -> tuple[ListedCar, ...]:
-        """Return the listed cars by id."""
-        known = ["x", "y", "z", "yaw", "load", "load_yaw", "slope"]
-        found = []
-        for i, entry in enumerate(self.entries("smartcar", known, ["id", "x", "y", "z", "yaw"])):
-            where = f"smartcar[{i}]"
-            car = self.source.integer(entry.items["id"], f"{where}.id", 0, max(n_cars - 1, 0))
-            load = Kind.AIR
-            if "load" in entry.items:
-                load = LOADS[self.source.word(entry.items["load"], f"{where}.load", list(LOADS))]
-            yaw = self.field(entry, where, "yaw", 0, 3)
-            load_yaw = self.field(entry, where, "load_yaw", 0, 3, (yaw + 2) % 4 if load == Kind.FSLOPE else 0)
-            slope = self.field(entry, where, "slope", 0, 2)
-            cell = self.cell(entry, where, high_z=self.size[2] + 1)
-            found.append(ListedCar(car, cell, yaw, load, load_yaw, slope, entry.line))
-        return tuple(sorted(found, key=lambda listed: listed.car))
+    A world that play has led to may hold what no drawing lists: half slopes, marks of past events. Such
+    things go into a ``snapshot`` section, which is written only where it is needed.
 
-    def goal(self) -> Cell | None:
-        """Return the goal cell, the first entry of its list."""
-        entries = self.entries("goal", ["x", "y", "z"], ["x", "y", "z"])
-        if not entries or self.is_no_cell(entries[0]):
-            return None
-        return self.cell(entries[0], "goal[0]")
+    Raises BlueprintError for a world that no blueprint may hold.
+    """
+    plain = _plain(grid, goal)
+    # A snapshot need not make sense; nothing is left to chance.
+    saved = Document(Path("saved world"), plain | {"snapshot": {}}, error=BlueprintError)
+    left = _left_over(grid, blueprint_of(saved).grid(np.random.default_rng(0)))
+    if left:
+        # Counts cover all that is given, also what is both listed and odd, such as a block with a yaw.
+        odd = [entry["kind"] for entry in left.get("cells", ())]
+        plain["block_num"] += odd.count("block")
+        plain["slope_num"] += odd.count("fslope") + odd.count("body")
+        return dump(plain | {"snapshot": left})
+    try:
+        blueprint_of(replace(saved, plain=plain))
+    except BlueprintError:
+        return dump(saved.plain)
+    return dump(plain)
 
-    def notes(self) -> tuple[str, ...]:
-        """Return remarks on what the file has that we do not use."""
-        notes = []
-        if "legged_robot" in self.keys.items or "legged_robot_num" in self.keys.items:
-            notes.append("legged robots are ignored: there are none in this world")
-        if len(self.entries("goal", ["x", "y", "z"], ["x", "y", "z"])) > 1:
-            notes.append("only the first goal is used")
-        return tuple(notes)
 
-    def snapshot(self, n_cars: int) -> Snapshot | None:
-        """Return the part that only worlds saved while they run have."""
-        if "snapshot" not in self.keys.items:
-            return None
-        lists = self.source.mapping(self.keys.items["snapshot"], "snapshot", ["cells", "top", "back"])
+def write_blueprint(grid: Grid, path: str | Path, goal: Cell | None = None) -> None:
+    """Write a world into a blueprint file that reads back as the same world; it is whole or not there.
 
-        def entries(name: str, *names: str) -> list[tuple[str, Mapping]]:
-            node = lists.items.get(name, Sequence(lists.line))
-            known = ["x", "y", "z", *names]
-            found = self.source.entries(node, f"snapshot.{name}", known, known)
-            return [(f"snapshot.{name}[{i}]", entry) for i, entry in enumerate(found)]
+    Raises InputError if it cannot be written.
 
-        kinds = {kind.name.lower(): kind for kind in Kind}
-        cells = []
-        for where, entry in entries("cells", "kind", "yaw"):
-            kind = kinds[self.source.word(entry.items["kind"], f"{where}.kind", list(kinds))]
-            cells.append(Override(self.cell(entry, where), kind, self.field(entry, where, "yaw", 0, 3)))
-        top = [
-            (self.cell(entry, where, low_z=0), self.field(entry, where, "mark", -2, n_cars - 1))
-            for where, entry in entries("top", "mark")
+    Example:
+        >>> import craftsim
+        >>> craftsim.write_blueprint(craftsim.Grid.empty((3, 3, 1), n_cars=1), folder / "mine.yaml")
+        >>> craftsim.read_blueprint(folder / "mine.yaml").size
+        (3, 3, 1)
+    """
+    write_whole(path, blueprint_text(grid, goal))
+
+
+def _plain(grid: Grid, goal: Cell | None) -> dict[str, Any]:
+    """Return the keys of a blueprint, without a snapshot; things that lack a part are not listed."""
+    objects = {
+        kind: [
+            piece
+            for piece in grid.pieces(kind)
+            if all(map(grid.inside, piece.cells)) and [*map(grid.kind_at, piece.cells)] == [*piece.kinds]
         ]
-        back = [
-            (self.cell(entry, where, low_z=0), self.field(entry, where, "mark", 0, 1))
-            for where, entry in entries("back", "mark")
-        ]
-        return Snapshot(tuple(cells), tuple(top), tuple(back))
+        for kind in OBJECT_KEYS.values()
+    }
+    loads = Counter(grid.cars[:, CarField.LOAD].tolist())
+    n_blocks = len(objects[Kind.BLOCK]) + loads[Kind.BLOCK]
+    n_slopes = len(objects[Kind.FSLOPE]) + len(objects[Kind.BODY]) + loads[Kind.FSLOPE]
+    plain: dict[str, Any] = dict(zip(KEYS, (*grid.size, n_blocks, n_slopes, grid.n_cars), strict=False))
+    for key, kind in OBJECT_KEYS.items():
+        names = ("x", "y", "z", "yaw") if kind in SECOND_PART else ("x", "y", "z")
+        places = ((*piece.cell, piece.yaw) for piece in objects[kind])
+        plain[key] = [{"id": i} | dict(zip(names, place, strict=False)) for i, place in enumerate(places)]
+    plain["smartcar"] = [{"id": car} | _car(row) for car, row in enumerate(grid.cars.tolist())]
+    plain["goal"] = [{"id": 0} | dict(zip("xyz", goal or NO_CELL, strict=True))]
+    return {key: value for key, value in plain.items() if value != []}
+
+
+def _car(row: list[int]) -> dict[str, Any]:
+    entry: dict[str, Any] = dict(zip(("x", "y", "z", "yaw"), row, strict=False))
+    load, load_yaw, slope = row[CarField.LOAD :]
+    if load != Kind.AIR:
+        entry["load"] = next(name for name, kind in LOADS.items() if kind == load)
+    if load == Kind.FSLOPE:
+        entry["load_yaw"] = load_yaw
+    return entry | ({"slope": slope} if slope else {})
+
+
+def _left_over(grid: Grid, bare: Grid) -> dict[str, Any]:
+    """Return what a world has beyond what its objects and cars make, ``bare``, as a snapshot's lists."""
+    odd = np.any(grid.cells[..., :2] != bare.cells[..., :2], axis=-1)
+    # An odd cell is put in place with blank marks.
+    bare.occupant[odd], bare.landing[odd] = -1, 0
+
+    def entries(differs: NDArray[np.bool_], names: tuple[str, ...], *values: Any) -> list[dict[str, Any]]:
+        found = zip(np.argwhere(differs).tolist(), *(one[differs].tolist() for one in values), strict=True)
+        return [dict(zip(("x", "y", "z", *names), (*cell, *own), strict=True)) for cell, *own in found]
+
+    left = {
+        "cells": entries(odd, ("kind", "yaw"), _KIND_NAMES[grid.kind], grid.yaw),
+        "top": entries(grid.occupant != bare.occupant, ("mark",), grid.occupant),
+        "back": entries(grid.landing != bare.landing, ("mark",), grid.landing),
+    }
+    return {key: listed for key, listed in left.items() if listed}

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Final
-
-import numpy as np
+from typing import Annotated, Any, Final, NoReturn
 
 from craftsim.discrete.files.blueprint import MAX_SIDE
-from craftsim.discrete.files.documents import Source, parse_keys, read_text
 from craftsim.discrete.files.shipped import find
-from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
+from craftsim.errors import BlueprintError
 from craftsim.storage.limits import DESIGN_CELLS
+from craftsim.storage.writing import write_whole
+from craftsim.storage.yaml import Between, Loc, dump, key_words, read_document
 
 TARGET_KEYS: Final = {
     "block": Kind.BLOCK,
@@ -22,16 +22,7 @@ TARGET_KEYS: Final = {
     "unfolded_body": Kind.BODY,
     "unfolded_foot": Kind.FOOT,
 }
-
-
-@dataclass(frozen=True)
-class Target:
-    """A cell and what it must hold."""
-
-    kind: Kind
-    cell: Cell
-    line: int | None = None
-    """Line of the goal file that lists it."""
+ANY_YAW: Final = -1
 
 
 @dataclass(frozen=True)
@@ -40,7 +31,10 @@ class Design:
 
     path: Path
     """The file; of a design without one its name."""
-    targets: tuple[Target, ...]
+    targets: tuple[Piece, ...]
+    """Single cells, bodies and feet apart, with what each must hold; the yaw is ANY_YAW where any will do."""
+    lines: tuple[int, ...] = field(default=(), compare=False, repr=False)
+    """Of the targets, in the file."""
 
     @classmethod
     def of(
@@ -56,35 +50,34 @@ class Design:
         Raises BlueprintError for two things in one cell, for what lies outside of the largest area, and for more cells
         than a goal file can list.
         """
+
+        def fail(message: str) -> NoReturn:
+            raise BlueprintError(f"{name}: {message}")
+
         slopes = list(islice(ramps, DESIGN_CELLS))
-        targets = [
-            *(Target(Kind.BLOCK, cell) for cell in islice(blocks, DESIGN_CELLS + 1)),
-            *(Target(Kind.BODY, cell) for cell, _ in slopes),
-            *(Target(Kind.FOOT, beside(cell, yaw)) for cell, yaw in slopes),
+        places = [
+            *((Kind.BLOCK, cell) for cell in islice(blocks, DESIGN_CELLS + 1)),
+            *((Kind.BODY, cell) for cell, _ in slopes),
+            *((Kind.FOOT, beside(cell, yaw)) for cell, yaw in slopes),
         ]
-        source = Source(Path(name))
-        if not 0 < len(targets) <= DESIGN_CELLS:
-            found = "no cells" if not targets else f"more than {DESIGN_CELLS} cells"
-            source.fail(None, f"{found}; allowed: 1 to {DESIGN_CELLS}")
+        if not 0 < len(places) <= DESIGN_CELLS:
+            found = f"more than {DESIGN_CELLS} cells" if places else "no cells"
+            fail(f"{found}; allowed: 1 to {DESIGN_CELLS}")
         taken: set[Cell] = set()
-        for target in targets:
-            x, y, z = target.cell
+        for _, cell in places:
+            x, y, z = cell
             if not (0 <= x < MAX_SIDE and 0 <= y < MAX_SIDE and 1 <= z <= MAX_SIDE):
-                source.fail(
-                    None, f"cell {target.cell} is outside of the largest area, {MAX_SIDE} cells a side"
-                )
-            if target.cell in taken:
-                source.fail(None, f"two things in the cell {target.cell}; allowed: one")
-            taken.add(target.cell)
-        design = cls(Path(name), tuple(targets))
+                fail(f"cell {cell} is outside of the largest area, {MAX_SIDE} cells a side")
+            if cell in taken:
+                fail(f"two things in the cell {cell}; allowed: one")
+            taken.add(cell)
+        targets = _turned(places)
+        yaws = {target.cell: target.yaw for target in targets}
         for cell, yaw in slopes:
-            if design.body_yaw(cell) != yaw:
-                other = beside(cell, design.body_yaw(cell))
-                source.fail(
-                    None,
-                    f"the body {cell} has another slope's foot beside it, {other}, as a file would read it",
-                )
-        return design
+            if yaws[cell] != yaw:
+                other = beside(cell, yaws[cell])
+                fail(f"the body {cell} has another slope's foot beside it, {other}, as a file would read it")
+        return cls(Path(name), targets)
 
     @property
     def size(self) -> Cell:
@@ -97,11 +90,16 @@ class Design:
         """The cells of targets on the floor: the building's plan."""
         return [target.cell for target in self.targets if target.cell[2] == 1]
 
+    @property
+    def content(self) -> dict[str, Any]:
+        """What is to be built, whatever its file, as JSON has it: that of which digests are made."""
+        return {"targets": [{"kind": target.kind.name, "cell": target.cell} for target in self.targets]}
+
     def moved(self, dx: int, dy: int) -> Design:
         """Return the same building somewhere else."""
-        places = [(target.cell[0] + dx, target.cell[1] + dy, target.cell[2]) for target in self.targets]
+        cells = [(target.cell[0] + dx, target.cell[1] + dy, target.cell[2]) for target in self.targets]
         return replace(
-            self, targets=tuple(replace(t, cell=cell) for t, cell in zip(self.targets, places, strict=True))
+            self, targets=tuple(t._replace(cell=cell) for t, cell in zip(self.targets, cells, strict=True))
         )
 
     def floating(self) -> list[Cell]:
@@ -114,10 +112,8 @@ class Design:
         size = size or self.size
         self.check_fits(size)
         grid = Grid.empty(size, n_cars)
-        for target in self.targets:
-            grid.kind[target.cell] = target.kind
-            if target.kind in KINDS_WITH_YAW:
-                grid.yaw[target.cell] = max(self.yaw(target), 0)
+        for kind, cell, yaw in self.targets:
+            grid.kind[cell], grid.yaw[cell] = kind, max(yaw, 0)
         grid.derive_marks()
         return grid
 
@@ -125,51 +121,59 @@ class Design:
         """Return the target cells of one kind in the order of the file."""
         return [target.cell for target in self.targets if target.kind == kind]
 
-    def hits(self, grid: Grid) -> Iterator[tuple[Target, bool]]:
+    def hits(self, grid: Grid) -> Iterator[tuple[Piece, bool]]:
         """Yield each target and whether its cell holds its kind with its yaw; what is carried is in no cell."""
         for target in self.targets:
-            cell, yaw = target.cell, self.yaw(target)
-            within = all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))
-            yield target, bool(within and grid.kind[cell] == target.kind and yaw in (-1, grid.yaw[cell]))
+            kind, cell, yaw = target
+            hit = grid.inside(cell) and grid.kind[cell] == kind and yaw in (ANY_YAW, grid.yaw[cell])
+            yield target, bool(hit)
 
     def satisfied(self, grid: Grid) -> bool:
         """Return whether every target is hit."""
         return all(hit for _, hit in self.hits(grid))
 
-    def body_yaw(self, cell: Cell) -> int:
-        """Return the yaw that a target body has: it points to a target foot beside it."""
-        feet = self.of_kind(Kind.FOOT)
-        for yaw in range(4):
-            if beside(cell, yaw) in feet:
-                return yaw
-        raise KeyError(f"no target foot beside {cell}")
-
-    def yaw(self, target: Target) -> int:
-        """Return the yaw that a target must have, a slope's from body to foot; -1 where any will do."""
-        if target.kind == Kind.BODY:
-            return self.body_yaw(target.cell)
-        if target.kind == Kind.FOOT:
-            for body in self.of_kind(Kind.BODY):
-                if beside(body, self.body_yaw(body)) == target.cell:
-                    return self.body_yaw(body)
-        return -1
-
     def check_fits(self, size: Cell) -> None:
         """Raise BlueprintError if a target lies outside an area of size (L, W, H)."""
-        for target in self.targets:
+        for i, target in enumerate(self.targets):
             if not all(c < n for c, n in zip(target.cell, (*size[:2], size[2] + 1), strict=True)):
-                message = f"target {target.cell} is outside the area of {size} cells"
-                Source(self.path).fail(target.line, message)
+                where = f"{self.path}:{self.lines[i]}" if self.lines else str(self.path)
+                raise BlueprintError(f"{where}: target {target.cell} is outside the area of {size} cells")
+
+
+def _turned(places: Sequence[tuple[Kind, Cell]]) -> tuple[Piece, ...]:
+    """Return the targets: a body points to the first foot beside it, and that has its yaw."""
+    feet = {cell for kind, cell in places if kind == Kind.FOOT}
+    yaws: dict[Cell, int] = {}
+    for kind, cell in places:
+        if kind == Kind.BODY:
+            for yaw in range(4):
+                if (foot := beside(cell, yaw)) in feet:
+                    yaws[cell] = yaw
+                    yaws.setdefault(foot, yaw)
+                    break
+    return tuple(Piece(kind, cell, yaws.get(cell, ANY_YAW)) for kind, cell in places)
 
 
 def design_in(grid: Grid, name: str | Path = "world") -> Design:
     """Return the design of what stands in a world: blocks and slopes, not cars and flags."""
-    targets = [
-        Target(kind, (x, y, z))
-        for kind in TARGET_KEYS.values()
-        for x, y, z in np.argwhere(grid.kind == kind).tolist()
-    ]
-    return Design(Path(name), tuple(targets))
+    places = [(kind, piece.cell) for kind in TARGET_KEYS.values() for piece in grid.pieces(kind)]
+    return Design(Path(name), _turned(places))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry:
+    id: Any = None
+    x: Annotated[int, Between(0, MAX_SIDE)]
+    y: Annotated[int, Between(0, MAX_SIDE)]
+    z: Annotated[int, Between(1, MAX_SIDE)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File:
+    block: list[_Entry] | None = None
+    folded_slope: list[_Entry] | None = None
+    unfolded_body: list[_Entry] | None = None
+    unfolded_foot: list[_Entry] | None = None
 
 
 def read_design(path: str | Path) -> Design:
@@ -177,31 +181,39 @@ def read_design(path: str | Path) -> Design:
 
     Raises BlueprintError with file, line and key for anything that is wrong.
     """
-    path = find(path, "goals")
-    source, keys = parse_keys(path, read_text(path), list(TARGET_KEYS))
-    targets: list[Target] = []
-    lines: dict[Cell, int] = {}
+    document = read_document(find(path, "goals"), BlueprintError)
+    file = document.to(_File)
+    places: dict[Cell, tuple[Kind, Loc]] = {}
     for key, kind in TARGET_KEYS.items():
-        if key not in keys.items:
-            continue
-        names = ["x", "y", "z"]
-        for i, entry in enumerate(source.entries(keys.items[key], key, ["id", *names], names)):
-            x, y, z = (
-                source.integer(entry.items[name], f"{key}[{i}].{name}", int(name == "z"), MAX_SIDE)
-                for name in names
-            )
-            cell = (x, y, z)
-            if cell in lines:
-                taken = f"cell {cell} is a target already, see line {lines[cell]}"
-                source.fail(entry.line, f"key '{key}[{i}]': {taken}")
-            lines[cell] = entry.line
-            targets.append(Target(kind, cell, entry.line))
-    if not targets:
-        source.fail(None, f"no targets; allowed: at least one entry in {', '.join(TARGET_KEYS)}")
-    design = Design(path, tuple(targets))
-    for body in design.of_kind(Kind.BODY):
-        try:
-            design.body_yaw(body)
-        except KeyError:
-            source.fail(lines[body], f"key 'unfolded_body': no entry of 'unfolded_foot' beside {body}")
-    return design
+        for i, entry in enumerate(getattr(file, key) or ()):
+            cell, loc = (entry.x, entry.y, entry.z), (key, i)
+            if cell in places:
+                line = document.lines[places[cell][1]]
+                document.fail(loc, f"{key_words(loc)}: cell {cell} is a target already, see line {line}")
+            places[cell] = kind, loc
+    if not places:
+        document.fail((), f"no targets; allowed: at least one entry in {', '.join(TARGET_KEYS)}")
+    targets = _turned([(kind, cell) for cell, (kind, _) in places.items()])
+    for target in targets:
+        if target.kind == Kind.BODY and target.yaw == ANY_YAW:
+            missing = f"key 'unfolded_body': no entry of 'unfolded_foot' beside {target.cell}"
+            document.fail(places[target.cell][1], missing)
+    lines = tuple(document.lines[loc] for _, loc in places.values())
+    return Design(document.path, targets, lines)
+
+
+def design_text(design: Design) -> str:
+    """Return the text of a design's goal file."""
+    lists = {
+        key: [{"id": i, "x": x, "y": y, "z": z} for i, (x, y, z) in enumerate(design.of_kind(kind))]
+        for key, kind in TARGET_KEYS.items()
+    }
+    return dump({key: entries for key, entries in lists.items() if entries})
+
+
+def write_design(design: Design, path: str | Path) -> None:
+    """Write a design into a goal file that reads back as the same cells; it is whole or not there.
+
+    Raises InputError if it cannot be written.
+    """
+    write_whole(path, design_text(design))

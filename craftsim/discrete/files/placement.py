@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.files.documents import Source
-from craftsim.discrete.files.listing import ListedObject, Listing
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
+from craftsim.errors import BlueprintError
+
+if TYPE_CHECKING:
+    from craftsim.discrete.files.blueprint import Blueprint
 
 Placement = Literal["sane", "published"]
 """How unlisted things are drawn.
@@ -21,59 +24,42 @@ Sane: any of the four yaws, no object on a listed car. Published: see docs/rules
 PUBLISHED_TRIES: Final = 999
 
 
-def below(cell: Cell) -> Cell:
-    """Return the cell under a cell."""
+def _stand(grid: Grid, objects: Iterable[Piece]) -> None:
+    """Put objects into a bare world with the marks that go with them; walls leave none."""
+    # What is put into a cell blanks its marks, so the lower blocks come first.
+    above = grid.size[2] + 1
+    for piece in sorted(objects, key=lambda one: one.cell[2] if one.kind == Kind.BLOCK else above):
+        grid.put(piece)
+        if piece.kind == Kind.WALL:
+            continue
+        grid.occupant[_below(piece.cell)] = -2
+        if piece.kind == Kind.BODY:
+            grid.occupant[_below(piece.cells[1])] = -2
+            landing = beside(piece.cell, piece.yaw + 2)
+            if grid.inside(landing) and grid.kind[landing] == Kind.BLOCK:
+                grid.landing[landing] = True
+
+
+def _below(cell: Cell) -> Cell:
     return cell[0], cell[1], cell[2] - 1
-
-
-def put(grid: Grid, cell: Cell, kind: Kind, yaw: int = 0) -> None:
-    """Put something into a cell; its marks start blank."""
-    grid.kind[cell] = kind
-    grid.yaw[cell] = yaw
-    grid.occupant[cell] = -1
-    grid.landing[cell] = False
-
-
-def put_object(grid: Grid, item: ListedObject) -> None:
-    """Put a listed object in place with the marks that go with it; walls and gears leave none."""
-    put(grid, item.cell, item.kind, item.yaw)
-    if item.kind == Kind.WALL:
-        return
-    grid.occupant[below(item.cell)] = -2
-    if item.kind in SECOND_PART:
-        second = beside(item.cell, item.yaw)
-        put(grid, second, SECOND_PART[item.kind], item.yaw)
-    if item.kind == Kind.BODY:
-        grid.occupant[below(second)] = -2
-        landing = beside(item.cell, item.yaw + 2)
-        if kind_of(grid, landing) == Kind.BLOCK:
-            grid.landing[landing] = True
-
-
-def kind_of(grid: Grid, cell: Cell) -> Kind:
-    """Return what is in a cell; beside the map there is wall."""
-    length, width, _ = grid.size
-    if 0 <= cell[0] < length and 0 <= cell[1] < width:
-        return Kind(grid.kind[cell])
-    return Kind.WALL
 
 
 class _Draw:
     """Draws free places at level 1."""
 
     def __init__(
-        self, grid: Grid, blueprint: Listing, rng: np.random.Generator, placement: Placement
+        self, grid: Grid, blueprint: Blueprint, rng: np.random.Generator, placement: Placement
     ) -> None:
         self.grid = grid
         self.rng = rng
         self.sane = placement == "sane"
-        self.source = Source(blueprint.path)
+        self.path = blueprint.path
         self.used = np.zeros(grid.size[:2], np.bool_)
         self.cars = np.zeros(grid.size[:2], np.bool_)
         for item in blueprint.objects:
             self.used[item.cell[:2]] |= item.cell[2] == 1
-        for car in blueprint.cars:
-            self.cars[car.cell[:2]] |= car.cell[2] == 1
+        for x, y, z, *_ in blueprint.cars.values():
+            self.cars[x, y] |= z == 1
 
     def allowed(self, slope_yaw: int | None, for_car: bool) -> NDArray[np.bool_]:
         """Return (L, W): the columns where a thing can be put, a slope in the direction given."""
@@ -102,7 +88,7 @@ class _Draw:
             allowed = np.repeat(self.allowed(None, for_car)[None], len(yaws), axis=0)
         found = self._sane(allowed) if self.sane else self._published(allowed, slope)
         if found is None:
-            self.source.fail(None, f"no room left for {what}")
+            raise BlueprintError(f"{self.path}: no room left for {what}")
         yaw, x, y = found
         self.used[x, y] = True
         return (x, y, 1), yaw
@@ -126,43 +112,29 @@ class _Draw:
         return None
 
 
-def build_grid(blueprint: Listing, rng: np.random.Generator, placement: Placement) -> Grid:
+def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placement) -> Grid:
     """Return the start of a world as :meth:`craftsim.discrete.files.blueprint.Blueprint.grid` describes it."""
     grid = Grid.empty(blueprint.size, blueprint.n_cars)
-    blocks = [item for item in blueprint.objects if item.kind == Kind.BLOCK]
-    others = [item for item in blueprint.objects if item.kind != Kind.BLOCK]
-    for item in [*sorted(blocks, key=lambda block: block.cell[2]), *others]:
-        put_object(grid, item)
-    for override in blueprint.snapshot.cells if blueprint.snapshot else ():
-        put(grid, override.cell, override.kind, override.yaw)
+    _stand(grid, blueprint.objects)
+    for piece in blueprint.snapshot.pieces if blueprint.snapshot else ():
+        grid.cells[piece.cell] = (piece.kind, piece.yaw, -1, 0)
     draw = _Draw(grid, blueprint, rng, placement)
     for _ in range(blueprint.n_slopes - blueprint.listed(Kind.FSLOPE, Kind.BODY)):
         cell, yaw = draw.place("a random folded slope", slope=True)
-        put(grid, cell, Kind.FSLOPE, yaw)
-        put(grid, beside(cell, yaw), Kind.GEAR, yaw)
+        grid.put(Piece(Kind.FSLOPE, cell, yaw))
     for _ in range(blueprint.n_blocks - blueprint.listed(Kind.BLOCK)):
         cell, _ = draw.place("a random block")
-        put(grid, cell, Kind.BLOCK)
-    _place_cars(grid, blueprint, draw)
-    if blueprint.snapshot:
-        for cell, mark in blueprint.snapshot.top:
-            grid.occupant[cell] = mark
-        for cell, mark in blueprint.snapshot.back:
-            grid.landing[cell] = bool(mark)
-    return grid
-
-
-def _place_cars(grid: Grid, blueprint: Listing, draw: _Draw) -> None:
-    listed = {car.car: car for car in blueprint.cars}
+        grid.put(Piece(Kind.BLOCK, cell))
     for car in range(blueprint.n_cars):
-        row = grid.cars[car]
-        if car in listed:
-            entry = listed[car]
-            cell, yaw = entry.cell, entry.yaw
-            row[CarField.LOAD] = entry.load
-            row[CarField.LOAD_YAW] = entry.load_yaw
-            row[CarField.SLOPE] = entry.slope
-        else:
+        row = blueprint.cars.get(car)
+        if row is None:
             cell, yaw = draw.place(f"car {car}", for_car=True)
-        row[CarField.X], row[CarField.Y], row[CarField.Z], row[CarField.YAW] = *cell, yaw
-        grid.occupant[below(cell)] = car
+            row = (*cell, yaw, Kind.AIR, 0, 0)
+        grid.cars[car] = row
+        grid.occupant[row[0], row[1], row[2] - 1] = car
+    if blueprint.snapshot:
+        for entry in blueprint.snapshot.top:
+            grid.occupant[entry.cell] = entry.mark
+        for entry in blueprint.snapshot.back:
+            grid.landing[entry.cell] = entry.mark
+    return grid

@@ -13,14 +13,14 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Final, NamedTuple, NoReturn
 
-from craftsim.discrete.files.documents import read_text
 from craftsim.discrete.files.shipped import find, shipped_plan
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Constraints, Schedule
 from craftsim.errors import BlueprintError, InputError, PlanError, suggestion
 from craftsim.storage.limits import TEXT
+from craftsim.storage.reading import read_text
 from craftsim.storage.writing import write_whole
 
 __all__ = ["Plan", "plan_text", "read_actions", "read_plan", "shipped_plan", "write_plan"]
@@ -65,23 +65,23 @@ def read_plan(path: str | Path, n_cars: int) -> Plan:
     ticks: list[list[tuple[int, Action]]] = []
     after: dict[tuple[int, int], tuple[tuple[int, int], ...]] = {}
     acts: set[tuple[int, int]] = set()
-    for line, words in _lines(path):
-        if len(words) != 3 and words[3:4] != ["after"]:
-            _fail(path, line, f"{len(words)} words, but a line is: {_LINE}")
-        tick = _tick(path, line, words[0])
+    for line in _lines(path):
+        if len(line.words) != 3 and line.words[3:4] != ["after"]:
+            line.fail(f"{len(line.words)} words, but a line is: {_LINE}")
+        tick = line.tick()
         if tick + 1 < len(ticks):
             last = len(ticks) - 1
-            _fail(path, line, f"tick {tick} comes after tick {last}; allowed: {last} or later")
-        car, action = _act(path, line, words[1:3], n_cars)
-        if len(words) > 3:
-            after[tick, car] = _after(path, line, car, words[4:], acts)
+            line.fail(f"tick {tick} comes after tick {last}; allowed: {last} or later")
+        car, action = line.act(line.words[1:3], n_cars)
+        if len(line.words) > 3:
+            after[tick, car] = line.after(car, acts)
         ticks.extend([] for _ in range(tick + 1 - len(ticks)))
         if any(car == other for other, _ in ticks[tick]):
-            _fail(path, line, f"car {car} acts twice in tick {tick}; allowed: once")
+            line.fail(f"car {car} acts twice in tick {tick}; allowed: once")
         ticks[tick].append((car, action))
         acts.add((tick, car))
     if not ticks:
-        _fail(path, None, f"no actions; a line is: {_LINE}")
+        raise PlanError(f"{path}: no actions; a line is: {_LINE}")
     return Plan(path, tuple(tuple(tick) for tick in ticks), after)
 
 
@@ -92,12 +92,12 @@ def read_actions(path: str | Path, n_cars: int) -> Plan:
     """
     path = _found(path)
     actions = []
-    for line, words in _lines(path):
-        if len(words) != 2:
-            _fail(path, line, f"{len(words)} words, but a line is: car ACTION")
-        actions.append((_act(path, line, words, n_cars),))
+    for line in _lines(path):
+        if len(line.words) != 2:
+            line.fail(f"{len(line.words)} words, but a line is: car ACTION")
+        actions.append((line.act(line.words, n_cars),))
     if not actions:
-        _fail(path, None, "no actions; a line is: car ACTION")
+        raise PlanError(f"{path}: no actions; a line is: car ACTION")
     return Plan(path, tuple(actions))
 
 
@@ -149,58 +149,59 @@ def _found(path: str | Path) -> Path:
         raise PlanError(str(error)) from None
 
 
-def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number and the words of each line that has some."""
+class _Line(NamedTuple):
+    path: Path
+    number: int
+    words: list[str]
+
+    def fail(self, message: str) -> NoReturn:
+        raise PlanError(f"{self.path}:{self.number}: {message}")
+
+    def tick(self) -> int:
+        text = self.words[0]
+        if not _NUMBER.fullmatch(text):
+            self.fail(f"tick '{text[:40]}' must be a whole number from 0 to {MAX_TICK}")
+        if int(text) > MAX_TICK:
+            self.fail(f"tick {int(text)} is out of range, allowed: 0 to {MAX_TICK}")
+        return int(text)
+
+    def act(self, words: list[str], n_cars: int) -> tuple[int, Action]:
+        car, name = words
+        if not _NUMBER.fullmatch(car) or int(car) >= n_cars:
+            cars = f"there are cars 0 to {n_cars - 1}" if n_cars else "there are no cars"
+            self.fail(f"no car '{car[:40]}'; {cars}")
+        if name not in _NAMES:
+            hint = suggestion(name[:80], _NAMES)
+            self.fail(f"unknown action '{name[:40]}'{hint}; allowed: {', '.join(_NAMES)}")
+        return int(car), Action[name]
+
+    def after(self, car: int, acts: Collection[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+        """Return the order constraints of ``car``; ``acts`` are the (tick, car) of the lines before."""
+        if not self.words[4:]:
+            self.fail(f"'after' names no action; a line is: {_LINE}")
+        found: list[tuple[int, int]] = []
+        for word in self.words[4:]:
+            match = _REFERENCE.fullmatch(word)
+            if match is None:
+                self.fail(f"after '{word[:40]}', but an action is named CAR:TICK, such as 0:7")
+            other, tick = int(match[1]), int(match[2])
+            if other == car:
+                self.fail(f"after '{word}', but car {car} waits for its own actions anyway; leave it out")
+            if (tick, other) not in acts:
+                self.fail(f"after '{word}', but no line before this one is of car {other} in tick {tick}")
+            if (tick, other) in found:
+                self.fail(f"after '{word}' stands twice; allowed: once")
+            found.append((tick, other))
+        return tuple(found)
+
+
+def _lines(path: Path) -> Iterator[_Line]:
+    """Yield the lines that have words."""
     try:
         text = read_text(path, TEXT)
-    except BlueprintError as error:
+    except InputError as error:
         raise PlanError(str(error)) from None
-    for line, content in enumerate(text.split("\n"), start=1):
+    for number, content in enumerate(text.split("\n"), start=1):
         words = content.split("#", 1)[0].split()
         if words:
-            yield line, words
-
-
-def _tick(path: Path, line: int, text: str) -> int:
-    if not _NUMBER.fullmatch(text):
-        _fail(path, line, f"tick '{text[:40]}' must be a whole number from 0 to {MAX_TICK}")
-    if int(text) > MAX_TICK:
-        _fail(path, line, f"tick {int(text)} is out of range, allowed: 0 to {MAX_TICK}")
-    return int(text)
-
-
-def _act(path: Path, line: int, words: list[str], n_cars: int) -> tuple[int, Action]:
-    car, name = words
-    if not _NUMBER.fullmatch(car) or int(car) >= n_cars:
-        cars = f"there are cars 0 to {n_cars - 1}" if n_cars else "there are no cars"
-        _fail(path, line, f"no car '{car[:40]}'; {cars}")
-    if name not in _NAMES:
-        hint = suggestion(name[:80], _NAMES)
-        _fail(path, line, f"unknown action '{name[:40]}'{hint}; allowed: {', '.join(_NAMES)}")
-    return int(car), Action[name]
-
-
-def _after(
-    path: Path, line: int, car: int, words: list[str], acts: Collection[tuple[int, int]]
-) -> tuple[tuple[int, int], ...]:
-    """Return the order constraints of a line of ``car``; ``acts`` are the (tick, car) of the lines before it."""
-    if not words:
-        _fail(path, line, f"'after' names no action; a line is: {_LINE}")
-    found: list[tuple[int, int]] = []
-    for word in words:
-        match = _REFERENCE.fullmatch(word)
-        if match is None:
-            _fail(path, line, f"after '{word[:40]}', but an action is named CAR:TICK, such as 0:7")
-        other, tick = int(match[1]), int(match[2])
-        if other == car:
-            _fail(path, line, f"after '{word}', but car {car} waits for its own actions anyway; leave it out")
-        if (tick, other) not in acts:
-            _fail(path, line, f"after '{word}', but no line before this one is of car {other} in tick {tick}")
-        if (tick, other) in found:
-            _fail(path, line, f"after '{word}' stands twice; allowed: once")
-        found.append((tick, other))
-    return tuple(found)
-
-
-def _fail(path: Path, line: int | None, message: str) -> NoReturn:
-    raise PlanError(f"{path}:{line}: {message}" if line is not None else f"{path}: {message}")
+            yield _Line(path, number, words)

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.blueprint import Blueprint
-from craftsim.discrete.files.listing import ListedObject
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.grid_checks import check_size
 from craftsim.discrete.tasks.starts import Split, Starts, belongs, check_split, read_split, targets_of
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
@@ -204,12 +203,12 @@ def _blueprint(
     paper = task.starts[0]
     size = whole_size(area, paper.size)
     check_size(size, paper.n_cars)
-    stays: list[ListedObject] = []
+    stays: list[Piece] = []
     flag_x = -1
     least = (1, 1, 1) if task.design is None else task.design.size
     if task.goal_cell is not None:
         flag_x = next(item.cell[0] for item in paper.objects if item.kind == Kind.FLAG)
-        stays = [ListedObject(Kind.BLOCK, (flag_x - 1, y, 1), 0, 0) for y in range(size[1])]
+        stays = [Piece(Kind.BLOCK, (flag_x - 1, y, 1)) for y in range(size[1])]
         least = flag_x + 1, task.goal_cell[1] + 1, 1
     if any(found < needed for found, needed in zip(size, least, strict=True)):
         raise InputError(f"task '{RANDOM}{task.name}': the area is {size}; allowed: at least {least}")
@@ -218,7 +217,7 @@ def _blueprint(
     blocks = paper.n_blocks + (size[1] - paper.size[1] if stays else 0) if n_blocks is None else n_blocks
     if blocks < needed:
         raise InputError(f"task '{RANDOM}{task.name}': {blocks} blocks; allowed: at least {needed}")
-    bare = replace(paper, size=size, objects=tuple(stays), cars=(), n_blocks=blocks)
+    bare = replace(paper, size=size, objects=tuple(stays), cars={}, n_blocks=blocks)
     return bare.with_counts(n_cars), flag_x
 
 

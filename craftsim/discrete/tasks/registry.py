@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import importlib
 import re
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Annotated, Any, Final
 
-from craftsim.discrete.files.blueprint import KEYS, Blueprint, parse_blueprint, read_blueprint
+from craftsim.discrete.files.blueprint import KEYS, Blueprint, blueprint_of, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
-from craftsim.discrete.files.documents import Node, Scalar, Sequence, Source, parse_keys, read_text
 from craftsim.discrete.files.shipped import Shelf, find
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.tasks.random_tasks import RANDOM, RANDOM_NAMES, random_task
@@ -27,20 +27,35 @@ from craftsim.discrete.tasks.task import (
     free_play,
     make_task,
 )
-from craftsim.errors import CraftsimError, InputError, suggestion
+from craftsim.errors import BlueprintError, CraftsimError, InputError, suggestion
 from craftsim.modules import import_own, place_of
 from craftsim.storage.paths import is_file
 from craftsim.storage.writing import writable
+from craftsim.storage.yaml import Between, Document, read_document
 
 DESIGNS: Final = "designs"
 """The name of the task in which each episode has a random design."""
 VARIED_NAMES: Final = (*RANDOM_NAMES, DESIGNS)
 """The tasks whose episodes differ."""
 
-TASK_KEYS: Final = ["start", "goal", "reward", "max_steps", "cars", "blocks"]
 PLATFORM: Final = "platform"
 """The goal of building one platform of all blocks."""
 MAX_STEPS: Final = 100_000
+_Number = Annotated[int, Between(0, MAX_STEPS)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File:
+    start: Any
+    """A start file, or a list of them."""
+    goal: Any = None
+    reward: RewardName | None = None
+    max_steps: _Number | None = None
+    cars: _Number | None = None
+    blocks: _Number | None = None
+
+
+_KEYS: Final = [one.name for one in fields(_File)]
 
 _REGISTERED: Final[dict[str, Task]] = {}
 _ANYTHING: Final = (Exception, SystemExit)
@@ -250,50 +265,39 @@ def read_task(
     a task file says of reward and counts goes before the arguments. Raises BlueprintError with file, line and key.
     """
     path = Path(path)
-    text = read_text(path)
-    source, keys = parse_keys(path, text, [*KEYS, *(key for key in TASK_KEYS if key not in KEYS)])
-    if "start" not in keys.items:
-        start = parse_blueprint(text, path).with_counts(n_cars, n_blocks)
+    document = read_document(path, BlueprintError)
+    if "start" not in document.plain:
+        document.mapping([*KEYS, *(key for key in _KEYS if key not in KEYS)])
+        start = blueprint_of(document).with_counts(n_cars, n_blocks)
         beside = path.with_name(f"{path.stem}_goal{path.suffix}")
         design = read_design(beside) if is_file(beside) else None
         return _task(path, (start,), design, reward, DEFAULT_MAX_STEPS)
-    for key in keys.items:
-        if key not in TASK_KEYS:
-            source.fail_unknown(keys.key_lines[key], key, TASK_KEYS)
-
-    def whole(key: str, otherwise: int | None, high: int) -> int | None:
-        return source.integer(keys.items[key], key, 0, high) if key in keys.items else otherwise
-
-    counts = whole("cars", n_cars, MAX_STEPS), whole("blocks", n_blocks, MAX_STEPS)
-    starts = tuple(
-        read_blueprint(place).with_counts(*counts) for place in _places(source, keys.items["start"])
+    file = document.to(_File)
+    counts = (
+        n_cars if file.cars is None else file.cars,
+        n_blocks if file.blocks is None else file.blocks,
     )
-    design, platform = None, False
-    if "goal" in keys.items:
-        platform = isinstance(keys.items["goal"], Scalar) and keys.items["goal"].text == PLATFORM
-    if "goal" in keys.items and not platform:
-        design = read_design(_place(source, keys.items["goal"], "goal", "goals"))
-    if "reward" in keys.items:
-        reward = source.word(keys.items["reward"], "reward", [*get_args(RewardName)])  # type: ignore[assignment]
-    return _task(
-        path, starts, design, reward, whole("max_steps", None, MAX_STEPS) or DEFAULT_MAX_STEPS, platform
-    )
+    starts = tuple(read_blueprint(place).with_counts(*counts) for place in _places(document, file.start))
+    platform, design = file.goal == PLATFORM, None
+    if "goal" in document.plain and not platform:
+        design = read_design(_place(document, file.goal, "goal", "goals"))
+    return _task(path, starts, design, file.reward or reward, file.max_steps or DEFAULT_MAX_STEPS, platform)
 
 
-def _places(source: Source, node: Node) -> list[Path]:
+def _places(document: Document, start: Any) -> list[Path]:
     """Return the files that a start names: one, or a list of which one is drawn for each episode."""
-    items = node.items if isinstance(node, Sequence) else [node]
+    items = start if isinstance(start, list) else [start]
     if not items:
-        source.fail(node.line, "key 'start': needs at least one start file")
-    return [_place(source, item, "start", "blueprints") for item in items]
+        document.fail(("start",), "key 'start': needs at least one start file")
+    return [_place(document, item, "start", "blueprints") for item in items]
 
 
-def _place(source: Source, node: Node, key: str, shelf: Shelf) -> Path:
+def _place(document: Document, name: Any, key: str, shelf: Shelf) -> Path:
     """Return the file that a value names: one beside the task file, or a shipped one."""
-    if not isinstance(node, Scalar) or not node.text:
-        source.fail(node.line, f"key '{key}': must be a file beside this one, or the name of a shipped one")
-    near = source.path.parent / node.text
-    return near if is_file(near) else find(node.text, shelf)
+    if not isinstance(name, str) or not name:
+        document.fail((key,), f"key '{key}': must be a file beside this one, or the name of a shipped one")
+    near = document.path.parent / name
+    return near if is_file(near) else find(name, shelf)
 
 
 def _task(

@@ -16,8 +16,8 @@ from typing import Final, Literal, Protocol, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.files.design import Design, Target
-from craftsim.discrete.grid import FILE_DTYPES, Grid, Kind
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import FILE_DTYPES, Grid, Kind, Piece
 from craftsim.discrete.grid_checks import check_grid
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import START_WORLDS, STARTS, size_text
@@ -38,7 +38,7 @@ _ARRAYS: Final = tuple(FILE_DTYPES)
 
 def targets_of(design: Design | None) -> Targets:
     """Return the targets of a design, (T, 5), yaw -1 where the drawing does not say; none of none."""
-    rows = [(t.kind, *t.cell, design.yaw(t)) for t in design.targets] if design else []
+    rows = [(t.kind, *t.cell, t.yaw) for t in design.targets] if design else []
     return np.array(rows, np.int64).reshape(-1, 5)
 
 
@@ -88,7 +88,8 @@ class Starts:
     def design(self, i: int, name: str) -> Design:
         """Return what is to be built in one world."""
         rows = self.designs[i].tolist()
-        return Design(Path(name), tuple(Target(Kind(kind), (x, y, z)) for kind, x, y, z, _ in rows if kind))
+        targets = (Piece(Kind(kind), (x, y, z), yaw) for kind, x, y, z, yaw in rows if kind)
+        return Design(Path(name), tuple(targets))
 
     def digests(self) -> list[bytes]:
         """Return a digest (SHA-256) of each start with its design; cars are alike, whatever their numbers."""

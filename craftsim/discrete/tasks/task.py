@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -106,8 +106,8 @@ class Task:
     @property
     def digest(self) -> str:
         """SHA-256 of its start files and its design, whatever these are called, and the split of its starts."""
-        parts = [replace(start, path=Path()) for start in self.starts], self.design and self.design.targets
-        digest = hashlib.sha256(repr(parts).encode()).hexdigest()
+        parts = [start.content for start in self.starts], self.design and self.design.content
+        digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()
         return digest if self.split is None else f"{digest}-{self.split}"
 
     @property

@@ -13,7 +13,7 @@ import yaml
 
 from craftsim.checking.recipe import Step
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import SECOND_PART, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
@@ -54,10 +54,9 @@ class Scene:
         grid = Grid.empty(self.size, len(self.cars))
         for row, values in zip(grid.cars, self.cars, strict=True):
             row[:] = values
-        for kind, cell, yaw in self.things:
-            _put(grid, kind, cell, yaw)
-            if kind in SECOND_PART:
-                _put(grid, SECOND_PART[kind], beside(cell, yaw), yaw)
+        # Of two gears in a cell the one with the smaller yaw is shown.
+        for kind, cell, yaw in sorted(self.things, key=lambda thing: -thing[2]):
+            grid.put(Piece(kind, cell, yaw if kind in SECOND_PART else 0))
         grid.derive_marks()
         return grid
 
@@ -82,15 +81,6 @@ class Scene:
             return Step.joint(0, list(enumerate(self.actions)), order=self.order)
         goal = None if legal else intended(self.world(), 0, self.actions[0])
         return Step.single(0, 0, self.actions[0], goal)
-
-
-def _put(grid: Grid, kind: Kind, cell: Cell, yaw: int) -> None:
-    """Put something into a cell; a gear gives way, and of two gears the one with the smaller yaw is shown."""
-    there = grid.kind[cell]
-    if kind == Kind.GEAR and there != Kind.AIR and not (there == kind and yaw < grid.yaw[cell]):
-        return
-    grid.kind[cell] = kind
-    grid.yaw[cell] = yaw if kind in KINDS_WITH_YAW else 0
 
 
 def _scenes() -> Iterator[Scene]:

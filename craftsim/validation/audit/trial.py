@@ -13,7 +13,7 @@ import numpy as np
 from craftsim.checking.recipe import Recipe, Step, do, run_up
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, compile_world, set_up
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError

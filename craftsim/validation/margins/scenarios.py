@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.checking.recipe import Step
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import CarField
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError

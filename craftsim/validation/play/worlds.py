@@ -7,10 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.files.blueprint import parse_blueprint
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import SECOND_PART, Grid, Kind
+from craftsim.discrete.grid import Grid, Kind, Piece
 from craftsim.discrete.tasks import Task, free_play
 from craftsim.errors import BlueprintError, CraftsimError, InputError
 from craftsim.validation.play.cars import Place, put_car, put_load
@@ -138,9 +137,8 @@ class _Drawing:
             for column, n in wanted.items():
                 self._stack(*column, n)
             kind = Kind.FSLOPE if self.rng.random() < 0.35 else Kind.BODY
-            for column, part in zip(line[:2], (kind, SECOND_PART[kind]), strict=True):
-                self.grid.kind[(*column, floor + 1)], self.grid.yaw[(*column, floor + 1)] = part, yaw
-                self.taken.add(column)
+            self.grid.put(Piece(kind, (x, y, floor + 1), yaw))
+            self.taken.update(line[:2])
             return
 
     def _open(self, column: tuple[int, int]) -> bool:

@@ -15,7 +15,7 @@ from craftsim.checking.episode import Ending, Episode, Watch
 from craftsim.checking.recipe import Recipe, Step, do
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, SetUp
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules

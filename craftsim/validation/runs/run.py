@@ -15,8 +15,8 @@ from craftsim.checking.episode import UNWATCHED, Episode, Watch
 from craftsim.checking.recipe import Recipe, Step, do
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, SetUp, set_up
+from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
 from craftsim.discrete.files.plan import write_plan
-from craftsim.discrete.files.saving import blueprint_text, write_blueprint
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules

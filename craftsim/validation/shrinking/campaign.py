@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from craftsim.discrete.files.saving import write_blueprint
+from craftsim.discrete.files.blueprint import write_blueprint
 from craftsim.storage.folders import directory_within
 from craftsim.storage.writing import write_whole
 from craftsim.validation.campaign import Answer, Done, Engine, Failure, Item, TrialRecord, do_all

@@ -8,14 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
 
 _THINGS: Final = (Kind.WALL, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
 """What is a piece of its own; gears and feet come with their slopes."""
 
 
 @dataclass(frozen=True)
-class Piece:
+class WorldPart:
     """Something that stands in a world: a wall, a block, a flag, a slope, or a car."""
 
     cell: Cell
@@ -48,12 +48,12 @@ class Piece:
             return (self.cell,)
         return tuple((x, y, z - 1) for x, y, z in (self.cells if self.kind == Kind.BODY else (self.cell,)))
 
-    def moved(self, by: Cell) -> Piece:
+    def moved(self, by: Cell) -> WorldPart:
         """Return it elsewhere."""
         (x, y, z), (dx, dy, dz) = self.cell, by
         return replace(self, cell=(x + dx, y + dy, z + dz))
 
-    def turned(self, quarters: int) -> Piece:
+    def turned(self, quarters: int) -> WorldPart:
         """Return it turned about the column (0, 0), counterclockwise."""
         x, y, z = self.cell
         for _ in range(quarters % 4):
@@ -63,11 +63,11 @@ class Piece:
         return replace(self, cell=(x, y, z), yaw=yaw, load_yaw=load_yaw)
 
 
-def pieces_of(grid: Grid, first: int = 0) -> tuple[Piece, ...]:
+def pieces_of(grid: Grid, first: int = 0) -> tuple[WorldPart, ...]:
     """Return the pieces of a world: the car ``first``, the other cars in their order, and the things."""
     rows = grid.cars.tolist()
     cars = [
-        Piece(
+        WorldPart(
             tuple(row[: CarField.Z + 1]),
             Kind.AIR,
             row[CarField.YAW],
@@ -78,13 +78,13 @@ def pieces_of(grid: Grid, first: int = 0) -> tuple[Piece, ...]:
         for row in (rows[first], *rows[:first], *rows[first + 1 :])
     ]
     things = [
-        Piece((x, y, z), Kind(grid.kind[x, y, z]), int(grid.yaw[x, y, z]))
+        WorldPart((x, y, z), Kind(grid.kind[x, y, z]), int(grid.yaw[x, y, z]))
         for x, y, z in np.argwhere(np.isin(grid.kind, _THINGS)).tolist()
     ]
     return (*cars, *things)
 
 
-def grid_of(pieces: Iterable[Piece], size: Cell) -> Grid:
+def grid_of(pieces: Iterable[WorldPart], size: Cell) -> Grid:
     """Return the world of pieces, its cars numbered in their order.
 
     A gear is shown where nothing stands; of two gears, the one with the smaller yaw.
@@ -94,17 +94,13 @@ def grid_of(pieces: Iterable[Piece], size: Cell) -> Grid:
     grid = Grid.empty(size, len(cars))
     for row, car in zip(grid.cars, cars, strict=True):
         row[:] = (*car.cell, car.yaw, car.load, car.load_yaw, car.slope)
-    for piece in sorted((p for p in pieces if not p.is_car), key=lambda p: (p.kind == Kind.FSLOPE, p.yaw)):
-        kinds = (piece.kind, SECOND_PART.get(piece.kind, piece.kind))
-        for cell, kind in zip(piece.cells, kinds, strict=False):
-            if kind == Kind.GEAR and grid.kind[cell] != Kind.AIR:
-                continue
-            grid.kind[cell], grid.yaw[cell] = kind, piece.yaw
+    for piece in sorted((p for p in pieces if not p.is_car), key=lambda p: (p.kind == Kind.FSLOPE, -p.yaw)):
+        grid.put(Piece(piece.kind, piece.cell, piece.yaw))
     grid.derive_marks()
     return grid
 
 
-def without(pieces: Sequence[Piece], gone: Collection[Piece]) -> tuple[Piece, ...]:
+def without(pieces: Sequence[WorldPart], gone: Collection[WorldPart]) -> tuple[WorldPart, ...]:
     """Return what is left when some are taken away, with all that stands on them."""
     gone = set(gone)
     while True:
@@ -115,12 +111,12 @@ def without(pieces: Sequence[Piece], gone: Collection[Piece]) -> tuple[Piece, ..
         gone |= fallen
 
 
-def distance(piece: Piece, cell: Cell) -> int:
+def distance(piece: WorldPart, cell: Cell) -> int:
     """Return how many steps along the axes a piece is from a cell."""
     return sum(abs(a - b) for a, b in zip(piece.cell, cell, strict=True))
 
 
-def lowered(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
+def lowered(pieces: Sequence[WorldPart]) -> tuple[WorldPart, ...]:
     """Return everything one level lower, less the blocks on the floor: empty where something else is there."""
     floor = [piece for piece in pieces if piece.cell[2] == 1]
     if not floor or any(piece.kind != Kind.BLOCK for piece in floor):
@@ -128,7 +124,7 @@ def lowered(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
     return tuple(piece.moved((0, 0, -1)) for piece in pieces if piece.cell[2] > 1)
 
 
-def cropped(pieces: Sequence[Piece], margin: int, above: int) -> tuple[tuple[Piece, ...], Cell]:
+def cropped(pieces: Sequence[WorldPart], margin: int, above: int) -> tuple[tuple[WorldPart, ...], Cell]:
     """Return the pieces on a map with so many empty columns round them and levels above them, and its size."""
     cells = np.array([cell for piece in pieces for cell in piece.cells])
     low = cells.min(axis=0)

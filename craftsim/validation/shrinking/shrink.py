@@ -17,7 +17,7 @@ from craftsim.checking.recipe import Recipe, do, start
 from craftsim.checking.settings import Setup, Thresholds
 from craftsim.checking.timekeeper import OverrunError, Timekeeper
 from craftsim.checking.world import SEED_0, Seed, set_up
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.rules import Rules
@@ -26,7 +26,7 @@ from craftsim.errors import InputError
 from craftsim.models.randomization import NONE
 from craftsim.storage.limits import SHRINK_S
 from craftsim.validation.shrinking.pieces import (
-    Piece,
+    WorldPart,
     cropped,
     distance,
     grid_of,
@@ -161,7 +161,7 @@ class _Search:
             self.trials + trials_before,
         )
 
-    def fails(self, pieces: Sequence[Piece], size: Cell, action: Action) -> bool:
+    def fails(self, pieces: Sequence[WorldPart], size: Cell, action: Action) -> bool:
         """Return whether the action of the first piece is legal in a world and fails; remember that world if so."""
         grid = grid_of(pieces, size)
         text = blueprint_text(grid)
@@ -211,7 +211,7 @@ class _Search:
             else:
                 n *= 2
 
-    def _others(self) -> list[Piece]:
+    def _others(self) -> list[WorldPart]:
         """Return all but the car that acts and what it stands on, the furthest first."""
         me, *others = self.pieces
         free = (piece for piece in others if me in without(self.pieces, (piece,)))
@@ -241,7 +241,7 @@ class _Search:
                     return
 
 
-def _parts(pieces: Sequence[Piece], n: int) -> Iterator[Sequence[Piece]]:
+def _parts(pieces: Sequence[WorldPart], n: int) -> Iterator[Sequence[WorldPart]]:
     """Yield n parts of nearly equal size."""
     for i in range(n):
         part = pieces[i * len(pieces) // n : (i + 1) * len(pieces) // n]

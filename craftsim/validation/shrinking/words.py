@@ -10,7 +10,7 @@ from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.rules import Rules
-from craftsim.validation.shrinking.pieces import Piece, pieces_of
+from craftsim.validation.shrinking.pieces import WorldPart, pieces_of
 from craftsim.validation.shrinking.shrink import Smallest
 
 _WAYS: Final = ("ahead", "to the left", "behind", "to the right")
@@ -45,7 +45,7 @@ def sentence(smallest: Smallest) -> str:
     return f"car 0 {_acts(me, grid, after, smallest.action)}; {fails}{when}"
 
 
-def _acts(me: Piece, grid: Grid, after: Grid, action: Action) -> str:
+def _acts(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str:
     """Say what the car does, and on which level."""
     spec, own = ACTIONS[action], Kind(grid.kind[me.cell]) if me.cell[2] < grid.kind.shape[2] else Kind.AIR
     slope = int(after.cars[0, CarField.SLOPE])
@@ -66,7 +66,7 @@ def _acts(me: Piece, grid: Grid, after: Grid, action: Action) -> str:
     return f"{does} on level {me.cell[2]}"
 
 
-def _around(me: Piece, others: Sequence[Piece]) -> Iterator[str]:
+def _around(me: WorldPart, others: Sequence[WorldPart]) -> Iterator[str]:
     """Say what stands around, the nearest first; not what only bears something, nor ramps that cars are on."""
     cars = [piece for piece in others if piece.is_car]
     borne = {cell for piece in (me, *others) for cell in piece.rests_on}
@@ -79,13 +79,13 @@ def _around(me: Piece, others: Sequence[Piece]) -> Iterator[str]:
         yield f"{name}{_state(me, piece, others)} {_place(me, piece.cell)}"
 
 
-def _ramp_below(car: Piece) -> Cell | None:
+def _ramp_below(car: WorldPart) -> Cell | None:
     """Return the cell of the part of a ramp that a car is on."""
     x, y, z = car.cell
     return {1: (x, y, z), 2: (x, y, z - 1)}.get(car.slope)
 
 
-def _state(me: Piece, piece: Piece, others: Sequence[Piece]) -> str:
+def _state(me: WorldPart, piece: WorldPart, others: Sequence[WorldPart]) -> str:
     """Say what a car carries and is on, or where a slope points."""
     if piece.kind == Kind.BODY:
         return f" that leads down {_DOWN[(piece.yaw - me.yaw) % 4]} is"
@@ -106,7 +106,7 @@ def _thing(kind: Kind) -> str:
     return {Kind.WALL: "a wall", Kind.BODY: "a ramp", **_LOADS}[kind]
 
 
-def _relative(me: Piece, cell: Cell) -> tuple[int, int, int]:
+def _relative(me: WorldPart, cell: Cell) -> tuple[int, int, int]:
     """Return how far ahead, to the left and above a cell is."""
     dx, dy, dz = (a - b for a, b in zip(cell, me.cell, strict=True))
     for _ in range(me.yaw % 4):
@@ -114,7 +114,7 @@ def _relative(me: Piece, cell: Cell) -> tuple[int, int, int]:
     return dx, dy, dz
 
 
-def _place(me: Piece, cell: Cell) -> str:
+def _place(me: WorldPart, cell: Cell) -> str:
     """Say where a cell is."""
     ahead, left, above = _relative(me, cell)
     ways = [_WAYS[0 if ahead > 0 else 2]] * (ahead != 0) + [_WAYS[1 if left > 0 else 3]] * (left != 0)

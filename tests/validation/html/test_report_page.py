@@ -12,7 +12,7 @@ from synthetic import attempt, audit, episodes, record
 from craftsim.checking.attempt import Result
 from craftsim.checking.recipe import Recipe, Step, do, start
 from craftsim.checking.settings import Setup
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.rendering.recorder import Recorder

@@ -7,8 +7,7 @@ import pytest
 
 from craftsim.checking.settings import setup_of
 from craftsim.cli import main
-from craftsim.discrete.files.blueprint import parse_blueprint
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.rules import Rules
 from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from craftsim.checking.attempt import Attempt
-from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.files.plan import read_plan
-from craftsim.discrete.files.saving import blueprint_text
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError

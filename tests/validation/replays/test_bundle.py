@@ -16,7 +16,7 @@ from craftsim import cli
 from craftsim.checking.recipe import Recipe, Step, do, run_up
 from craftsim.checking.settings import Setup, setup_of
 from craftsim.checking.world import Seed, compile_world
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError

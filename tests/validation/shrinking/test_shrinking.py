@@ -8,36 +8,35 @@ import pytest
 from craftsim import cli
 from craftsim.checking.recipe import Recipe, Step
 from craftsim.checking.settings import Setup
-from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
-from craftsim.discrete.files.saving import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.validation.audit.scenes import SCENES
 from craftsim.validation.replays.bundle import write_bundle
 from craftsim.validation.shrinking.campaign import first_of_each_kind
-from craftsim.validation.shrinking.pieces import Piece, cropped, grid_of, lowered, pieces_of, without
+from craftsim.validation.shrinking.pieces import WorldPart, cropped, grid_of, lowered, pieces_of, without
 from craftsim.validation.shrinking.shrink import DependsError, Situated, failing_actions, shrink
 from craftsim.validation.shrinking.words import sentence
 
 BLOCK, FSLOPE, BODY, AIR = Kind.BLOCK, Kind.FSLOPE, Kind.BODY, Kind.AIR
 
-NEEDED = (Piece((3, 3, 1), AIR, 1, BLOCK), Piece((4, 3, 1), AIR, 0))
+NEEDED = (WorldPart((3, 3, 1), AIR, 1, BLOCK), WorldPart((4, 3, 1), AIR, 0))
 """A load that turns beside a car: the published rules allow it, and its legs hit the car."""
 IDLE = (
-    Piece((6, 6, 2), AIR, 0, FSLOPE, 2),
-    Piece((6, 6, 1), BLOCK),
-    Piece((5, 6, 1), BLOCK),
-    Piece((1, 6, 1), Kind.WALL),
-    Piece((1, 1, 1), BLOCK),
-    Piece((2, 1, 1), BODY, 0),
-    Piece((6, 1, 1), FSLOPE, 1),
+    WorldPart((6, 6, 2), AIR, 0, FSLOPE, 2),
+    WorldPart((6, 6, 1), BLOCK),
+    WorldPart((5, 6, 1), BLOCK),
+    WorldPart((1, 6, 1), Kind.WALL),
+    WorldPart((1, 1, 1), BLOCK),
+    WorldPart((2, 1, 1), BODY, 0),
+    WorldPart((6, 1, 1), FSLOPE, 1),
 )
 SIZE = (8, 8, 3)
 PUBLISHED = Setup("published")
 
 
-def _cars_first(*pieces: Piece) -> tuple[Piece, ...]:
+def _cars_first(*pieces: WorldPart) -> tuple[WorldPart, ...]:
     return tuple(sorted(pieces, key=lambda piece: not piece.is_car))
 
 
@@ -65,30 +64,30 @@ def test_what_is_left_stands_when_a_piece_is_taken_away(scene):
 
 def test_what_stands_on_a_piece_goes_with_it():
     tower = (
-        Piece((0, 0, 1), BLOCK),
-        Piece((0, 0, 2), BLOCK),
-        Piece((0, 0, 3), AIR),
-        Piece((0, 0, 3), Kind.WALL),
+        WorldPart((0, 0, 1), BLOCK),
+        WorldPart((0, 0, 2), BLOCK),
+        WorldPart((0, 0, 3), AIR),
+        WorldPart((0, 0, 3), Kind.WALL),
     )
     assert without(tower, tower[:1]) == tower[3:], "a wall may float"
     ramp = (
-        Piece((0, 0, 1), BLOCK),
-        Piece((1, 0, 1), BLOCK),
-        Piece((0, 0, 2), BODY, 0),
-        Piece((1, 0, 2), AIR, 0, slope=1),
+        WorldPart((0, 0, 1), BLOCK),
+        WorldPart((1, 0, 1), BLOCK),
+        WorldPart((0, 0, 2), BODY, 0),
+        WorldPart((1, 0, 2), AIR, 0, slope=1),
     )
     assert without(ramp, ramp[1:2]) == ramp[:1], "the foot falls, and the car on it"
 
 
 def test_a_world_is_lowered_only_from_blocks():
-    on_block = (Piece((0, 0, 1), BLOCK), Piece((0, 0, 2), AIR))
-    assert lowered(on_block) == (Piece((0, 0, 1), AIR),)
-    assert lowered((*on_block, Piece((1, 0, 1), Kind.WALL))) == ()
-    assert lowered((Piece((0, 0, 1), AIR),)) == ()
+    on_block = (WorldPart((0, 0, 1), BLOCK), WorldPart((0, 0, 2), AIR))
+    assert lowered(on_block) == (WorldPart((0, 0, 1), AIR),)
+    assert lowered((*on_block, WorldPart((1, 0, 1), Kind.WALL))) == ()
+    assert lowered((WorldPart((0, 0, 1), AIR),)) == ()
 
 
 def test_a_crop_keeps_every_cell_inside():
-    pieces, size = cropped((Piece((5, 5, 1), AIR), Piece((7, 5, 1), BODY, 1)), margin=1, above=1)
+    pieces, size = cropped((WorldPart((5, 5, 1), AIR), WorldPart((7, 5, 1), BODY, 1)), margin=1, above=1)
     cells = np.array([cell for piece in pieces for cell in piece.cells])
     assert (cells.min(axis=0).tolist(), cells.max(axis=0).tolist(), size) == ([1, 1, 1], [3, 2, 1], (5, 4, 2))
 

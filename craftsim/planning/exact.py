@@ -208,7 +208,7 @@ def _expand(
     for car in range(w.cars.shape[0]):
         for i in range(actions.shape[0]):
             pose = pose_of(w, car)
-            if legal_actions(w, car, pose, actions[i], actions[i]) == 0:
+            if not legal_actions(w, car, pose, actions[i], actions[i]) & (1 << actions[i]):
                 continue
             apply(w, car, actions[i])
             sloping = pose.slope > 0 or car_field(w, car, F_SLOPE) > 0

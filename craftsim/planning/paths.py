@@ -135,8 +135,10 @@ def _find(
         if since + 1 >= span:
             continue
         # The action at the goal comes first, then staying, then the steps.
-        if arrived and legal_actions(now, me, car, last, last) & legal_actions(then, me, car, last, last):
-            return int(state)
+        if arrived:
+            legal = legal_actions(now, me, car, last, last) & legal_actions(then, me, car, last, last)
+            if legal & (1 << last):
+                return int(state)
         legal = legal_actions(now, me, car, ROTATE_LEFT, LAST_MOVE)
         legal &= legal_actions(then, me, car, ROTATE_LEFT, LAST_MOVE)
         for i in range(-1, N_STEPS):

@@ -9,7 +9,7 @@ from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.reach import car_in, carried_gear_in
-from craftsim.discrete.kernel.rules import act, legal_actions, load_below_walls, load_fits, why
+from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
 from craftsim.discrete.kernel.search import (
     UNKNOWN,
     SearchBuffers,
@@ -104,7 +104,7 @@ def step_with_helper(
 def reason(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> int:
     """Return why a car of a single world could not do an action now, as :func:`why` does."""
     w = World(cells, cars, corrections)
-    return why(w, car, pose_of(w, car), action)
+    return legal_actions(w, car, pose_of(w, car), action, action) >> REASON_BIT
 
 
 @compiled

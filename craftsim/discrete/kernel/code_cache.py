@@ -13,7 +13,7 @@ import hashlib
 import os
 import pickle
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -34,14 +34,17 @@ _GENERIC: Final = ("generic", "")
 _MOST: Final = 600
 """So many files are kept at most, those that were written or read last: several versions of all that is compiled."""
 _DIGEST_BYTES: Final = 32
+_FORMAT: Final = 2
+"""Of the files: what a library needs, what others need of it, and the code."""
 
 
-def load(name: str, context: Any) -> Any:
+def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
     """Return what was compiled under a name, a ``CompileResult`` of numba; None where there is nothing whole.
 
     Args:
         name: differs for whatever differs.
         context: numba's target context, which takes the code in.
+        bring: makes ready what the code needs, as ``needs`` of its library says.
     """
     context.refresh()
     triple, *processor = context.codegen().magic_tuple()
@@ -56,7 +59,11 @@ def load(name: str, context: Any) -> Any:
                 continue
             if own is not None and file.parent == own:
                 os.utime(file)
-            return compiler.CompileResult._rebuild(context, *pickle.loads(content[_DIGEST_BYTES:]))
+            needs, itself, code = pickle.loads(content[_DIGEST_BYTES:])
+            bring(needs)
+            result = compiler.CompileResult._rebuild(context, *code)
+            result.library.needs, result.library.itself = needs, itself
+            return result
     return None
 
 
@@ -65,7 +72,7 @@ def save(name: str, result: Any) -> None:
     own = folder()
     if own is None or result.library.has_dynamic_globals:
         return
-    data = serialize.dumps(result._reduce())
+    data = serialize.dumps((result.library.needs, result.library.itself, result._reduce()))
     file = own / _file(name, *result.codegen.magic_tuple())
     with suppress(InputError):
         write_whole(file, hashlib.sha256(data).digest() + data)
@@ -73,6 +80,7 @@ def save(name: str, result: Any) -> None:
 
 def _file(name: str, triple: str, processor: str, features: str) -> str:
     versions = (
+        _FORMAT,
         numba.__version__,
         llvmlite.__version__,
         platform.python_implementation(),

@@ -176,7 +176,7 @@ def drive(w: World, me: int, car: Pose, m: int) -> None:
     write_pose(w, me, new)
 
 
-@compiled(inline=False)
+@compiled
 def apply(w: World, me: int, action: int) -> None:
     """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
     car = pose_of(w, me)

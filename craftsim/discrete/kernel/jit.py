@@ -16,16 +16,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, partial
+from importlib import import_module
 from types import CodeType, ModuleType
 from typing import Any, Final, TypeVar, cast, overload
 
 import numpy as np
-from numba.core import config, sigutils, types
+from llvmlite import binding as llvm
+from numba.core import bytecode, config, sigutils, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
+from numba.core.untyped_passes import ExtractByteCode
 from numpy.typing import NDArray
 
 from craftsim.compiling import LOG
@@ -37,6 +40,9 @@ _OPTIONS: Final[dict[str, Any]] = {
     "_nrt": False,
     "no_cfunc_wrapper": True,
 }
+
+Need = tuple[str, str, tuple[types.Type, ...]]
+"""Module, name and argument types of a function that machine code calls, and that must be there before it."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 Record = Any
@@ -85,7 +91,7 @@ class _Compiled(CPUDispatcher):
             return self.overloads[arguments].entry_point
 
     def _load_or_compile(self, arguments: tuple[types.Type, ...]) -> None:
-        kind = "entry" if self._for_python else "part"
+        kind = "entry" if self._for_python else "part" if self.targetoptions["forceinline"] else "called"
         name = f"{self.py_func.__module__}.{self.__name__}.{kind} {self.content} {arguments}"
         if self._load(name):
             return
@@ -94,13 +100,24 @@ class _Compiled(CPUDispatcher):
             if self._load(name):
                 return
             self.overloads.pop(arguments, None)
-            self._compiler.pipeline_class = Compiler if self._for_python else _PartCompiler
+            compilers = {
+                "entry": Compiler,
+                "part": _PartCompiler,
+                "called": partial(_CalledCompiler, self.content),
+            }
+            self._compiler.pipeline_class = compilers[kind]
             self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
             super().compile(arguments)
+            library = self.overloads[arguments].library
+            linked = [one for one in library._linking_libraries if hasattr(one, "needs")]
+            library.needs = set[Need]().union(*(one.needs | one.itself for one in linked))
+            library.itself = (
+                {(self.py_func.__module__, self.__name__, arguments)} if kind == "called" else set()
+            )
             code_cache.save(name, self.overloads[arguments])
 
     def _load(self, name: str) -> bool:
-        result = code_cache.load(name, self.targetctx)
+        result = code_cache.load(name, self.targetctx, _bring)
         if result is not None:
             self._insert_into_context(result)
             self.add_overload(result)
@@ -159,13 +176,8 @@ class _Compiled(CPUDispatcher):
 class _Part(JITCodeLibrary):
     """Code that becomes a part of others': it is made machine code with each of those, and not by itself."""
 
-    inline = True
-
     def _optimize_final_module(self) -> None:
         """Inline what it calls; what is inlined itself is optimised where it ends up."""
-        if not self.inline:
-            super()._optimize_final_module()
-            return
         passes, builder = self._codegen._module_pass_manager(
             loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
         )
@@ -178,6 +190,49 @@ class _Part(JITCodeLibrary):
     def serialize_using_object_code(self) -> Any:
         """Return its code as it stands."""
         return self.serialize_using_bitcode()
+
+
+class _Called(JITCodeLibrary):
+    """Code that others call: it is made machine code once, and others only name it."""
+
+    _shared_module: Any
+
+    def _get_module_for_linking(self) -> Any:
+        """Return nothing to link: what calls it finds it by its name when it is made ready."""
+        self._ensure_finalized()
+        if self._shared_module is None:
+            self._shared_module = llvm.parse_assembly(str(self._codegen._create_empty_module(self.name)))
+        return self._shared_module
+
+
+class _CalledCompiler(Compiler):
+    """Compiles a function that others call, under a name that depends on its content alone."""
+
+    def __init__(
+        self,
+        content: str,
+        typingctx: Any,
+        targetctx: Any,
+        library: None,
+        args: Any,
+        return_type: Any,
+        flags: Any,
+        locals: Any,
+    ) -> None:
+        flags.no_compile = True
+        self._content = content
+        called = _Called(targetctx.codegen(), "called")
+        called.enable_object_caching()
+        super().__init__(typingctx, targetctx, called, args, return_type, flags, locals)
+
+    def compile_extra(self, func: Callable[..., Any]) -> Any:
+        """Compile a function; as numba does but for its number."""
+        self.state.func_id = bytecode.FunctionIdentity.from_function(func)
+        self.state.func_id.unique_id = int(self._content[:15], 16)
+        ExtractByteCode().run_pass(self.state)
+        self.state.lifted = ()
+        self.state.lifted_from = None
+        return self._compile_bytecode()
 
 
 class _PartCompiler(Compiler):
@@ -195,7 +250,6 @@ class _PartCompiler(Compiler):
     ) -> None:
         flags.no_compile = True
         part = _Part(targetctx.codegen(), "part")
-        part.inline = flags.forceinline
         super().__init__(typingctx, targetctx, part, args, return_type, flags, locals)
 
 
@@ -236,6 +290,12 @@ class _Progress:
 
 
 _progress: Final = _Progress()
+
+
+def _bring(needs: set[Need]) -> None:
+    """Have functions compiled or read that the machine code of another one calls."""
+    for module, name, arguments in sorted(needs, key=str):
+        getattr(import_module(module), name).compile(arguments)
 
 
 def _plain(kind: types.Type) -> types.Type:

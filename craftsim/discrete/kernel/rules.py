@@ -127,6 +127,9 @@ from craftsim.discrete.kernel.state import (
 
 # LIFT, DROP, FOLD, UNFOLD, turns
 
+REASON_BIT = 32
+"""Where the reason stands in what :func:`legal_actions` returns."""
+
 
 @compiled
 def why_lift(w: World, me: int, car: Pose) -> int:
@@ -525,19 +528,21 @@ def why(w: World, me: int, car: Pose, action: int) -> int:
 def legal_actions(w: World, me: int, car: Pose, first: int, last: int) -> int:
     """Return which of the actions from ``first`` to ``last`` are legal, a bit each, as :func:`why` says.
 
-    It is called, not inlined: so the rules above are compiled once.
+    Above these bits, from REASON_BIT on, stands why ``last`` is not legal. This function and the next are called, not
+    inlined: so the rules above are compiled twice and no more, here in a loop, which makes one action dear.
     """
-    legal = 0
+    legal, reason = 0, 0
     for action in range(first, last + 1):
-        if why(w, me, car, action) == LEGAL:
+        reason = why(w, me, car, action)
+        if reason == LEGAL:
             legal |= 1 << action
-    return legal
+    return legal | (reason << REASON_BIT)
 
 
-@compiled
+@compiled(inline=False)
 def act(w: World, me: int, action: int) -> bool:
     """Carry out an action if it is legal now, else leave the world as it is; return whether it was."""
-    if legal_actions(w, me, pose_of(w, me), action, action) == 0:
+    if why(w, me, pose_of(w, me), action) != LEGAL:
         return False
     apply(w, me, action)
     return True

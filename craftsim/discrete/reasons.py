@@ -20,7 +20,7 @@ _NEAR: Final = 3
 
 
 @dataclass(frozen=True)
-class Reason:
+class RuleReason:
     """A row of the table."""
 
     words: str
@@ -34,105 +34,105 @@ class Reason:
     """Of docs/rules.md, where the correction is explained."""
 
 
-def _stands_on(place: str) -> Reason:
-    return Reason(f"something stands on {{{place}}}: {{{place}:occupant}}", (place, f"above {place}"))
+def _stands_on(place: str) -> RuleReason:
+    return RuleReason(f"something stands on {{{place}}}: {{{place}:occupant}}", (place, f"above {place}"))
 
 
-REASONS: Final[dict[int, Reason]] = {
-    code.NEVER: Reason("cars do not move diagonally"),
-    code.ON_SLOPE: Reason("on a slope a car can only move forward"),
-    code.CARRIES: Reason("the car carries {load}"),
-    code.CARRIES_NOTHING: Reason("the car carries nothing"),
-    code.NOTHING_TO_LIFT: Reason("there is nothing to lift in {own}{own:if any}"),
+REASONS: Final[dict[int, RuleReason]] = {
+    code.NEVER: RuleReason("cars do not move diagonally"),
+    code.ON_SLOPE: RuleReason("on a slope a car can only move forward"),
+    code.CARRIES: RuleReason("the car carries {load}"),
+    code.CARRIES_NOTHING: RuleReason("the car carries nothing"),
+    code.NOTHING_TO_LIFT: RuleReason("there is nothing to lift in {own}{own:if any}"),
     code.THING_ON_TOP: _stands_on("own"),
-    code.ABOVE_TOP_LEVEL: Reason("{own} is above the top level, where nothing can be put down"),
-    code.NO_RAMP_HERE: Reason("there is no unfolded slope in {own}: {own:what}"),
-    code.CAR_ON_OWN_FOOT: Reason("car {car} is on the foot in {foot}", ("foot",)),
-    code.NO_SLOPE_HERE: Reason("there is no folded slope in {own}: {own:what}"),
-    code.FOOT_BLOCKED: Reason("the foot has no room in {foot}: {foot:what}", ("foot",)),
-    code.FOOT_UNSUPPORTED: Reason(
+    code.ABOVE_TOP_LEVEL: RuleReason("{own} is above the top level, where nothing can be put down"),
+    code.NO_RAMP_HERE: RuleReason("there is no unfolded slope in {own}: {own:what}"),
+    code.CAR_ON_OWN_FOOT: RuleReason("car {car} is on the foot in {foot}", ("foot",)),
+    code.NO_SLOPE_HERE: RuleReason("there is no folded slope in {own}: {own:what}"),
+    code.FOOT_BLOCKED: RuleReason("the foot has no room in {foot}: {foot:what}", ("foot",)),
+    code.FOOT_UNSUPPORTED: RuleReason(
         "the foot has nothing to stand on in {under foot}: {under foot:what}", ("foot",)
     ),
-    code.LANDING_BELOW_FOOT: Reason("{under foot} is the landing of a ramp", ("under foot",)),
-    code.LANDING_BELOW_BODY: Reason("{under own} is the landing of a ramp", ("under own",)),
-    code.TURN_UNDER_SLOPE: Reason("a car cannot turn under {own:what} in {own}"),
-    code.LOAD_HITS_THING: Reason("the load would hit {side:what} in {side}", ("side",)),
-    code.SLOPE_HITS_CORNER: Reason("the slope would hit {corner:what} in {corner}", ("corner",)),
-    code.LOAD_HITS_LOAD: Reason("the load would hit that of car {car} in {other}", ("other",)),
-    code.LOAD_HITS_GEAR: Reason(
+    code.LANDING_BELOW_FOOT: RuleReason("{under foot} is the landing of a ramp", ("under foot",)),
+    code.LANDING_BELOW_BODY: RuleReason("{under own} is the landing of a ramp", ("under own",)),
+    code.TURN_UNDER_SLOPE: RuleReason("a car cannot turn under {own:what} in {own}"),
+    code.LOAD_HITS_THING: RuleReason("the load would hit {side:what} in {side}", ("side",)),
+    code.SLOPE_HITS_CORNER: RuleReason("the slope would hit {corner:what} in {corner}", ("corner",)),
+    code.LOAD_HITS_LOAD: RuleReason("the load would hit that of car {car} in {other}", ("other",)),
+    code.LOAD_HITS_GEAR: RuleReason(
         "the load would hit the gear that car {car} carries in {other gear}", ("other gear",)
     ),
-    code.FORWARD_ONLY: Reason("from under {own:what} in {own} a car can only move forward"),
-    code.NOT_SIDEWAYS: Reason("from under {own:what} in {own} a car cannot move sideways"),
-    code.NO_FLOOR: Reason("there is nothing to stand on in {under target}: {under target:what}", ("target",)),
-    code.IN_THE_WAY: Reason("{target:what} is in {target}", ("target",)),
-    code.CAR_THERE: Reason("car {car} is in {target}", ("target",)),
-    code.GEAR_THERE: Reason("another car carries a gear in {target}", ("target",)),
-    code.GEAR_NO_ROOM: Reason("the gear of the load has no room in {swept}: {swept:blocker}", ("swept",)),
-    code.LOAD_NOT_UNDER: Reason("a load does not fit under {target:what} in {target}", ("target",)),
-    code.ENTERED_SIDEWAYS: Reason("{target:what} in {target} cannot be entered sideways", ("target",)),
-    code.HIGH_SIDE_ONLY: Reason(
+    code.FORWARD_ONLY: RuleReason("from under {own:what} in {own} a car can only move forward"),
+    code.NOT_SIDEWAYS: RuleReason("from under {own:what} in {own} a car cannot move sideways"),
+    code.NO_FLOOR: RuleReason("there is nothing to stand on in {under target}: {under target:what}", ("target",)),
+    code.IN_THE_WAY: RuleReason("{target:what} is in {target}", ("target",)),
+    code.CAR_THERE: RuleReason("car {car} is in {target}", ("target",)),
+    code.GEAR_THERE: RuleReason("another car carries a gear in {target}", ("target",)),
+    code.GEAR_NO_ROOM: RuleReason("the gear of the load has no room in {swept}: {swept:blocker}", ("swept",)),
+    code.LOAD_NOT_UNDER: RuleReason("a load does not fit under {target:what} in {target}", ("target",)),
+    code.ENTERED_SIDEWAYS: RuleReason("{target:what} in {target} cannot be entered sideways", ("target",)),
+    code.HIGH_SIDE_ONLY: RuleReason(
         "{target:what} in {target} is entered backwards, from its high side only", ("target",)
     ),
-    code.LOAD_NOT_THROUGH_GEAR: Reason("a load does not pass {target:what} in {target}", ("target",)),
-    code.NO_DESCENT_FROM: Reason("from a cell with {own:what} no ramp is driven down"),
-    code.DOWN_FORWARD_ONLY: Reason(
+    code.LOAD_NOT_THROUGH_GEAR: RuleReason("a load does not pass {target:what} in {target}", ("target",)),
+    code.NO_DESCENT_FROM: RuleReason("from a cell with {own:what} no ramp is driven down"),
+    code.DOWN_FORWARD_ONLY: RuleReason(
         "the ramp in {under target} is driven down forward, in its own direction, only", ("under target",)
     ),
     code.THING_ON_BODY_BELOW: _stands_on("under target"),
-    code.CAR_ON_FOOT_BELOW: Reason(
+    code.CAR_ON_FOOT_BELOW: RuleReason(
         "car {car} is on the foot of the ramp in {under second}", ("under second",)
     ),
-    code.NO_FLOOR_AT_END: Reason(
+    code.NO_FLOOR_AT_END: RuleReason(
         "the ramp ends in {under third}, where there is nothing to stand on", ("under third",)
     ),
     code.THING_AT_END: _stands_on("under under third"),
-    code.NO_ASCENT_FROM: Reason("from a cell with {own:what} no ramp is driven up"),
-    code.UP_FORWARD_ONLY: Reason(
+    code.NO_ASCENT_FROM: RuleReason("from a cell with {own:what} no ramp is driven up"),
+    code.UP_FORWARD_ONLY: RuleReason(
         "the ramp in {target} is driven up forward, from its low end, only", ("target",)
     ),
-    code.CAR_ON_FOOT: Reason("car {car} is on the foot of the ramp in {target}", ("target",)),
+    code.CAR_ON_FOOT: RuleReason("car {car} is on the foot of the ramp in {target}", ("target",)),
     code.THING_ON_BODY: _stands_on("second"),
-    code.NO_LANDING: Reason("the ramp has no landing in {third}: {third:what}", ("third",)),
-    code.CAR_ON_LANDING: Reason("car {car} is on the landing, in {above third}", ("above third",)),
-    code.NO_ROOM_ON_LANDING: Reason(
+    code.NO_LANDING: RuleReason("the ramp has no landing in {third}: {third:what}", ("third",)),
+    code.CAR_ON_LANDING: RuleReason("car {car} is on the landing, in {above third}", ("above third",)),
+    code.NO_ROOM_ON_LANDING: RuleReason(
         "there is no room above the landing, in {above third}: {above third:what}", ("above third",)
     ),
-    code.FLAP_HITS: Reason(
+    code.FLAP_HITS: RuleReason(
         "the flap would meet something on its way", correction=Correction.swinging_flap, heading="flap"
     ),
-    code.TURNING_LOAD_HITS: Reason(
+    code.TURNING_LOAD_HITS: RuleReason(
         "the load would hit a car, or a load that leans, as it turns",
         correction=Correction.turning_load,
         heading="turning-load",
     ),
-    code.LEANING_LOAD_HITS: Reason(
+    code.LEANING_LOAD_HITS: RuleReason(
         "a load that leans on a ramp would meet something",
         correction=Correction.leaning_load,
         heading="leaning-load",
     ),
-    code.OTHER_RAMP: Reason(
+    code.OTHER_RAMP: RuleReason(
         "on a ramp a car goes on along that ramp only", correction=Correction.own_ramp, heading="own-ramp"
     ),
-    code.RAMP_UNDER_GEAR: Reason(
+    code.RAMP_UNDER_GEAR: RuleReason(
         "a ramp below a gear is driven down in its own direction only",
         correction=Correction.ramp_below_gear,
         heading="through-a-gear",
     ),
-    code.REACHING_LOAD_HITS: Reason(
+    code.REACHING_LOAD_HITS: RuleReason(
         "something would meet a load that reaches in from another level",
         correction=Correction.reaching_load,
         heading="reaching-load",
     ),
-    code.WALL_OVERHEAD: Reason(
+    code.WALL_OVERHEAD: RuleReason(
         "there is a wall overhead", correction=Correction.overhead_wall, heading="overhead-wall"
     ),
-    code.GEARS_CROSS: Reason(
+    code.GEARS_CROSS: RuleReason(
         "the gear of the slope would cross something",
         correction=Correction.crossing_gear,
         heading="crossing-gear",
     ),
-    code.UNDER_THING_AT_END: Reason(
+    code.UNDER_THING_AT_END: RuleReason(
         "who comes down a ramp does not drive under what stands right behind its foot",
         correction=Correction.run_out,
         heading="run-out",

@@ -21,6 +21,7 @@ from craftsim.discrete.kernel.state import (
     F_Z,
     FLAG,
     FOOT,
+    FSLOPE,
     GEAR,
     KIND,
     World,
@@ -68,6 +69,8 @@ def score_buildings(
                 continue
             if not holds(w, kind, x, y, z, yaw):
                 finished = False
+                if thing == 0.0 and upper_block == 0.0:
+                    break
             elif kind == BLOCK and z > 1:
                 score += upper_block
             elif kind == BODY:
@@ -197,55 +200,76 @@ def flag_distances(worlds: World, goal: tuple[int, int, int], out: NDArray[np.fl
 
 
 @compiled
-def add_row(
-    rows: NDArray[np.int32], slots: NDArray[np.int64], flag: int, x: int, y: int, z: int, yaw: int
-) -> bool:
-    """Write an entity into the next free row of its type flag; return False if there is none.
+def write_row(row: NDArray[np.int32], x: int, y: int, z: int, flag: int, yaw: int) -> None:
+    """Write an entity's position, type flag and yaw into its 13 numbers."""
+    row[0], row[1], row[2] = x, y, z
+    row[flag] = 1
+    row[YAW_HIGH], row[YAW_LOW] = yaw >> 1, yaw & 1
 
-    A flag may have no row; ``slots`` is as in :func:`write_rows`.
-    """
-    if slots[1, flag] == 0:
-        return flag == IS_FLAG
-    row = slots[0, flag]
-    rows[row, 0], rows[row, 1], rows[row, 2] = x, y, z
-    rows[row, flag] = 1
-    rows[row, YAW_HIGH], rows[row, YAW_LOW] = yaw >> 1, yaw & 1
-    slots[0, flag] += 1
-    slots[1, flag] -= 1
-    return True
+
+@compiled
+def type_flag(kind: int) -> int:
+    """Return the place of the type flag of a kind, 0 for kinds without rows."""
+    if kind == BLOCK:
+        return IS_BLOCK
+    if kind == FSLOPE:
+        return IS_FSLOPE
+    if kind == BODY:
+        return IS_BODY
+    if kind == FOOT:
+        return IS_FOOT
+    return IS_FLAG if kind == FLAG else 0
 
 
 @compiled
 def write_rows(
     worlds: World,
-    type_flags: NDArray[np.int64],
-    first_slots: NDArray[np.int64],
+    first_rows: NDArray[np.int64],
+    counts: NDArray[np.int64],
     slots: NDArray[np.int64],
+    goal: tuple[int, int, int],
+    n_goals: int,
     out: NDArray[np.int32],
 ) -> bool:
-    """Write the rows of cars and things into out (B, n_rows, 13), zero there before; return whether all found one.
+    """Write the rows of cars and things into out (B, n_rows, 13); return whether all found one.
 
-    ``type_flags`` (9,) is by kind the place of its type flag, 0 for kinds without rows. ``first_slots`` (2, 13) has by
-    type flag the first row and how many there are; ``slots`` is scratch of that shape.
+    ``first_rows`` and ``counts`` (13,) have by type flag the first row and how many there are; a flag may find none.
+    ``slots`` (2, 13) is scratch. The last rows, ``n_goals`` of them, show the goal.
     """
     fit = True
     for i in range(out.shape[0]):
         w, rows = world_at(worlds, i), out[i]
-        for flag in range(slots.shape[1]):
-            slots[0, flag], slots[1, flag] = first_slots[0, flag], first_slots[1, flag]
+        rows[:] = 0
+        for row in range(out.shape[1] - n_goals, out.shape[1]):
+            write_row(rows[row], goal[0], goal[1], goal[2], IS_GOAL, 0)
+        following, free = slots[0], slots[1]
+        for flag in range(len(counts)):
+            following[flag], free[flag] = first_rows[flag], counts[flag]
         for car in range(w.cars.shape[0]):
             x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
-            fit &= add_row(rows, slots, IS_CAR, x, y, z, car_field(w, car, F_YAW))
-            flag = type_flags[car_field(w, car, F_LOAD)]
-            if flag != 0:
-                rows[car, IS_LOADED] = 1
-                fit &= add_row(rows, slots, flag, x, y, z, car_field(w, car, F_LOAD_YAW))
+            write_row(rows[car], x, y, z, IS_CAR, car_field(w, car, F_YAW))
+            flag = type_flag(car_field(w, car, F_LOAD))
+            if flag == 0:
+                continue
+            rows[car, IS_LOADED] = 1
+            if free[flag] > 0:
+                write_row(rows[following[flag]], x, y, z, flag, car_field(w, car, F_LOAD_YAW))
+                following[flag] += 1
+                free[flag] -= 1
+            elif flag != IS_FLAG:
+                fit = False
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
                 for z in range(1, w.cells.shape[2]):
                     if w.cells[x, y, z, KIND] == AIR:
                         continue
-                    flag = type_flags[w.cells[x, y, z, KIND]]
-                    if flag != 0:
-                        fit &= add_row(rows, slots, flag, x, y, z, yaw_at(w, x, y, z))
+                    flag = type_flag(kind_at(w, x, y, z))
+                    if flag == 0:
+                        continue
+                    if free[flag] > 0:
+                        write_row(rows[following[flag]], x, y, z, flag, yaw_at(w, x, y, z))
+                        following[flag] += 1
+                        free[flag] -= 1
+                    elif flag != IS_FLAG:
+                        fit = False
     return fit

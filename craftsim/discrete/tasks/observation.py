@@ -50,11 +50,13 @@ __all__ = [
     "target_rows",
 ]
 
-_TYPE_FLAGS: Final = np.zeros(len(Kind), np.int64)
-_TYPE_FLAGS[[Kind.FSLOPE, Kind.BODY, Kind.FOOT, Kind.BLOCK, Kind.FLAG]] = (
-    *(IS_FSLOPE, IS_BODY, IS_FOOT),
-    *(IS_BLOCK, IS_FLAG),
-)
+_TYPE_FLAGS: Final = {
+    Kind.FSLOPE: IS_FSLOPE,
+    Kind.BODY: IS_BODY,
+    Kind.FOOT: IS_FOOT,
+    Kind.BLOCK: IS_BLOCK,
+}
+"""Of what may be built."""
 
 
 @dataclass(frozen=True)
@@ -107,14 +109,6 @@ class Layout:
             first += count
         return slots
 
-    @cached_property
-    def empty_rows(self) -> NDArray[np.int32]:
-        """(n_rows, 13): the rows where there is no entity, which show the goal alone."""
-        rows = np.zeros((self.n_rows, ROW), np.int32)
-        goals = rows[-1 if self.shows_flag else -2 :]
-        goals[:, :3], goals[:, IS_GOAL] = self.goal_cell, 1
-        return rows
-
 
 def entity_rows(grids: Grid, layout: Layout, designs: Targets) -> NDArray[np.int32]:
     """Return (B, n_observed, 13): the rows of all entities of each of B worlds, and of its design where that is shown.
@@ -122,8 +116,9 @@ def entity_rows(grids: Grid, layout: Layout, designs: Targets) -> NDArray[np.int
     ``designs`` (B, T, 5) are what is to be built. Raises CraftsimError if a world has more cars, slopes or blocks than
     the layout has rows for.
     """
-    out = np.repeat(layout.empty_rows[None], len(grids), axis=0)
-    if not write_rows(grids.world(), _TYPE_FLAGS, layout.slots, np.empty_like(layout.slots), out):
+    out, slots = np.empty((len(grids), layout.n_rows, ROW), np.int32), np.empty_like(layout.slots)
+    goals = layout.goal_cell, 1 if layout.shows_flag else 2
+    if not write_rows(grids.world(), layout.slots[0], layout.slots[1], slots, *goals, out):
         raise CraftsimError(
             f"the world has more than the {layout.n_slopes} slopes and {layout.n_blocks} blocks announced"
         )
@@ -145,8 +140,8 @@ def target_rows(designs: Targets) -> NDArray[np.int32]:
     kind, yaw = designs[..., 0], np.maximum(designs[..., 4], 0)
     rows = np.zeros((*designs.shape[:-1], ROW), np.int32)
     rows[..., :3] = designs[..., 1:4]
-    for one in (Kind.FSLOPE, Kind.BODY, Kind.FOOT, Kind.BLOCK):
-        rows[..., _TYPE_FLAGS[one]] = kind == one
+    for one, flag in _TYPE_FLAGS.items():
+        rows[..., flag] = kind == one
     rows[..., YAW_HIGH], rows[..., YAW_LOW], rows[..., IS_GOAL] = yaw >> 1, yaw & 1, 1
     rows[kind == 0] = 0
     return rows

@@ -52,7 +52,7 @@ def test_all_scenes_that_are_allowed_are_tried(plan, quick):
 def test_each_flag_that_forbids_has_rows_on_both_sides(plan, quick):
     def forbidding(rows):
         starts = [start_of(row.members[0], "physical") for row in rows if not row.legal]
-        return {Rules("physical").explain(grid, 0, actions[0]).flag for grid, actions in starts}
+        return {Rules("physical").explain(grid, 0, actions[0]).correction for grid, actions in starts}
 
     assert forbidding(quick) == forbidding([row for row in plan if not row.no_prediction])
 

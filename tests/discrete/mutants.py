@@ -148,6 +148,8 @@ def tests_that_fail(mutant: Mutant | None) -> list[str]:
         shutil.copytree(ROOT / "tests" / "discrete", copy / "tests" / "discrete", ignore=ignored)
         (copy / "tests" / "data").mkdir()
         shutil.copy(ROOT / "tests" / "data" / "reasons.jsonl", copy / "tests" / "data")
+        (copy / "docs").mkdir()
+        shutil.copy(ROOT / "docs" / "rules.md", copy / "docs")
         if mutant is not None:
             source = copy / "craftsim" / "discrete" / mutant.file
             source.write_text(mutant.change(source.read_text()))

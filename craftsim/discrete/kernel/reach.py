@@ -58,7 +58,7 @@ def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: in
     return False
 
 
-@compiled
+@compiled(inline=False)
 def gear_across(w: World, me: int, x: int, y: int, z: int, along: int) -> bool:
     """Return whether a gear, standing or carried, reaches into a cell at a right angle to the direction ``along``."""
     for side in range(2):
@@ -84,7 +84,7 @@ def downhill_of(w: World, x: int, y: int, z: int, slope: int) -> int:
     return -1
 
 
-@compiled
+@compiled(inline=False)
 def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> bool:
     """Return whether another car's load leans into a cell; the direction ``tolerated`` (-1: none) is not seen."""
     for other in range(w.cars.shape[0]):

@@ -131,23 +131,16 @@ def _follow(
             # In the play the gear's friction alone is before the servo.
             turns = math.copysign(max(abs(told) - dry_nm[wheel] / gain, 0.0), told)
             passed = forces[motor] + forces[gears[wheel]] if bristles else 0.0
-            played[wheel] = _played(played[wheel], backlash, turns, elapsed_s * (turns - speed), passed)
+            # By how far the motor turns more than the wheel.
+            way = elapsed_s * (turns - speed)
+            # One that stands, and whose friction is still strained by what the wheel has passed to it, does not let go.
+            strained_ahead = played[wheel] == backlash and way < 0.0 and passed > 0.0 and turns >= 0.0
+            strained_back = played[wheel] == 0.0 and way > 0.0 and passed < 0.0 and turns <= 0.0
+            if not (strained_ahead or strained_back):
+                played[wheel] = min(max(played[wheel] + way, 0.0), backlash)
             engaged = played[wheel] == 0.0 or played[wheel] == backlash
         gain *= (1 - taken if told > speed else 1 + taken) if engaged else 0.0
         gains[motor, 0], biases[motor, 2] = gain, -gain
         limits[motor, 0], limits[motor, 1] = low * (1 + taken), high * (1 - taken)
         for k in range(friction.shape[1]):
             friction[gears[wheel], k] = own_friction[wheel, k] if engaged else 0.0
-
-
-@compiled
-def _played(played: float, backlash: float, turns: float, way: float, passed: float) -> float:
-    """Return where a gear is after its motor, which turns so fast, has gone some way more than the wheel.
-
-    One that stands, and whose friction is still strained by what the wheel has ``passed`` to it, does not let go.
-    """
-    if (played == backlash and way < 0.0 and passed > 0.0 and turns >= 0.0) or (
-        played == 0.0 and way > 0.0 and passed < 0.0 and turns <= 0.0
-    ):
-        return played
-    return min(max(played + way, 0.0), backlash)

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import compiled, records
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.models.measuring import Floats, Records, Wiring
 from craftsim.models.site import Site
@@ -57,32 +57,25 @@ def _read(
     out: Records,
 ) -> None:
     for i in range(len(cars)):
-        own = encoders[i]
-        if own.joints[0] < 0:
-            _roll(own, qpos, gear, cars[i])
+        own, was, at = encoders[i], encoders[i].pose, cars[i].pose
+        # How a car has moved since, along the mean of its axes then and now: by that its wheels turn without joints.
+        x, y, z = qpos[at] - was[0], qpos[at + 1] - was[1], qpos[at + 2] - was[2]
+        ahead, aside, _ = body_axes(was[3], was[4], was[5], was[6])
+        forward, left, _ = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
+        along = (x * (ahead[0] + forward[0]) + y * (ahead[1] + forward[1]) + z * (ahead[2] + forward[2])) / 2
+        across = (x * (aside[0] + left[0]) + y * (aside[1] + left[1]) + z * (aside[2] + left[2])) / 2
+        turn = math.atan2(
+            forward[0] * aside[0] + forward[1] * aside[1] + forward[2] * aside[2],
+            forward[0] * ahead[0] + forward[1] * ahead[1] + forward[2] * ahead[2],
+        )
+        for k in range(7):
+            was[k] = qpos[at + k]
         for wheel in range(4):
             if own.joints[wheel] >= 0:
                 own.angles[wheel] = own.before[wheel] + qpos[own.joints[wheel]]
+            else:
+                gears = gear[cars[i].wheel_motors[wheel]]
+                own.angles[wheel] += gears[0] * along + gears[1] * across + gears[5] * turn
             counts = math.floor(own.angles[wheel] / step_rad)
             out[i].wheel_speeds[wheel] = (counts - own.counts[wheel]) * step_rad / period_s
             own.counts[wheel] = counts
-
-
-@compiled
-def _roll(own: Record, qpos: Floats, gear: Floats, car: Record) -> None:
-    """Turn the wheels of a car as it has moved since, along the mean of its axes then and now."""
-    was, at = own.pose, car.pose
-    x, y, z = qpos[at] - was[0], qpos[at + 1] - was[1], qpos[at + 2] - was[2]
-    ahead, aside, _ = body_axes(was[3], was[4], was[5], was[6])
-    forward, left, _ = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
-    along = (x * (ahead[0] + forward[0]) + y * (ahead[1] + forward[1]) + z * (ahead[2] + forward[2])) / 2
-    across = (x * (aside[0] + left[0]) + y * (aside[1] + left[1]) + z * (aside[2] + left[2])) / 2
-    turn = math.atan2(
-        forward[0] * aside[0] + forward[1] * aside[1] + forward[2] * aside[2],
-        forward[0] * ahead[0] + forward[1] * ahead[1] + forward[2] * ahead[2],
-    )
-    for wheel in range(4):
-        gears = gear[car.wheel_motors[wheel]]
-        own.angles[wheel] += gears[0] * along + gears[1] * across + gears[5] * turn
-    for k in range(7):
-        was[k] = qpos[at + k]

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import compiled, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.noise import SensorNoise
@@ -120,24 +120,19 @@ def _take(
         # There is always a first one.
         now.fresh = 1 if n_periods == 0 or (arrives and uniforms[i, 0] >= noise.lost_share) else 0
         if now.fresh:
-            back = max(car.delay + since + noise.jitter_s * normals[i, 0], 0.0)
-            _localise(now, past[i], min(back, float(oldest)), noise, white[i])
+            # The pose of so many periods ago.
+            back = min(max(car.delay + since + noise.jitter_s * normals[i, 0], 0.0), float(oldest))
+            newer, older = math.floor(back), math.ceil(back)
+            share = back - newer
+            a, b = past[i, newer], past[i, older]
+            now.x = a[0] + share * (b[0] - a[0]) + noise.position_m * white[i, 0]
+            now.y = a[1] + share * (b[1] - a[1]) + noise.position_m * white[i, 1]
+            now.z = a[2] + share * (b[2] - a[2]) + noise.position_m * white[i, 2]
+            heading = a[3] + share * wrap(b[3] - a[3]) + noise.heading_rad * white[i, 3]
+            # That lies beside the car's place.
             now.x += car.off_x
             now.y += car.off_y
-            now.heading = wrap(now.heading + car.off_heading)
+            now.heading = wrap(heading + car.off_heading)
             if uniforms[i, 1] < noise.outlier_share:
                 now.x += noise.outlier_m * math.cos(2 * math.pi * uniforms[i, 2])
                 now.y += noise.outlier_m * math.sin(2 * math.pi * uniforms[i, 2])
-
-
-@compiled
-def _localise(now: Record, past: Floats, back: float, noise: Record, normals: Floats) -> None:
-    """Read the pose of ``back`` periods ago."""
-    newer = math.floor(back)
-    share = back - newer
-    a, b = past[newer], past[math.ceil(back)]
-    now.x = a[0] + share * (b[0] - a[0]) + noise.position_m * normals[0]
-    now.y = a[1] + share * (b[1] - a[1]) + noise.position_m * normals[1]
-    now.z = a[2] + share * (b[2] - a[2]) + noise.position_m * normals[2]
-    turn = wrap(b[3] - a[3])
-    now.heading = a[3] + share * turn + noise.heading_rad * normals[3]

@@ -138,8 +138,20 @@ def _read_cars(
         force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
         force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
         now.board_force_n = min(max(force, ranges[motor, 0]), ranges[motor, 1])
-        now.slope = _docked_slope(now, forward, left, up, qpos, plugs, reach[0])
-        now.hinge_rad = qpos[plugs[now.slope].hinge] if now.slope >= 0 else 0.0
+        # The slope right above: its plug reaches a car that is centred below it.
+        now.slope, now.hinge_rad = -1, 0.0
+        for slope in range(len(plugs)):
+            at = plugs[slope].pose
+            x, y, z = qpos[at] - now.x, qpos[at + 1] - now.y, qpos[at + 2] - now.z
+            if math.sqrt(x * x + y * y + z * z) > reach[0].any_m:
+                continue
+            along = forward[0] * x + forward[1] * y + forward[2] * z
+            across = left[0] * x + left[1] * y + left[2] * z
+            above = up[0] * x + up[1] * y + up[2] * z
+            aside = math.sqrt(along * along + across * across)
+            if aside < reach[0].across_m and abs(above) < reach[0].above_m:
+                now.slope, now.hinge_rad = slope, qpos[plugs[slope].hinge]
+                break
         now.position_std_m = now.heading_std_rad = 0.0
         now.fresh = 1
         read_lines(now, forward, left, up, lines[i], qpos, crosses, reach[0].above_m)
@@ -182,21 +194,3 @@ def read_lines(
 @compiled
 def _dot(a: Axis, b: Axis) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@compiled
-def _docked_slope(
-    now: Record, forward: Axis, left: Axis, up: Axis, qpos: Floats, plugs: Records, reach: Record
-) -> int:
-    """Return the slope right above a car, or -1: its plug reaches a car that is centred below it."""
-    for i in range(len(plugs)):
-        at = plugs[i].pose
-        x, y, z = qpos[at] - now.x, qpos[at + 1] - now.y, qpos[at + 2] - now.z
-        if math.sqrt(x * x + y * y + z * z) > reach.any_m:
-            continue
-        along = forward[0] * x + forward[1] * y + forward[2] * z
-        across = left[0] * x + left[1] * y + left[2] * z
-        above = up[0] * x + up[1] * y + up[2] * z
-        if math.sqrt(along * along + across * across) < reach.across_m and abs(above) < reach.above_m:
-            return i
-    return -1

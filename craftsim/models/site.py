@@ -27,7 +27,6 @@ from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import FreeBody
 from craftsim.models.placement import placements
-from craftsim.models.stepping import UNKNOWN, note_commanded, reaches
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _BROKEN = [
@@ -138,8 +137,8 @@ class Site:
         self._drivetrains: Drivetrains | None = None
         self._ctrl, self._steps_per_period = self.data.ctrl, self.config.steps_per_period
         self._policies = self.model.tree_sleep_policy.copy()
-        self._commanded = np.full(self.model.nu, UNKNOWN, np.int8)
-        """Which motors had a command in the last period; UNKNOWN where the policies may not fit it."""
+        self._commanded = b""
+        """Which motors had a command in the last period, a byte each; empty where the policies may not fit it."""
         self._tree_of_motor = parts.tree_of_motor
         self.cars, self.slopes, self.blocks, self.flags = parts.cars, parts.slopes, parts.blocks, parts.flags
         self.machine_names = parts.names
@@ -246,7 +245,8 @@ class Site:
         """Run one control period of physics under the commands that stand; ``observe`` is called after every step."""
         if self._grip is not None:
             self._grip.limit()
-        if note_commanded(self._ctrl, self._commanded) and self.config.sleep and self._rouse():
+        before, self._commanded = self._commanded, (self._ctrl != 0.0).tobytes()
+        if self._commanded != before and self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
             self.model.opt.enableflags &= ~_SLEEP
             self._step(1, observe)
@@ -262,7 +262,8 @@ class Site:
         for _ in range(count):
             mujoco.mj_step(model, data)
             self.follow()
-            self.capped_steps += reaches(iterations, cap)
+            # Of a list it is quicker than of a short array.
+            self.capped_steps += max(iterations.tolist()) >= cap
             if self._grip is not None and self.uneven:
                 self._grip.limit()
             if observe is not None:
@@ -311,11 +312,11 @@ class Site:
 
     def _set_policies(self, policies: NDArray[np.int32]) -> None:
         self.model.tree_sleep_policy[:] = policies
-        self._commanded[:] = UNKNOWN
+        self._commanded = b""
 
     def _rouse(self) -> bool:
         """Keep commanded trees awake, let the others sleep; return whether a commanded one is asleep."""
         self.model.tree_sleep_policy[self._tree_of_motor] = _MAY_SLEEP
-        busy = self._tree_of_motor[self._commanded == 1]
+        busy = self._tree_of_motor[self._ctrl != 0.0]
         self.model.tree_sleep_policy[busy] = _STAY_AWAKE
         return bool((self.data.tree_asleep[busy] >= 0).any())

@@ -5,15 +5,14 @@ from __future__ import annotations
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.motors import drive_wheels
-from craftsim.skills.driving_law import drive_law, path_pose
+from craftsim.skills.driving_law import drive_law
 from craftsim.skills.folding import hinge_law
-from craftsim.skills.ground import feel_ground, is_sloping
+from craftsim.skills.ground import feel_ground
 from craftsim.skills.health import check_health
 from craftsim.skills.holding import hold_law
 from craftsim.skills.leading import find_lag, lead_wheels
 from craftsim.skills.lifting import board_law
-from craftsim.skills.state import BOARD, DRIVE, HINGE, HOLD, IDLE, OWN, RUNNING, STOP
-from craftsim.skills.stopping import stop_law
+from craftsim.skills.state import BOARD, DRIVE, HINGE, HOLD, IDLE, OWN, RUNNING
 
 
 @compiled
@@ -34,6 +33,8 @@ def step_cars(
 ) -> int:
     """Step all cars that are not idle, and command their motors; return how many compiled tasks have ended.
 
+    A law is stepped as :meth:`craftsim.skills.skill.Skill.step` does; a task that has ended stops all.
+
     Args:
         readings: (n,) READING, what the cars measure.
         tasks: (n,) TASK.
@@ -51,8 +52,8 @@ def step_cars(
     """
     ended = 0
     for car in range(len(tasks)):
-        task = tasks[car]
-        feel_ground(grounds[car], readings[car], task, constants[car])
+        task, known = tasks[car], constants[car]
+        level = feel_ground(grounds[car], readings[car], task, known)
         if task.law == IDLE:
             continue
         if task.law != OWN:
@@ -60,11 +61,21 @@ def step_cars(
         if task.law == HOLD:
             hold_law(readings, tasks, past, constants, commands, car)
         elif task.law != OWN:
-            _step(readings, tasks, past, constants, commands, car)
-            ended += task.status != RUNNING
-        known = constants[car]
+            if task.status == RUNNING:
+                check_health(readings, tasks, constants, car)
+            if task.status == RUNNING:
+                if task.law == DRIVE:
+                    drive_law(readings, tasks, past, constants, commands, car)
+                elif task.law == BOARD:
+                    board_law(readings, tasks, past, constants, commands, car)
+                elif task.law == HINGE:
+                    hinge_law(readings, tasks, past, constants, commands, car)
+                task.elapsed_s += known.period_s
+            if task.status != RUNNING:
+                _clear(commands[car])
+                ended += 1
         # On a slope wheels follow their servos only as far as they have grip.
-        if not is_sloping(readings[car], task, known):
+        if level:
             most_behind = known.car.wheel_torque_nm / known.car.wheel_gain_nms_rad
             find_lag(leads[car], readings[car].wheel_speeds, most_behind)
         lead_wheels(leads[car], commands[car].wheels, known.car.wheel_speed_rad_s, known.period_s)
@@ -85,34 +96,3 @@ def _clear(command: Record) -> None:
     for wheel in range(4):
         command.wheels[wheel] = 0.0
     command.board = command.hinge = 0.0
-
-
-@compiled
-def _step(
-    readings: Records, tasks: Records, past: Floats, constants: Records, commands: Records, car: int
-) -> None:
-    """Step the law of one car as :meth:`craftsim.skills.skill.Skill.step` does; a task that has ended stops all."""
-    task = tasks[car]
-    if task.status == RUNNING:
-        check_health(readings, tasks, constants, car)
-    if task.status == RUNNING:
-        if task.law == DRIVE:
-            drive_law(readings, tasks, past, constants, commands, car)
-        elif task.law == BOARD:
-            board_law(readings, tasks, past, constants, commands, car)
-        elif task.law == HINGE:
-            hinge_law(readings, tasks, past, constants, commands, car)
-        elif task.law == STOP:
-            stop_law(readings, tasks, past, constants, commands, car)
-        task.elapsed_s += constants[car].period_s
-        if task.status != RUNNING:
-            _clear(commands[car])
-
-
-@compiled
-def read_paths(tasks: Records, out: Floats) -> None:
-    """Write where on its path each car that drives should be now into ``out``, (n, 3); of others it stays as it is."""
-    for car in range(len(tasks)):
-        task = tasks[car]
-        if task.law == DRIVE and task.status == RUNNING:
-            out[car, 0], out[car, 1], out[car, 2] = path_pose(task.drive, task.elapsed_s)

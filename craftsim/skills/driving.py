@@ -48,6 +48,7 @@ class DrivingSkill(CompiledSkill):
         drive["delta"] = self._delta
         drive["direction"] = tuple(d / travel for d in self._delta) if travel else (0.0, 0.0, 0.0)
         drive["profile"] = profile.cruise_speed, profile.ramp_s, profile.duration_s
+        drive["path"] = now.x, now.y, now.heading
         drive["load_kg"], drive["loaded"] = self._load_kg, self._loaded
         drive["before"], drive["wheels_before"] = drive["origin"], now.wheel_speeds
 

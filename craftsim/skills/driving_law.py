@@ -13,9 +13,9 @@ from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import Floats, Records
 from craftsim.skills.health import check_load, end
-from craftsim.skills.mecanum import Triple, body_twist, wheel_speeds, wheel_torques
+from craftsim.skills.mecanum import Triple, wheel_speeds, wheel_torques
 from craftsim.skills.profile import distance_at, motion_at
-from craftsim.skills.progress import length, progress
+from craftsim.skills.progress import check_progress
 from craftsim.skills.state import GRAVITY, MOVES_OFF_TARGET, RESTS_OFF_TARGET, RUNNING, SUCCEEDED
 
 
@@ -28,11 +28,19 @@ def drive_law(
     drive, gains = task.drive, known.drive
     if drive.loaded:
         check_load(readings, tasks, constants, car)
-    x, y, heading = path_pose(drive, task.elapsed_s)
-    error = x - now.x, y - now.y, wrap(heading - now.heading)
-    _check_progress(now, task, known, error)
+    error = drive.path[0] - now.x, drive.path[1] - now.y, wrap(drive.path[2] - now.heading)
+    check_progress(now, task, known, error, _to_body(error, now))
     if task.elapsed_s >= drive.profile.duration_s:
-        _check_arrival(now, task, known, error)
+        # There it has to rest, and to be sure that it is there.
+        offset, turn = math.hypot(error[0], error[1]), abs(error[2])
+        there = offset < gains.position_tolerance and turn < gains.heading_tolerance
+        sure = now.position_std_m < gains.position_certainty and now.heading_std_rad < gains.heading_certainty
+        drive.there_periods = drive.there_periods + 1 if there and sure else 0
+        drive.rest_periods = drive.rest_periods + 1 if drive.there_periods and drive.at_rest else 0
+        if drive.rest_periods >= gains.rest_periods:
+            end(task, SUCCEEDED, 0.0, 0.0)
+        elif task.elapsed_s > drive.profile.duration_s + gains.settle_allowance:
+            end(task, RESTS_OFF_TARGET if drive.at_rest else MOVES_OFF_TARGET, offset * 1e3, turn * 1e3)
     told = commands[car].wheels
     if task.status == RUNNING and drive.there_periods <= gains.brake_periods:
         _command_wheels(now, drive, known, error, task.elapsed_s, told)
@@ -40,13 +48,10 @@ def drive_law(
         told[0] = told[1] = told[2] = told[3] = 0.0
     for wheel in range(4):
         drive.commanded[wheel] = told[wheel]
-
-
-@compiled
-def path_pose(drive: Record, t: float) -> Triple:
-    """Return where on its path a car should be at time t: x and y in metres, and heading."""
-    start, step, way = drive.origin, drive.direction, distance_at(drive.profile, t)
-    return start.x + step.x * way, start.y + step.y * way, start.heading + step.heading * way
+    start, step = drive.origin, drive.direction
+    way = distance_at(drive.profile, task.elapsed_s + known.period_s)
+    drive.path[0], drive.path[1] = start.x + step.x * way, start.y + step.y * way
+    drive.path[2] = start.heading + step.heading * way
 
 
 @compiled
@@ -74,7 +79,18 @@ def _command_wheels(
     forward, left, turn = _to_body(velocity, now)
     left, turn = gains.sideways_slip * left, gains.turn_slip * turn
     speeds = wheel_speeds(car.lever_m, car.radius_m, forward, left, turn)
-    front, rear = _stretch(now, drive, car)
+    # By what factors the front and the rear wheels must outrun the body's forward speed: where the ground bends, at the
+    # cell border, the axles roll on different inclines, but the stiff body gives both the same speed along itself. An
+    # axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
+    front = rear = 1.0
+    if drive.sloping:
+        origin, delta = drive.origin, drive.delta
+        past_x, past_y = now.x - origin.x - delta.x / 2, now.y - origin.y - delta.y / 2
+        past_border = past_x * drive.step_x + past_y * drive.step_y
+        ahead = math.cos(now.heading) * drive.step_x + math.sin(now.heading) * drive.step_y
+        reach = car.wheel_x_m * ahead * math.cos(now.pitch)
+        front = 1 / math.cos((drive.end_rad if past_border + reach > 0 else drive.start_rad) - now.pitch)
+        rear = 1 / math.cos((drive.end_rad if past_border - reach > 0 else drive.start_rad) - now.pitch)
     load_kg = max(0.0, now.board_force_n) / GRAVITY if drive.loaded else 0.0
     mass = car.mass_kg + load_kg
     weight, inertia = mass * GRAVITY, mass + car.spin_mass_kg
@@ -108,59 +124,6 @@ def _shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tup
         return 0.0, 0.0
     speed = gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
     return -speed * error[1], speed * error[0]
-
-
-@compiled
-def _stretch(now: Record, drive: Record, car: Record) -> tuple[float, float]:
-    """Return by what factors the front and the rear wheels must outrun the body's forward speed.
-
-    Where the ground bends, at the cell border, the axles roll on different inclines, but the stiff body gives both the
-    same speed along itself: an axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
-    """
-    if not drive.sloping:
-        return 1.0, 1.0
-    origin, delta = drive.origin, drive.delta
-    past_x, past_y = now.x - origin.x - delta.x / 2, now.y - origin.y - delta.y / 2
-    past_border = past_x * drive.step_x + past_y * drive.step_y
-    forward = math.cos(now.heading) * drive.step_x + math.sin(now.heading) * drive.step_y
-    reach = car.wheel_x_m * forward * math.cos(now.pitch)
-    front = drive.end_rad if past_border + reach > 0 else drive.start_rad
-    rear = drive.end_rad if past_border - reach > 0 else drive.start_rad
-    return 1 / math.cos(front - now.pitch), 1 / math.cos(rear - now.pitch)
-
-
-@compiled
-def _check_progress(now: Record, task: Record, known: Record, error: Triple) -> None:
-    drive, gains, car = task.drive, known.drive, known.car
-    fl, fr, rl, rr = now.wheel_speeds[0], now.wheel_speeds[1], now.wheel_speeds[2], now.wheel_speeds[3]
-    # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
-    # Localisations jitter, so they do not tell.
-    rolled = length(car.lever_m, body_twist(car.lever_m, car.radius_m, fl, fr, rl, rr))
-    fl, fr, rl, rr = abs(fl), abs(fr), abs(rl), abs(rr)
-    second_fastest = max(min(max(fl, fr), max(rl, rr)), min(fl, fr), min(rl, rr))
-    drive.at_rest = rolled < gains.speed_at_rest or second_fastest < gains.wheels_at_rest
-    status = progress(now, drive, known, _to_body(error, now), car.mass_kg + drive.load_kg)
-    before = drive.before
-    before.x, before.y, before.heading = now.x, now.y, now.heading
-    for wheel in range(4):
-        drive.wheels_before[wheel] = now.wheel_speeds[wheel]
-    if status != RUNNING:
-        behind = math.hypot(error[0], error[1]) + car.lever_m * abs(error[2])
-        end(task, status, behind * 1e3, 0.0)
-
-
-@compiled
-def _check_arrival(now: Record, task: Record, known: Record, error: Triple) -> None:
-    drive, gains = task.drive, known.drive
-    offset, turn = math.hypot(error[0], error[1]), abs(error[2])
-    there = offset < gains.position_tolerance and turn < gains.heading_tolerance
-    sure = now.position_std_m < gains.position_certainty and now.heading_std_rad < gains.heading_certainty
-    drive.there_periods = drive.there_periods + 1 if there and sure else 0
-    drive.rest_periods = drive.rest_periods + 1 if drive.there_periods and drive.at_rest else 0
-    if drive.rest_periods >= gains.rest_periods:
-        end(task, SUCCEEDED, 0.0, 0.0)
-    elif task.elapsed_s > drive.profile.duration_s + gains.settle_allowance:
-        end(task, RESTS_OFF_TARGET if drive.at_rest else MOVES_OFF_TARGET, offset * 1e3, turn * 1e3)
 
 
 @compiled

@@ -15,7 +15,7 @@ from craftsim.models.motors import Motors
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.sensing import CarMeasurement, Sensors, measurement_of
 from craftsim.models.site import Site
-from craftsim.skills.control import read_paths, step_cars
+from craftsim.skills.control import step_cars
 from craftsim.skills.fleet import Fleet, SiteFleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.ground import GROUND
@@ -25,7 +25,7 @@ from craftsim.skills.localisation import Localiser
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.recovery import Tries
 from craftsim.skills.skill import CompiledSkill, Skill, SkillSetup, Terrain, n_past
-from craftsim.skills.state import COMMAND, CONSTANTS, HOLD, IDLE, OWN, TASK
+from craftsim.skills.state import COMMAND, CONSTANTS, DRIVE, HOLD, IDLE, OWN, RUNNING, TASK
 
 Observer = Callable[[Site], None]
 _NO_TASK: Final = np.zeros((), TASK)
@@ -140,9 +140,9 @@ class Executor:
     def paths(self) -> NDArray[np.float64]:
         """Return where on its path each car should be now, (n, 3): x and y in metres, and heading in radians; nan
         for those not driving."""
-        poses = np.full((len(self._tasks), 3), np.nan)
-        read_paths(self._tasks, poses)
-        return poses
+        tasks = self._tasks
+        driving = (tasks["law"] == DRIVE) & (tasks["status"] == RUNNING)
+        return np.where(driving[:, None], tasks["drive"]["path"], np.nan)
 
     def begin(self, car: int, action: Action, terrain: Terrain | None = None) -> None:
         """Let an idle car start an action; it runs as :meth:`advance` is called."""

@@ -36,17 +36,14 @@ is too large, but may be noise; whether it ever was too large beyond doubt."""
 
 
 @compiled
-def is_sloping(now: Record, task: Record, known: Record) -> bool:
-    """Return whether a car stands on a slope, or drives from or onto one."""
+def feel_ground(ground: Record, now: Record, task: Record, known: Record) -> bool:
+    """Take a car's reading into its GROUND and return True.
+
+    Return False, and leave it, for one that stands on a slope or drives from or onto one.
+    """
     leans = max(abs(now.pitch), abs(now.roll)) > known.hold.level
-    return bool(leans or (task.law == DRIVE and task.drive.sloping))
-
-
-@compiled
-def feel_ground(ground: Record, now: Record, task: Record, known: Record) -> None:
-    """Take a car's reading into its GROUND, unless it stands on a slope or drives from or onto one."""
-    if is_sloping(now, task, known):
-        return
+    if leans or (task.law == DRIVE and task.drive.sloping):
+        return False
     ground.n_read += 1
     share = 1 / min(float(ground.n_read), max(1.0, known.uneven.tilt_time / known.period_s))
     pitch, roll = now.pitch - ground.pitch, now.roll - ground.roll
@@ -59,3 +56,4 @@ def feel_ground(ground: Record, now: Record, task: Record, known: Record) -> Non
     if ground.n_read >= _FEWEST and beyond > _SURE * error:
         ground.uneven = 1
     ground.doubtful = beyond > 0 and not ground.uneven
+    return True

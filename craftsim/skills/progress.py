@@ -13,43 +13,48 @@ import math
 
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
+from craftsim.skills.health import end
 from craftsim.skills.mecanum import Triple, body_twist, wrench_of
-from craftsim.skills.state import BLOCKED, GRAVITY, RUNNING, SLIPPED
+from craftsim.skills.state import BLOCKED, GRAVITY, SLIPPED
 
 
 @compiled
-def progress(now: Record, drive: Record, known: Record, error: Triple, mass_kg: float) -> int:
-    """Return BLOCKED or SLIPPED for a car that does not get on, RUNNING while it does or it is too early to say.
+def check_progress(now: Record, task: Record, known: Record, error: Triple, ahead: Triple) -> None:
+    """End the task of a car that does not get on, unless it is too early to say, and note whether it rests.
 
     Args:
         now: what it measures.
-        drive: its task; ``before`` and ``wheels_before`` are what it measured a period ago, ``commanded`` the speeds
-            that its wheels were told in between.
+        task: of driving; its ``before`` and ``wheels_before`` are what it measured a period ago, ``commanded`` the
+            speeds that its wheels were told in between.
         known: its constants.
-        error: (m, m, rad) from the car to where it should be, in its own frame.
-        mass_kg: of car and load.
+        error: (m, m, rad) from the car to where it should be.
+        ahead: the same in its own frame.
     """
-    behind, gains, car, period_s = drive.behind, known.drive, known.car, known.period_s
-    lever_m = car.lever_m
-    if math.hypot(error[0], error[1]) + lever_m * abs(error[2]) <= gains.blocked_error:
+    drive, gains, car, period_s = task.drive, known.drive, known.car, known.period_s
+    wheels, behind, before, lever_m = now.wheel_speeds, drive.behind, drive.before, car.lever_m
+    rolled = length(lever_m, body_twist(lever_m, car.radius_m, wheels[0], wheels[1], wheels[2], wheels[3]))
+    # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
+    # Localisations jitter, so they do not tell.
+    fl, fr, rl, rr = abs(wheels[0]), abs(wheels[1]), abs(wheels[2]), abs(wheels[3])
+    second_fastest = max(min(max(fl, fr), max(rl, rr)), min(fl, fr), min(rl, rr))
+    drive.at_rest = rolled < gains.speed_at_rest or second_fastest < gains.wheels_at_rest
+    if math.hypot(ahead[0], ahead[1]) + lever_m * abs(ahead[2]) <= gains.blocked_error:
         behind.stuck_s = behind.rolled_m = behind.moved_m = behind.free_m_s = behind.free_m = 0.0
-        return RUNNING
-    turned = wrap(now.heading - drive.before.heading)
-    wheels = now.wheel_speeds
-    rolled = body_twist(lever_m, car.radius_m, wheels[0], wheels[1], wheels[2], wheels[3])
-    behind.stuck_s += period_s
-    behind.moved_m += length(lever_m, (now.x - drive.before.x, now.y - drive.before.y, turned))
-    behind.rolled_m += length(lever_m, rolled) * period_s
-    x, y, turn = _push(now, drive, known, mass_kg)
-    towards = (
-        x / mass_kg * error[0] + y / mass_kg * error[1] + turn / car.turn_inertia_kgm2 * lever_m**2 * error[2]
-    )
-    behind.free_m_s += towards / length(lever_m, error) * period_s
-    behind.free_m += behind.free_m_s * period_s
-    if behind.stuck_s <= gains.blocked_time:
-        return RUNNING
-    enough = gains.slip_ratio * behind.moved_m + gains.slip_distance
-    return SLIPPED if behind.rolled_m > enough and enough >= behind.free_m else BLOCKED
+    else:
+        behind.stuck_s += period_s
+        moved = (now.x - before.x, now.y - before.y, wrap(now.heading - before.heading))
+        behind.moved_m += length(lever_m, moved)
+        behind.rolled_m += rolled * period_s
+        behind.free_m_s += _pull(now, drive, known, ahead) / length(lever_m, ahead) * period_s
+        behind.free_m += behind.free_m_s * period_s
+        if behind.stuck_s > gains.blocked_time:
+            enough = gains.slip_ratio * behind.moved_m + gains.slip_distance
+            slips = behind.rolled_m > enough and enough >= behind.free_m
+            behind_m = math.hypot(error[0], error[1]) + lever_m * abs(error[2])
+            end(task, SLIPPED if slips else BLOCKED, behind_m * 1e3, 0.0)
+    before.x, before.y, before.heading = now.x, now.y, now.heading
+    for wheel in range(4):
+        drive.wheels_before[wheel] = wheels[wheel]
 
 
 @compiled
@@ -59,9 +64,9 @@ def length(lever_m: float, way: Triple) -> float:
 
 
 @compiled
-def _push(now: Record, drive: Record, known: Record, mass_kg: float) -> Triple:
-    """Return with what wrench (N, N, Nm), in its own frame, the wheels push the car beyond its weight."""
-    car, torques = known.car, drive.torques
+def _pull(now: Record, drive: Record, known: Record, way: Triple) -> float:
+    """Return how the wheels' push beyond the weight would speed a free car up along a way, times the way's length."""
+    car, torques, lever_m = known.car, drive.torques, known.car.lever_m
     for wheel in range(4):
         told = max(-car.wheel_speed_rad_s, min(car.wheel_speed_rad_s, drive.commanded[wheel]))
         speed = now.wheel_speeds[wheel]
@@ -69,6 +74,8 @@ def _push(now: Record, drive: Record, known: Record, mass_kg: float) -> Triple:
         lost = car.gear_friction_nm * math.tanh(speed / known.drive.friction_speed)
         spun_up = car.wheel_inertia_kgm2 * (speed - drive.wheels_before[wheel]) / known.period_s
         torques[wheel] = given - lost - spun_up
-    x, y, turn = wrench_of(car.lever_m, car.radius_m, torques[0], torques[1], torques[2], torques[3])
+    x, y, turn = wrench_of(lever_m, car.radius_m, torques[0], torques[1], torques[2], torques[3])
+    mass_kg = car.mass_kg + drive.load_kg
     weight = mass_kg * GRAVITY
-    return x - weight * math.sin(now.pitch), y - weight * math.sin(now.roll), turn
+    x, y = x - weight * math.sin(now.pitch), y - weight * math.sin(now.roll)
+    return x / mass_kg * way[0] + y / mass_kg * way[1] + turn / car.turn_inertia_kgm2 * lever_m**2 * way[2]

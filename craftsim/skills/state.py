@@ -16,7 +16,7 @@ from craftsim.skills.outcome import Outcome, Reason
 
 GRAVITY: Final = 9.81
 
-IDLE, HOLD, OWN, DRIVE, BOARD, HINGE, STOP = range(7)
+IDLE, HOLD, OWN, DRIVE, BOARD, HINGE = range(6)
 """What a car is controlled by: nothing, the hold of a parked car, a skill in Python, or one of the compiled laws."""
 
 (
@@ -33,8 +33,7 @@ IDLE, HOLD, OWN, DRIVE, BOARD, HINGE, STOP = range(7)
     NO_LOAD,
     UNDOCKED,
     HINGE_SHORT,
-    WHEELS_TURN,
-) = range(14)
+) = range(13)
 """The status of a task."""
 
 _ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
@@ -50,7 +49,6 @@ _ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
     NO_LOAD: (Reason.LOAD_LOST, "the board is up and feels {:.1f} N"),
     UNDOCKED: (Reason.MISALIGNED, "the car is not docked to a slope"),
     HINGE_SHORT: (Reason.TIMEOUT, "the hinge is {:+.2f} rad from its end"),
-    WHEELS_TURN: (Reason.TIMEOUT, "the wheels still turn"),
 }
 """Of each status that ends a task: why it failed, and how its message gives the task's two details."""
 
@@ -91,11 +89,13 @@ DRIVE_TASK: Final = np.dtype(
         ("wheels_before", "f8", (4,)),
         ("commanded", "f8", (4,)),
         ("torques", "f8", (4,)),
+        ("path", "f8", (3,)),
         ("behind", _BEHIND),
         *((name, "i8") for name in ("loaded", "sloping", "there_periods", "rest_periods", "at_rest")),
     ],
     align=True,
 )
+"""``path`` is where the car should be when it is looked at next: x and y in metres, and heading."""
 BOARD_TASK: Final = np.dtype(
     [*_floats("target_m", "speed", "last_m", "deadline_s"), ("needs_load", "i8")], align=True
 )

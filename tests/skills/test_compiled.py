@@ -20,14 +20,12 @@ from craftsim.skills.gains import load_gains
 from craftsim.skills.lifting import Lift
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command, Skill
-from craftsim.skills.stopping import Stop
 
 ACTIONS = {
     "move": (Action.MOVE_RIGHT, lambda setup: _in_python(Move)(setup, 0), []),
     "turn": (Action.ROTATE_LEFT, lambda setup: _in_python(Rotate)(setup, 1), []),
     "lift": (Action.LIFT, lambda setup: _in_python(Lift)(setup), [(Kind.BLOCK, (1, 1, 1))]),
     "unfold": (Action.UNFOLD, lambda setup: _in_python(Unfold)(setup), [(Kind.FSLOPE, (1, 1, 1), 2)]),
-    "stop": (Action.STOP, lambda setup: _in_python(Stop)(setup), []),
 }
 
 

@@ -139,15 +139,22 @@ class _Worlds:
 
     def grid(self, world: bytes) -> Grid:
         """Return a world from its bytes."""
-        self._rows[-1] = np.frombuffer(world, np.uint8)
-        _unpack(self._rows[-1], self._world)
+        self._show(world)
         grid = self._grid.copy()
         grid.derive_marks()
         return grid
 
+    def _show(self, world: bytes) -> None:
+        """Write a world into the last row, and into the grid, of which the marks stay as they are."""
+        row = self._rows[-1]
+        row[:] = np.frombuffer(world, np.uint8)
+        cells = row[: self._n_cells].reshape(self._grid.kind[:, :, 1:].shape)
+        self._grid.kind[:, :, 1:], self._grid.yaw[:, :, 1:] = cells & _KIND_BITS, cells >> _YAW_SHIFT
+        self._grid.cars[:] = row[self._n_cells :].reshape(self._grid.cars.shape)
+
     def after(self, world: bytes) -> list[tuple[bytes, int, int, int]]:
         """Return what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
-        self._rows[-1] = np.frombuffer(world, np.uint8)
+        self._show(world)
         count = _expand(
             *(self._world, self._actions, self._costs, self._targets),
             *(self._things, self._best, self._rows, self._steps),
@@ -157,37 +164,6 @@ class _Worlds:
             (raw[i * size : (i + 1) * size], cost, rest, step)
             for i, (cost, rest, step) in enumerate(self._steps[:count].tolist())
         ]
-
-
-@compiled
-def _unpack(row: NDArray[np.uint8], w: World) -> None:
-    length, width, layers = w.cells.shape[:3]
-    i = 0
-    for x in range(length):
-        for y in range(width):
-            for z in range(1, layers):
-                w.cells[x, y, z, KIND] = row[i] & _KIND_BITS
-                w.cells[x, y, z, YAW] = row[i] >> _YAW_SHIFT
-                i += 1
-    for car in range(w.cars.shape[0]):
-        for field in range(w.cars.shape[1]):
-            w.cars[car, field] = row[i]
-            i += 1
-
-
-@compiled
-def _pack(w: World, row: NDArray[np.uint8]) -> None:
-    length, width, layers = w.cells.shape[:3]
-    i = 0
-    for x in range(length):
-        for y in range(width):
-            for z in range(1, layers):
-                row[i] = w.cells[x, y, z, KIND] | (w.cells[x, y, z, YAW] << _YAW_SHIFT)
-                i += 1
-    for car in range(w.cars.shape[0]):
-        for field in range(w.cars.shape[1]):
-            row[i] = w.cars[car, field]
-            i += 1
 
 
 @compiled
@@ -201,10 +177,12 @@ def _expand(
     rows: NDArray[np.uint8],
     steps: NDArray[np.int64],
 ) -> int:
-    """Write the worlds after the one in the last row, and for each the cost, the least work left and the step."""
-    count = 0
-    before = rows[rows.shape[0] - 1]
-    _unpack(before, w)
+    """Write the worlds after ``w``, and for each the cost, the least work left and the step.
+
+    The last row holds ``w`` itself.
+    """
+    count, before = 0, rows[rows.shape[0] - 1]
+    length, width, layers = w.cells.shape[:3]
     for car in range(w.cars.shape[0]):
         for i in range(actions.shape[0]):
             pose = pose_of(w, car)
@@ -213,10 +191,22 @@ def _expand(
             apply(w, car, actions[i])
             sloping = pose.slope > 0 or car_field(w, car, F_SLOPE) > 0
             column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
-            _pack(w, rows[count])
             steps[count, 0] = costs[actions[i], column]
             steps[count, 1] = least_left(w, costs, targets, things, best)
             steps[count, 2] = car * costs.shape[0] + actions[i]
+            # The world goes into its row, and the one before comes back.
+            following, at = rows[count], 0
+            for x in range(length):
+                for y in range(width):
+                    for z in range(1, layers):
+                        following[at] = w.cells[x, y, z, KIND] | (w.cells[x, y, z, YAW] << _YAW_SHIFT)
+                        w.cells[x, y, z, KIND] = before[at] & _KIND_BITS
+                        w.cells[x, y, z, YAW] = before[at] >> _YAW_SHIFT
+                        at += 1
+            for other in range(w.cars.shape[0]):
+                for field in range(w.cars.shape[1]):
+                    following[at] = w.cars[other, field]
+                    w.cars[other, field] = before[at]
+                    at += 1
             count += 1
-            _unpack(before, w)
     return count

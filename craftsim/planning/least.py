@@ -41,7 +41,13 @@ def least_left(
     """Return work that is left at least: the cheapest way to give each target a thing of its own, and to begin."""
     if targets.shape[0] == 0:
         return 0
-    n_things, carrying = _list_things(w, things)
+    n_things, carrying, up = _list_things(w, things)
+    # What is above the floor needs a ramp to get up by: one that is asked for, or another.
+    asked, missing = False, False
+    for k in range(targets.shape[0]):
+        kind, x, y, z = targets[k, 0], targets[k, 1], targets[k, 2], targets[k, 3]
+        asked = asked or kind == BODY
+        missing = missing or (z > 1 and kind_at(w, x, y, z) != kind)
     # best[k & 1, taken]: the least work for the first k targets with the things in the set ``taken``.
     n_sets = 1 << n_things
     for taken in range(n_sets):
@@ -64,7 +70,7 @@ def least_left(
         least = min(least, best[targets.shape[0] & 1, taken])
     if least == 0 or least >= _UNKNOWN:
         return least
-    if _must_unfold(w, targets, things, n_things):
+    if missing and not (up or asked):
         least += costs[UNFOLD, 0]
     if carrying:
         return least
@@ -77,27 +83,12 @@ def least_left(
 
 
 @compiled
-def _must_unfold(w: World, targets: NDArray[np.int64], things: NDArray[np.int64], n_things: int) -> bool:
-    """Return whether a slope must still be unfolded that no target asks for: to get up at all."""
-    for i in range(n_things):
-        if things[i, 0] == BODY:
-            return False
-    for car in range(w.cars.shape[0]):
-        if car_field(w, car, F_Z) > 1:
-            return False
-    missing = False
-    for k in range(targets.shape[0]):
-        if targets[k, 0] == BODY:
-            return False
-        if targets[k, 3] > 1 and kind_at(w, targets[k, 1], targets[k, 2], targets[k, 3]) != targets[k, 0]:
-            missing = True
-    return missing
+def _list_things(w: World, things: NDArray[np.int64]) -> tuple[int, bool, bool]:
+    """Write kind, place and whether it is carried of each thing.
 
-
-@compiled
-def _list_things(w: World, things: NDArray[np.int64]) -> tuple[int, bool]:
-    """Write kind, place and whether it is carried of each thing; return how many, and whether any is carried."""
-    count = 0
+    Return how many there are, whether any is carried, and whether a car is above the floor or a slope leads there.
+    """
+    count, up = 0, False
     length, width, layers = w.cells.shape[:3]
     for x in range(length):
         for y in range(width):
@@ -107,15 +98,17 @@ def _list_things(w: World, things: NDArray[np.int64]) -> tuple[int, bool]:
                     things[count, 0], things[count, 1], things[count, 2] = kind, x, y
                     things[count, 3], things[count, 4] = z, 0
                     count += 1
+                    up = up or kind == BODY
     carrying = False
     for car in range(w.cars.shape[0]):
+        up = up or car_field(w, car, F_Z) > 1
         if car_field(w, car, F_LOAD) != AIR:
             things[count, 0] = car_field(w, car, F_LOAD)
             things[count, 1], things[count, 2] = car_field(w, car, F_X), car_field(w, car, F_Y)
             things[count, 3], things[count, 4] = 0, 1
             count += 1
             carrying = True
-    return count, carrying
+    return count, carrying, up
 
 
 @compiled

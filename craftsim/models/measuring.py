@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.jit import Record, compiled, records
-from craftsim.discrete.kernel.rotation import Axis, body_axes
+from craftsim.discrete.kernel.jit import compiled, records
+from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.models.site import Site
 
 Floats = NDArray[np.float64]
@@ -154,43 +154,32 @@ def _read_cars(
                 break
         now.position_std_m = now.heading_std_rad = 0.0
         now.fresh = 1
-        read_lines(now, forward, left, up, lines[i], qpos, crosses, reach[0].above_m)
-
-
-@compiled
-def read_lines(
-    now: Record,
-    forward: Axis,
-    left: Axis,
-    up: Axis,
-    sensors: Record,
-    qpos: Floats,
-    crosses: Ints,
-    above_m: float,
-) -> None:
-    """Write where a car's line sensors see the cross below what is right above it; inf where one sees no line."""
-    for k in range(4):
-        now.lines[k] = math.inf
-    far_m = 2 * CROSS_M
-    for at in crosses:
-        x, y, z = qpos[at] - now.x, qpos[at + 1] - now.y, qpos[at + 2] - now.z
-        if abs(x) > far_m or abs(y) > far_m or abs(up[0] * x + up[1] * y + up[2] * z) > above_m:
-            continue
-        first, second, _ = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
+        # Where the line sensors see the cross below what is right above the car.
         for k in range(4):
-            if k < 2:
-                place, reach, axis = forward, sensors.along_m * (1 - 2 * k), left
-            else:
-                place, reach, axis = left, sensors.across_m * (5 - 2 * k), forward
-            # From the middle of the cross to the sensor.
-            off = (reach * place[0] - x, reach * place[1] - y, reach * place[2] - z)
-            lies_along = abs(_dot(axis, second)) > abs(_dot(axis, first))
-            line, normal = (first, second) if lies_along else (second, first)
-            seen = -_dot(off, normal) / _dot(axis, normal)
-            if abs(seen) < sensors.reach_m and abs(_dot(off, line) + seen * _dot(axis, line)) < CROSS_M:
-                now.lines[k] = seen
-
-
-@compiled
-def _dot(a: Axis, b: Axis) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+            now.lines[k] = math.inf
+        for at in crosses:
+            x, y, z = qpos[at] - now.x, qpos[at + 1] - now.y, qpos[at + 2] - now.z
+            above = up[0] * x + up[1] * y + up[2] * z
+            if abs(x) > 2 * CROSS_M or abs(y) > 2 * CROSS_M or abs(above) > reach[0].above_m:
+                continue
+            first, second, _ = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
+            for k in range(4):
+                if k < 2:
+                    place, far_m, axis = forward, lines[i].along_m * (1 - 2 * k), left
+                else:
+                    place, far_m, axis = left, lines[i].across_m * (5 - 2 * k), forward
+                # From the middle of the cross to the sensor, and from there on along the axis, by its two lines.
+                off = (far_m * place[0] - x, far_m * place[1] - y, far_m * place[2] - z)
+                off_first = off[0] * first[0] + off[1] * first[1] + off[2] * first[2]
+                off_second = off[0] * second[0] + off[1] * second[1] + off[2] * second[2]
+                to_first = axis[0] * first[0] + axis[1] * first[1] + axis[2] * first[2]
+                to_second = axis[0] * second[0] + axis[1] * second[1] + axis[2] * second[2]
+                # The axis meets the line that lies more across it.
+                if abs(to_second) > abs(to_first):
+                    seen = -off_second / to_second
+                    from_middle = off_first + seen * to_first
+                else:
+                    seen = -off_first / to_first
+                    from_middle = off_second + seen * to_second
+                if abs(seen) < lines[i].reach_m and abs(from_middle) < CROSS_M:
+                    now.lines[k] = seen

@@ -28,20 +28,6 @@ def assume_age(mismatches: Floats, age: float, std: float) -> None:
 
 
 @compiled
-def weigh_ages(mismatches: Floats, late_way: float, prompt: Floats, variance: float) -> None:
-    """Count what a way says of the age.
-
-    Args:
-        mismatches: of the candidates, (n,).
-        late_way: the way of the late signal over the last WINDOW periods.
-        prompt: the prompt signal, the newest first, (n + WINDOW,) or more.
-        variance: of the difference of the two ways at the true age.
-    """
-    for k in range(len(mismatches)):
-        mismatches[k] += (late_way - prompt[k] + prompt[k + WINDOW]) ** 2 / variance
-
-
-@compiled
 def likeliest_age(mismatches: Floats) -> tuple[float, float]:
     """Return the age in periods, and its standard deviation."""
     best, last = 0, len(mismatches) - 1

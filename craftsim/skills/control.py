@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.kernel.jit import Record, compiled
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.motors import drive_wheels
 from craftsim.skills.driving_law import drive_law
 from craftsim.skills.folding import hinge_law
 from craftsim.skills.ground import feel_ground
 from craftsim.skills.health import check_health
-from craftsim.skills.holding import hold_law
-from craftsim.skills.leading import find_lag, lead_wheels
+from craftsim.skills.leading import lead_wheels
 from craftsim.skills.lifting import board_law
 from craftsim.skills.state import BOARD, DRIVE, HINGE, HOLD, IDLE, OWN, RUNNING
 
@@ -56,10 +55,15 @@ def step_cars(
         level = feel_ground(grounds[car], readings[car], task, known)
         if task.law == IDLE:
             continue
+        wheels = commands[car].wheels
         if task.law != OWN:
-            _clear(commands[car])
+            wheels[0] = wheels[1] = wheels[2] = wheels[3] = commands[car].board = commands[car].hinge = 0.0
         if task.law == HOLD:
-            hold_law(readings, tasks, past, constants, commands, car)
+            # The wheels go back where the car's weight has turned them (craftsim/skills/holding.py).
+            for wheel in range(4):
+                task.turned[wheel] += readings[car].wheel_speeds[wheel] * known.period_s
+                off = abs(task.turned[wheel]) > known.hold.dead_band
+                wheels[wheel] = -known.hold.gain * task.turned[wheel] if off else 0.0
         elif task.law != OWN:
             if task.status == RUNNING:
                 check_health(readings, tasks, constants, car)
@@ -72,14 +76,12 @@ def step_cars(
                     hinge_law(readings, tasks, past, constants, commands, car)
                 task.elapsed_s += known.period_s
             if task.status != RUNNING:
-                _clear(commands[car])
+                wheels[0] = wheels[1] = wheels[2] = wheels[3] = commands[car].board = commands[car].hinge = (
+                    0.0
+                )
                 ended += 1
-        # On a slope wheels follow their servos only as far as they have grip.
-        if level:
-            most_behind = known.car.wheel_torque_nm / known.car.wheel_gain_nms_rad
-            find_lag(leads[car], readings[car].wheel_speeds, most_behind)
-        lead_wheels(leads[car], commands[car].wheels, known.car.wheel_speed_rad_s, known.period_s)
-        drive_wheels(commands[car].wheels, wheel_speeds[car], wheel_share, cars[car], ctrl)
+        lead_wheels(leads[car], wheels, readings[car].wheel_speeds, known.car, known.period_s, level)
+        drive_wheels(wheels, wheel_speeds[car], wheel_share, cars[car], ctrl)
         ctrl[cars[car].board_motor] = commands[car].board
         slope, last = readings[car].slope, docked[car]
         # A slope that loses its car loses the command.
@@ -89,10 +91,3 @@ def step_cars(
             ctrl[plugs[slope].motor] = commands[car].hinge
         docked[car] = slope
     return ended
-
-
-@compiled
-def _clear(command: Record) -> None:
-    for wheel in range(4):
-        command.wheels[wheel] = 0.0
-    command.board = command.hinge = 0.0

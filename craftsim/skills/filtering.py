@@ -56,12 +56,3 @@ def correct(known: Record, off: float, variance: float, first_held: int, n_held:
             if not (held and first_held <= j < last_held):
                 covariance[i, j] -= shares[i] * shares[j] / expected
     return abs(off) <= most
-
-
-@compiled
-def forget(known: Record, k: int, variance: float) -> None:
-    """Take a figure of a FILTER to be another one from now on: 0, of this variance, whatever the others are."""
-    known.state[k] = 0.0
-    for i in range(_N):
-        known.covariance[i, k] = known.covariance[k, i] = 0.0
-    known.covariance[k, k] = variance

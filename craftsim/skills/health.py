@@ -6,7 +6,7 @@ import math
 
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.models.measuring import Records
-from craftsim.skills.state import LEANS, LOAD_MISSED, NOT_FINITE
+from craftsim.skills.state import LEANS, NOT_FINITE
 
 
 @compiled
@@ -18,8 +18,13 @@ def end(task: Record, status: int, detail: float, second_detail: float) -> None:
 
 @compiled
 def check_health(readings: Records, tasks: Records, constants: Records, car: int) -> None:
-    """End the task of a car whose readings are not finite, or that has tipped."""
+    """End the task of a car whose readings are not finite, or that has tipped; note whether its board feels a load.
+
+    It does when, raised, it feels a good share of the lightest load's weight beyond its own.
+    """
     now, limits = readings[car], constants[car].health
+    raised = now.board_m > limits.board_raised
+    tasks[car].feels_load = raised and now.board_force_n > constants[car].car.felt_load_n
     # A sum is finite only if all its terms are.
     pose = now.x + now.y + now.z + now.heading + now.pitch + now.roll
     wheels = now.wheel_speeds[0] + now.wheel_speeds[1] + now.wheel_speeds[2] + now.wheel_speeds[3]
@@ -27,20 +32,3 @@ def check_health(readings: Records, tasks: Records, constants: Records, car: int
         end(tasks[car], NOT_FINITE, 0.0, 0.0)
     elif max(abs(now.pitch), abs(now.roll)) > limits.tipped:
         end(tasks[car], LEANS, now.pitch, now.roll)
-
-
-@compiled
-def feels_load(readings: Records, constants: Records, car: int) -> bool:
-    """Return whether the raised board feels a good share of the lightest load's weight beyond its own."""
-    now, known = readings[car], constants[car]
-    raised: bool = now.board_m > known.health.board_raised
-    return raised and now.board_force_n > known.car.felt_load_n
-
-
-@compiled
-def check_load(readings: Records, tasks: Records, constants: Records, car: int) -> None:
-    """End a task when the board has not felt its load for a while: shorter dips come from bumps and acceleration."""
-    task, known = tasks[car], constants[car]
-    task.unloaded_s = 0.0 if feels_load(readings, constants, car) else task.unloaded_s + known.period_s
-    if task.unloaded_s > known.health.load_lost:
-        end(task, LOAD_MISSED, readings[car].board_force_n, 0.0)

@@ -42,36 +42,32 @@ def leads(n_cars: int, period_s: float) -> Records:
 
 
 @compiled
-def find_lag(lead: Record, wheel_speeds: Floats, most_behind: float) -> None:
-    """Take in how fast the wheels turn, a control period after a command.
+def lead_wheels(
+    lead: Record, wheels: Floats, turning: Floats, car: Record, period_s: float, level: bool
+) -> None:
+    """Take in how fast wheels turn, and change their commands so that servos have these speeds after a control period.
 
     Args:
         lead: of the car.
-        wheel_speeds: (4,) rad/s, measured.
-        most_behind: rad/s, by how much a servo that gives all its torque differs from its wheel. A wheel that is
-            further off lacks torque or grip, which says nothing of the lag.
-    """
-    steps, _ = likeliest_age(lead.mismatches[:])
-    below = min(int(steps), _N - 2)
-    part = steps - below
-    for wheel in range(4):
-        servo = lead.servos[below, wheel] * (1 - part) + lead.servos[below + 1, wheel] * part
-        if lead.sent[wheel] != 0.0 and abs(servo - wheel_speeds[wheel]) < most_behind:
-            for k in range(_N):
-                off = wheel_speeds[wheel] - lead.servos[k, wheel]
-                lead.mismatches[k] += (off / _UNSURE_RAD_S) ** 2
-
-
-@compiled
-def lead_wheels(lead: Record, wheels: Floats, limit: float, period_s: float) -> None:
-    """Change commands to four wheels so that their servos have these speeds after a control period.
-
-    Args:
-        lead: of the car.
-        wheels: (4,) rad/s, changed in place; four zeros brake at once.
-        limit: the greatest speed that can be commanded.
+        wheels: (4,) rad/s, commands, changed in place; four zeros brake at once.
+        turning: (4,) rad/s, measured a control period after the last commands.
+        car: its figures.
         period_s: the control period.
+        level: whether wheels follow their servos with all their torque: on a slope only as far as they have grip.
     """
+    # A wheel that is further behind its servo lacks torque or grip, which says nothing of the lag.
+    most_behind = car.wheel_torque_nm / car.wheel_gain_nms_rad
+    limit = car.wheel_speed_rad_s
+    if level:
+        steps, _ = likeliest_age(lead.mismatches[:])
+        below = min(int(steps), _N - 2)
+        part = steps - below
+        for wheel in range(4):
+            servo = lead.servos[below, wheel] * (1 - part) + lead.servos[below + 1, wheel] * part
+            if lead.sent[wheel] != 0.0 and abs(servo - turning[wheel]) < most_behind:
+                for k in range(_N):
+                    off = turning[wheel] - lead.servos[k, wheel]
+                    lead.mismatches[k] += (off / _UNSURE_RAD_S) ** 2
     steps, _ = likeliest_age(lead.mismatches[:])
     below = min(int(steps), _N - 2)
     part = steps - below

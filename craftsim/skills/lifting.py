@@ -5,7 +5,7 @@ from __future__ import annotations
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.sensing import CarMeasurement
-from craftsim.skills.health import end, feels_load
+from craftsim.skills.health import end
 from craftsim.skills.skill import CompiledSkill, SkillSetup
 from craftsim.skills.state import BOARD, BOARD_SHORT, NO_LOAD, SUCCEEDED
 
@@ -22,7 +22,7 @@ def board_law(
     board.last_m = now.board_m
     still = abs(moved) < gains.still * known.period_s
     if abs(remaining) < gains.reached and still and task.elapsed_s > 0:
-        if board.needs_load and not feels_load(readings, constants, car):
+        if board.needs_load and not task.feels_load:
             end(task, NO_LOAD, now.board_force_n, 0.0)
         else:
             end(task, SUCCEEDED, 0.0, 0.0)

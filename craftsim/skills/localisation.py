@@ -27,7 +27,7 @@ from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import SmartcarParameters
-from craftsim.skills.ages import WINDOW, assume_age, likeliest_age, weigh_ages
+from craftsim.skills.ages import WINDOW, assume_age, likeliest_age
 from craftsim.skills.filtering import FILTER, correct
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import body_twist
@@ -99,7 +99,7 @@ class Localiser:
         for row, car in zip(self._estimates, cars, strict=True):
             row["period_s"], row["lever_m"], row["radius_m"] = period_s, car.turn_radius_m, car.wheel_radius_m
             cross, along_m, across_m = row["cross"], car.board_length_m / 2, car.board_width_m / 2
-            cross["along_m"], cross["across_m"], cross["variance"] = along_m, across_m, assumed.line_m**2
+            cross["reach_m"], cross["variance"] = (along_m, -along_m, across_m, -across_m), assumed.line_m**2
             cross["placed"], cross["turned"] = gains.placement**2, (gains.placement / CELL_PITCH_M) ** 2
             row["slip"], row["jitter"], row["counts"] = gains.slip, assumed.jitter_s / period_s, _COUNTS
             place, turn = gains.position_drift**2, gains.heading_drift**2
@@ -156,8 +156,10 @@ def _update(
                 _localise(now, estimate, ages[i], rolled, seen)
         else:
             # Begin with what is measured.
-            for row in range(3):
-                rolled[row] = seen[row] = (now.x, now.y, now.heading)[row]
+            for k in range(rolled.shape[1]):
+                rolled[_X, k], rolled[_Y, k], rolled[_HEADING, k] = now.x, now.y, now.heading
+            for k in range(seen.shape[1]):
+                seen[_X, k], seen[_Y, k], seen[_HEADING, k] = now.x, now.y, now.heading
             estimate.age, estimate.age_std = likeliest_age(ages[i])
             estimate.begun = 1
         now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
@@ -165,42 +167,43 @@ def _update(
         sight(now, estimate.known, estimate.cross, moved)
         now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
         now.heading = wrap(rolled[_HEADING, 0] + state[_HEADING])
-        now.position_std_m = math.sqrt(max(_variance(covariance, _X), _variance(covariance, _Y)))
-        now.heading_std_rad = math.sqrt(_variance(covariance, _HEADING))
-
-
-@compiled
-def _variance(covariance: Floats, k: int) -> float:
-    """Return how well a coordinate is known, from localisations up to their bias, or by a cross up to its place."""
-    own, bias, cross = covariance[k, k], _BIAS + k, CROSS_X + k
-    located = own + 2 * covariance[k, bias] + covariance[bias, bias]
-    seen = own - 2 * covariance[k, cross] + covariance[cross, cross]
-    return max(0.0, min(own, located, seen))
+        # A coordinate is known from localisations up to their bias, and by a cross up to its place.
+        now.position_std_m = 0.0
+        for k in range(3):
+            own, bias, cross = covariance[k, k], _BIAS + k, CROSS_X + k
+            by_localisations = own + 2 * covariance[k, bias] + covariance[bias, bias]
+            by_cross = own - 2 * covariance[k, cross] + covariance[cross, cross]
+            std = math.sqrt(max(0.0, min(own, by_localisations, by_cross)))
+            if k == _HEADING:
+                now.heading_std_rad = std
+            else:
+                now.position_std_m = max(now.position_std_m, std)
 
 
 @compiled
 def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
     """Take in a localisation."""
-    age, std, known = estimate.age, estimate.age_std, estimate.known
+    age, std, jitter, known = estimate.age, estimate.age_std, estimate.jitter, estimate.known
     state = known.state
-    turned = now.heading - _at(rolled[_HEADING], age) - state[_HEADING] - state[_BIAS + _HEADING]
+    turned = now.heading - _at(rolled, _HEADING, age) - state[_HEADING] - state[_BIAS + _HEADING]
     # Headings are counted on beyond half a turn.
-    located = (now.x, now.y, now.heading - turned + wrap(turned))
+    seen[_X, 0], seen[_Y, 0], seen[_HEADING, 0] = now.x, now.y, now.heading - turned + wrap(turned)
     straight = True
     for k in range(3):
         known.slopes[k] = known.slopes[_BIAS + k] = 1.0
-        off = located[k] - _at(rolled[k], age) - state[k] - state[_BIAS + k]
+        off = seen[k, 0] - _at(rolled, k, age) - state[k] - state[_BIAS + k]
         # A localisation of unknown age says little of a car that moved.
-        spread = _ALIKE * _spread(rolled[k], age, std) + _spread(rolled[k], age, estimate.jitter) + _LEAST
+        unsure = (_at(rolled, k, age - std) - _at(rolled, k, age + std)) / 2
+        jittered = (_at(rolled, k, age - jitter) - _at(rolled, k, age + jitter)) / 2
+        spread = _ALIKE * unsure**2 + jittered**2 + _LEAST
         # Without such a cross nothing tells a bias from slip, which is one-sided while a car turns one way.
         if not correct(known, off, estimate.noise[k] + spread, _BIAS, 0 if estimate.cross.seen else 3):
             straight = False
             known.covariance[k, k] += (_DOUBT * off) ** 2
     if straight:
-        for k in range(3):
-            seen[k, 0] = located[k]
-        _find_age(estimate, mismatches, rolled, seen)
-        _find_noise(estimate, seen)
+        _learn(estimate, mismatches, rolled, seen)
+    else:
+        seen[_X, 0] = seen[_Y, 0] = seen[_HEADING, 0] = math.nan
 
 
 @compiled
@@ -241,48 +244,38 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
 
 
 @compiled
-def _find_age(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
-    """Take in what the way of the last periods says of how late localisations are."""
-    if estimate.n_still >= rolled.shape[1] or not math.isfinite(seen[_X, WINDOW]):
-        return
-    way = math.hypot(seen[_X, 0] - seen[_X, WINDOW], seen[_Y, 0] - seen[_Y, WINDOW])
-    turn = seen[_HEADING, 0] - seen[_HEADING, WINDOW]
-    for k in range(3):
-        unsure = estimate.slip * (turn if k == _HEADING else way)
-        weigh_ages(
-            mismatches, seen[k, 0] - seen[k, WINDOW], rolled[k], 2 * estimate.noise[k] + unsure**2 + _LEAST
-        )
-    estimate.age, estimate.age_std = likeliest_age(mismatches)
-
-
-@compiled
-def _find_noise(estimate: Record, seen: Floats) -> None:
-    """Take in by how much localisations at rest differ from one to the next."""
+def _learn(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
+    """Take in what localisations say of themselves: how late they are, by the way of the last periods, and how noisy,
+    by how much they differ at rest from one to the next."""
+    if estimate.n_still < rolled.shape[1] and math.isfinite(seen[_X, WINDOW]):
+        way = math.hypot(seen[_X, 0] - seen[_X, WINDOW], seen[_Y, 0] - seen[_Y, WINDOW])
+        turn = seen[_HEADING, 0] - seen[_HEADING, WINDOW]
+        for k in range(3):
+            unsure = estimate.slip * (turn if k == _HEADING else way)
+            late_way = seen[k, 0] - seen[k, WINDOW]
+            # Of the difference of the two ways at the true age.
+            variance = 2 * estimate.noise[k] + unsure**2 + _LEAST
+            for age in range(len(mismatches)):
+                mismatches[age] += (late_way - rolled[k, age] + rolled[k, age + WINDOW]) ** 2 / variance
+        estimate.age, estimate.age_std = likeliest_age(mismatches)
     last = 1
     while last < WINDOW and not math.isfinite(seen[_X, last]):
         last += 1
-    if estimate.n_still < estimate.age + 3 * (
-        estimate.age_std + estimate.jitter
-    ) + 1 + last or not math.isfinite(seen[_X, last]):
-        return
-    fade = min(1.0, _MEMORY / (estimate.counts + 1))
-    estimate.counts = fade * (estimate.counts + 1)
-    for k in range(3):
-        estimate.scatter[k] = fade * (estimate.scatter[k] + (seen[k, 0] - seen[k, last]) ** 2 / 2)
-        estimate.noise[k] = estimate.scatter[k] / estimate.counts
+    settled = estimate.age + 3 * (estimate.age_std + estimate.jitter) + 1 + last
+    if estimate.n_still >= settled and math.isfinite(seen[_X, last]):
+        fade = min(1.0, _MEMORY / (estimate.counts + 1))
+        estimate.counts = fade * (estimate.counts + 1)
+        for k in range(3):
+            estimate.scatter[k] = fade * (estimate.scatter[k] + (seen[k, 0] - seen[k, last]) ** 2 / 2)
+            estimate.noise[k] = estimate.scatter[k] / estimate.counts
 
 
 @compiled
-def _spread(past: Floats, age: float, std: float) -> float:
-    """Return the variance of what was so many periods ago, give or take a standard deviation."""
-    return ((_at(past, age - std) - _at(past, age + std)) / 2) ** 2
-
-
-@compiled
-def _at(past: Floats, age: float) -> float:
-    """Return what was so many periods ago, between two of them."""
-    back = max(0.0, min(age, len(past) - 1.0))
+def _at(past: Floats, row: int, age: float) -> float:
+    """Return what a row of a past was so many periods ago, between two of them."""
+    oldest = past.shape[1] - 1
+    back = max(0.0, min(age, float(oldest)))
     newer = math.floor(back)
-    older = min(newer + 1, len(past) - 1)
-    value: float = past[newer] + (back - newer) * (past[older] - past[newer])
+    older = min(newer + 1, oldest)
+    value: float = past[row, newer] + (back - newer) * (past[row, older] - past[row, newer])
     return value

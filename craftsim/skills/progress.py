@@ -31,7 +31,8 @@ def check_progress(now: Record, task: Record, known: Record, error: Triple, ahea
         ahead: the same in its own frame.
     """
     drive, gains, car, period_s = task.drive, known.drive, known.car, known.period_s
-    wheels, behind, before, lever_m = now.wheel_speeds, drive.behind, drive.before, car.lever_m
+    wheels, torques, lever_m = now.wheel_speeds, drive.torques, car.lever_m
+    behind, before = drive.behind, drive.before
     rolled = length(lever_m, body_twist(lever_m, car.radius_m, wheels[0], wheels[1], wheels[2], wheels[3]))
     # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
     # Localisations jitter, so they do not tell.
@@ -45,7 +46,22 @@ def check_progress(now: Record, task: Record, known: Record, error: Triple, ahea
         moved = (now.x - before.x, now.y - before.y, wrap(now.heading - before.heading))
         behind.moved_m += length(lever_m, moved)
         behind.rolled_m += rolled * period_s
-        behind.free_m_s += _pull(now, drive, known, ahead) / length(lever_m, ahead) * period_s
+        # With what wrench (N, N, Nm), in its own frame, the wheels push the car beyond its weight.
+        for wheel in range(4):
+            told = max(-car.wheel_speed_rad_s, min(car.wheel_speed_rad_s, drive.commanded[wheel]))
+            lag = car.wheel_gain_nms_rad * (told - wheels[wheel])
+            given = max(-car.wheel_torque_nm, min(car.wheel_torque_nm, lag))
+            lost = car.gear_friction_nm * math.tanh(wheels[wheel] / gains.friction_speed)
+            spun_up = car.wheel_inertia_kgm2 * (wheels[wheel] - drive.wheels_before[wheel]) / period_s
+            torques[wheel] = given - lost - spun_up
+        x, y, turn = wrench_of(lever_m, car.radius_m, torques[0], torques[1], torques[2], torques[3])
+        mass_kg = car.mass_kg + drive.load_kg
+        weight = mass_kg * GRAVITY
+        x, y = x - weight * math.sin(now.pitch), y - weight * math.sin(now.roll)
+        # How a free car would speed up towards where it should be.
+        turning = turn / car.turn_inertia_kgm2 * lever_m**2
+        towards = x / mass_kg * ahead[0] + y / mass_kg * ahead[1] + turning * ahead[2]
+        behind.free_m_s += towards / length(lever_m, ahead) * period_s
         behind.free_m += behind.free_m_s * period_s
         if behind.stuck_s > gains.blocked_time:
             enough = gains.slip_ratio * behind.moved_m + gains.slip_distance
@@ -61,21 +77,3 @@ def check_progress(now: Record, task: Record, known: Record, error: Triple, ahea
 def length(lever_m: float, way: Triple) -> float:
     """Return the length of a way (m, m, rad) in metres, a turn by what the wheels roll for it."""
     return math.sqrt(way[0] * way[0] + way[1] * way[1] + (lever_m * way[2]) ** 2)
-
-
-@compiled
-def _pull(now: Record, drive: Record, known: Record, way: Triple) -> float:
-    """Return how the wheels' push beyond the weight would speed a free car up along a way, times the way's length."""
-    car, torques, lever_m = known.car, drive.torques, known.car.lever_m
-    for wheel in range(4):
-        told = max(-car.wheel_speed_rad_s, min(car.wheel_speed_rad_s, drive.commanded[wheel]))
-        speed = now.wheel_speeds[wheel]
-        given = max(-car.wheel_torque_nm, min(car.wheel_torque_nm, car.wheel_gain_nms_rad * (told - speed)))
-        lost = car.gear_friction_nm * math.tanh(speed / known.drive.friction_speed)
-        spun_up = car.wheel_inertia_kgm2 * (speed - drive.wheels_before[wheel]) / known.period_s
-        torques[wheel] = given - lost - spun_up
-    x, y, turn = wrench_of(lever_m, car.radius_m, torques[0], torques[1], torques[2], torques[3])
-    mass_kg = car.mass_kg + drive.load_kg
-    weight = mass_kg * GRAVITY
-    x, y = x - weight * math.sin(now.pitch), y - weight * math.sin(now.roll)
-    return x / mass_kg * way[0] + y / mass_kg * way[1] + turn / car.turn_inertia_kgm2 * lever_m**2 * way[2]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.jit import Record, compiled
-from craftsim.skills.filtering import correct, forget
+from craftsim.skills.filtering import correct
 
 Flags = NDArray[np.bool_]
 
@@ -31,13 +31,15 @@ CROSS_X: Final = 6
 
 CROSS: Final = np.dtype(
     [
-        *((name, "f8") for name in ("along_m", "across_m", "variance", "placed", "turned")),
+        ("reach_m", "f8", (4,)),
+        *((name, "f8") for name in ("variance", "placed", "turned")),
         *((name, "i8") for name in ("seen", "x", "y", "raised")),
     ],
     align=True,
 )
-"""How far a car's line sensors are from its middle, before and behind, and beside; the variances of where a line is
-seen, and of where and how a cross stands; whether one is seen, and its cell; whether the board was raised last."""
+"""How far a car's line sensors are before its middle, the first two, and to the left of it; the variances of where a
+line is seen, and of where and how a cross stands; whether one is seen, and its cell; whether the board was raised last.
+"""
 
 
 @compiled
@@ -65,59 +67,48 @@ def sight(now: Record, known: Record, cross: Record, moved: Flags) -> None:
         cross.seen = 0
         return
     x, y, c, s = now.x, now.y, math.cos(now.heading), math.sin(now.heading)
-    state, slopes = known.state, known.slopes
+    state, slopes, covariance = known.state, known.slopes, known.covariance
     before = (state[0], state[1], state[2])
-    if not _sees(now, cross, x, y, c, s):
+    still = False
+    for k in range(4):
+        toward_x, toward_y = (c, s) if k < 2 else (-s, c)
+        there_x = math.floor((x + cross.reach_m[k] * toward_x) / CELL_PITCH_M) == cross.x
+        there_y = math.floor((y + cross.reach_m[k] * toward_y) / CELL_PITCH_M) == cross.y
+        still = still or (there_x and there_y and math.isfinite(now.lines[k]))
+    if not still:
         cross.seen = 0
     for k in range(4):
         if not math.isfinite(now.lines[k]):
             continue
-        place, axis = _sensor(cross, k, c, s)
-        cell_x = math.floor((x + place[0]) / CELL_PITCH_M)
-        cell_y = math.floor((y + place[1]) / CELL_PITCH_M)
+        # Sensors before and behind measure to the left, the others forward.
+        toward_x, toward_y, axis_x, axis_y = (c, s, -s, c) if k < 2 else (-s, c, c, s)
+        from_x, from_y = cross.reach_m[k] * toward_x, cross.reach_m[k] * toward_y
+        cell_x = math.floor((x + from_x) / CELL_PITCH_M)
+        cell_y = math.floor((y + from_y) / CELL_PITCH_M)
         within = 0 <= cell_x < moved.shape[0] and 0 <= cell_y < moved.shape[1]
         if within and moved[cell_x, cell_y]:
             continue
         if not cross.seen:
             cross.seen, cross.x, cross.y = 1, cell_x, cell_y
-            for j in range(3):
-                forget(known, CROSS_X + j, cross.turned if j == 2 else cross.placed)
+            # It is another cross, which may stand anywhere, whatever is known of all else.
+            for j in range(CROSS_X, CROSS_X + 3):
+                state[j] = 0.0
+                for i in range(len(state)):
+                    covariance[i, j] = covariance[j, i] = 0.0
+                covariance[j, j] = cross.turned if j == CROSS_X + 2 else cross.placed
         elif cell_x != cross.x or cell_y != cross.y:
             continue
         # From the middle of the cell to the sensor.
-        at_x, at_y = (
-            x + place[0] - (cell_x + 0.5) * CELL_PITCH_M,
-            y + place[1] - (cell_y + 0.5) * CELL_PITCH_M,
-        )
-        along_x = abs(axis[0]) > abs(axis[1])
-        to_axis = axis[0] if along_x else axis[1]
+        at_x = x + from_x - (cell_x + 0.5) * CELL_PITCH_M
+        at_y = y + from_y - (cell_y + 0.5) * CELL_PITCH_M
+        along_x = abs(axis_x) > abs(axis_y)
+        to_axis = axis_x if along_x else axis_y
         row = 0 if along_x else 1
         slopes[row], slopes[CROSS_X + row] = -1 / to_axis, 1 / to_axis
         # By how much the place of the sensor, or of the line there, moves when the car or the cross turns.
-        slopes[2] = (place[1] if along_x else -place[0]) / to_axis
+        slopes[2] = (from_y if along_x else -from_x) / to_axis
         slopes[CROSS_X + 2] = (-at_y if along_x else at_x) / to_axis
         off = now.lines[k] + (at_x if along_x else at_y) / to_axis
         for j in range(3):
             off -= slopes[j] * (state[j] - before[j]) + slopes[CROSS_X + j] * state[CROSS_X + j]
         correct(known, off, cross.variance, 0, 0)
-
-
-@compiled
-def _sees(now: Record, cross: Record, x: float, y: float, c: float, s: float) -> bool:
-    """Return whether a sensor still sees the cross that the car looks at."""
-    for k in range(4):
-        if math.isfinite(now.lines[k]):
-            place, _ = _sensor(cross, k, c, s)
-            there_x = math.floor((x + place[0]) / CELL_PITCH_M) == cross.x
-            if there_x and math.floor((y + place[1]) / CELL_PITCH_M) == cross.y:
-                return True
-    return False
-
-
-@compiled
-def _sensor(cross: Record, k: int, c: float, s: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return where a sensor is, from the car's middle, and along which axis it measures."""
-    reach = (cross.along_m, -cross.along_m, cross.across_m, -cross.across_m)[k]
-    if k < 2:
-        return (reach * c, reach * s), (-s, c)
-    return (-reach * s, reach * c), (c, s)

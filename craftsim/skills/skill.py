@@ -14,7 +14,7 @@ from craftsim.models.measuring import READING, Floats, Records
 from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.models.sensing import CarMeasurement, PerWheel, write_reading
 from craftsim.skills.gains import Gains, careful
-from craftsim.skills.health import check_health, check_load, feels_load
+from craftsim.skills.health import check_health
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.state import COMMAND, OWN, TASK, constants_of, outcome_of
 
@@ -134,7 +134,8 @@ class Skill(ABC):
     def feels_load(self, now: CarMeasurement) -> bool:
         """Return whether the raised board feels a good share of the lightest load's weight beyond its own."""
         self._take(now)
-        return feels_load(self._reading, self.setup.constants, 0)
+        check_health(self._reading, self.task, self.setup.constants, 0)
+        return bool(self.task[0]["feels_load"])
 
     def _take(self, now: CarMeasurement) -> None:
         """Write a measurement into the record that compiled code reads, if it is not there yet."""
@@ -151,12 +152,6 @@ class Skill(ABC):
     def _check_health(self, now: CarMeasurement) -> None:
         self._take(now)
         check_health(self._reading, self.task, self.setup.constants, 0)
-        self.conclude()
-
-    def _check_load(self, now: CarMeasurement) -> None:
-        """Fail when the board has not felt its load for a while: shorter dips come from bumps and acceleration."""
-        self._take(now)
-        check_load(self._reading, self.task, self.setup.constants, 0)
         self.conclude()
 
     def conclude(self) -> None:

@@ -84,7 +84,7 @@ DRIVE_TASK: Final = np.dtype(
         ("direction", _POSE),
         ("integral", _POSE),
         ("profile", _PROFILE),
-        *_floats("load_kg", "step_x", "step_y", "start_rad", "end_rad"),
+        *_floats("load_kg", "unloaded_s", "step_x", "step_y", "start_rad", "end_rad"),
         ("before", _POSE),
         ("wheels_before", "f8", (4,)),
         ("commanded", "f8", (4,)),
@@ -108,7 +108,8 @@ TASK: Final = np.dtype(
     [
         ("law", "i8"),
         ("status", "i8"),
-        *_floats("elapsed_s", "ended_s", "detail", "second_detail", "unloaded_s"),
+        ("feels_load", "i8"),
+        *_floats("elapsed_s", "ended_s", "detail", "second_detail"),
         ("turned", "f8", (4,)),
         ("drive", DRIVE_TASK),
         ("board", BOARD_TASK),

@@ -12,10 +12,12 @@ from craftsim.discrete.kinds import Action
 from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import NOMINAL
 from craftsim.skills.ages import likeliest_age
-from craftsim.skills.leading import find_lag, lead_wheels, leads
+from craftsim.skills.gains import load_gains
+from craftsim.skills.leading import lead_wheels, leads
+from craftsim.skills.state import constants_of
 
 PERIOD_S = 0.02
-MOST_BEHIND = NOMINAL.cars[0].wheel_torque_nm / NOMINAL.cars[0].wheel_gain_nms_rad
+CAR = constants_of(NOMINAL.cars[0], NOMINAL, load_gains(), PERIOD_S)[0]["car"]
 
 
 def _turn(lag_s, n=60):
@@ -23,10 +25,9 @@ def _turn(lag_s, n=60):
     lead, speeds = leads(1, PERIOD_S)[0], np.zeros(4)
     share = 1 - math.exp(-PERIOD_S / lag_s) if lag_s else 1.0
     for k in range(n):
-        find_lag(lead, speeds, MOST_BEHIND)
         wanted = np.full(4, 0.2 * (k + 1))
         told = wanted.copy()
-        lead_wheels(lead, told, 20.0, PERIOD_S)
+        lead_wheels(lead, told, speeds, CAR, PERIOD_S, True)
         speeds += share * (told - speeds)
     return 0.01 * likeliest_age(lead["mismatches"])[0], float(wanted[0] - speeds[0])
 
@@ -42,9 +43,8 @@ def test_wheels_keep_up_with_what_is_wanted_however_much_motors_lag(lag_s):
 def test_wheels_that_lack_grip_are_not_taken_to_lag():
     lead, speeds = leads(1, PERIOD_S)[0], np.zeros(4)
     for k in range(30):
-        find_lag(lead, speeds, MOST_BEHIND)
         told = np.full(4, 0.8 * (k + 1))
-        lead_wheels(lead, told, 20.0, PERIOD_S)
+        lead_wheels(lead, told, speeds, CAR, PERIOD_S, True)
         # Prompt motors, whose wheels speed up by no more than this.
         speeds += np.minimum(told - speeds, 0.4)
     assert 0.01 * likeliest_age(lead["mismatches"])[0] < 0.025
@@ -53,7 +53,7 @@ def test_wheels_that_lack_grip_are_not_taken_to_lag():
 def test_four_zeros_stop_at_once():
     lead = leads(1, PERIOD_S)[0]
     for told in (np.full(4, 3.0), np.zeros(4)):
-        lead_wheels(lead, told, 20.0, PERIOD_S)
+        lead_wheels(lead, told, np.zeros(4), CAR, PERIOD_S, False)
     assert not told.any()
     assert not lead["servos"].any()
 

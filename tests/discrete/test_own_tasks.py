@@ -10,7 +10,7 @@ from craftsim.discrete.files.plan import read_plan, write_plan
 from craftsim.discrete.files.shipped import shipped_names
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task, task_of
+from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task
 from craftsim.discrete.tasks.registry import read_task
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.errors import BlueprintError, InputError, PlanError
@@ -59,9 +59,9 @@ def folder(tmp_path, monkeypatch):
 def test_a_registered_task_is_found_by_its_name(monkeypatch):
     monkeypatch.setattr("craftsim.discrete.tasks.registry._REGISTERED", {})
     task = own()
-    assert register_task(task) is as_task("corner") is task_of("corner") is task
+    assert register_task(task) is as_task("corner") is task
     again = own()
-    assert register_task(again) is task_of("corner") is again
+    assert register_task(again) is as_task("corner") is again
     for wrong, message in (
         (own("strip"), "a task of craftsim's own"),
         (own("a/b"), "letters, digits"),
@@ -71,26 +71,26 @@ def test_a_registered_task_is_found_by_its_name(monkeypatch):
         with pytest.raises(InputError, match=message):
             register_task(wrong)
     with pytest.raises(InputError, match="its own numbers of cars"):
-        task_of("corner", n_cars=2)
+        as_task("corner", n_cars=2)
     with pytest.raises(
         InputError, match=r"unknown task 'korner'; did you mean 'corner'\?; there are strip, .*corner"
     ):
-        task_of("korner")
+        as_task("korner")
 
 
 def test_a_blueprint_is_a_task_with_the_goal_file_beside_it(folder):
-    bare = task_of("mine.yaml")
+    bare = as_task("mine.yaml")
     assert (bare.name, bare.design) == ("mine", None)
     assert not bare.has_goal
     (folder / "platform.yaml").write_text("start: mine.yaml\ngoal: platform\n")
-    assert task_of("platform.yaml").success == "one_platform"
+    assert as_task("platform.yaml").success == "one_platform"
     (folder / "mine_goal.yaml").write_text(GOAL)
-    assert [target.cell for target in task_of(str(folder / "mine.yaml")).design.targets] == [(1, 1, 1)]
+    assert [target.cell for target in as_task(str(folder / "mine.yaml")).design.targets] == [(1, 1, 1)]
     (folder / "flag.yaml").write_text(START + "flag: [{x: 0, y: 0, z: 1}]\ngoal: [{x: 3, y: 3, z: 1}]\n")
-    assert task_of("flag.yaml").success == "flag_at_goal"
-    assert task_of("flag.yaml").shows_flag
+    assert as_task("flag.yaml").success == "flag_at_goal"
+    assert as_task("flag.yaml").shows_flag
     with pytest.raises(BlueprintError, match=r"nothere\.yaml: no such file"):
-        task_of("nothere.yaml")
+        as_task("nothere.yaml")
 
 
 def test_a_task_file_names_starts_goal_reward_and_counts(folder):
@@ -98,13 +98,13 @@ def test_a_task_file_names_starts_goal_reward_and_counts(folder):
     (folder / "task.yaml").write_text(
         "start: [mine.yaml, mine.yaml]\ngoal: goal.yaml\nreward: complexity\nmax_steps: 30\ncars: 3\nblocks: 4\n"
     )
-    task = task_of("task.yaml")
+    task = as_task("task.yaml")
     assert (task.name, task.max_steps, len(task.starts)) == ("task", 30, 2)
     grid = task.draw(np.random.default_rng(0))
     assert (grid.n_cars, int((grid.kind == Kind.BLOCK).sum())) == (3, 4)
     assert task.design is not None
     (folder / "task.yaml").write_text("start: strip\ngoal: strip_goal\n")
-    assert task_of("task.yaml").design == make_task("strip").design
+    assert as_task("task.yaml").design == make_task("strip").design
 
 
 @pytest.mark.parametrize(
@@ -121,11 +121,11 @@ def test_a_task_file_names_starts_goal_reward_and_counts(folder):
 def test_a_wrong_task_file_is_told_with_what_is_allowed(folder, text, message):
     (folder / "task.yaml").write_text(text)
     with pytest.raises(InputError, match=message):
-        task_of("task.yaml")
+        as_task("task.yaml")
 
 
 def test_a_factory_makes_a_task(folder):
-    assert task_of("own_tasks_module:corner").name == "corner"
+    assert as_task("own_tasks_module:corner").name == "corner"
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_a_factory_makes_a_task(folder):
 )
 def test_a_wrong_factory_is_told_by_name(folder, text, message):
     with pytest.raises(InputError, match=f"task '{text.replace('(', '[(]').replace(')', '[)]')}'.*{message}"):
-        task_of(text)
+        as_task(text)
 
 
 def test_other_numbers_of_cars_and_blocks_are_drawn_at_random():

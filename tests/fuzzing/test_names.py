@@ -20,7 +20,7 @@ from bags import write_bag
 
 from craftsim.checking.settings import Setup
 from craftsim.cli import main
-from craftsim.discrete.tasks import make_task, task_of
+from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.errors import InputError
 from craftsim.logs.files import read_logs
@@ -112,7 +112,7 @@ def test_the_command_line_and_python_import_what_they_name(place):
     assert _imported(place)
     (place / "imported").unlink()
     del sys.modules["planted_module"]
-    assert task_of(NAME).name == "strip"
+    assert as_task(NAME).name == "strip"
     assert _imported(place)
 
 
@@ -238,7 +238,7 @@ def test_a_trajectory_is_read_and_drawn(place):
 
 
 TEXTS = {
-    "task file": ("start: strip\ngoal: strip_goal\nreward: paper\n", lambda path: task_of(str(path))),
+    "task file": ("start: strip\ngoal: strip_goal\nreward: paper\n", lambda path: as_task(str(path))),
     "blueprint": ("area_length: 3\narea_width: 3\narea_height: 2\nflag: [{id: 0, x: 1, y: 1, z: 1}]\n", None),
     "machines": ("smartcar: {chassis_mass_kg: 1.1}\ncars: [{}, {wheel_mass_kg: 2.5}]\n", "--parameters"),
     "gains": ("gains: {drive: {max_speed: 0.4}}\n", "--gains"),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from craftsim.cli import main
-from craftsim.discrete.tasks import task_of
+from craftsim.discrete.tasks import as_task
 from craftsim.storage.limits import SEED
 from craftsim.validation.runs.policies import make_policy
 from craftsim.validation.statistics.durations import Duration, read_durations, write_durations
@@ -62,7 +62,7 @@ def name(rng: np.random.Generator, folder: Path) -> None:
         if rng.integers(2):
             make_policy(_name(rng), 0)
         else:
-            task_of(_name(rng))
+            as_task(_name(rng))
 
 
 def number(rng: np.random.Generator, folder: Path) -> None:

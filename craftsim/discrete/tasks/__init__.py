@@ -8,7 +8,6 @@ from craftsim.discrete.tasks.registry import (
     known_task,
     register_task,
     task_names,
-    task_of,
 )
 from craftsim.discrete.tasks.task import TASK_NAMES, Task, TaskName, free_play, make_task
 
@@ -25,5 +24,4 @@ __all__ = [
     "register_task",
     "shipped_blueprint",
     "task_names",
-    "task_of",
 ]

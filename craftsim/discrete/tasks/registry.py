@@ -1,8 +1,8 @@
 """From a word to a task: the paper's six, tasks that were registered, files, and factories in Python modules.
 
 What stands in a file is looked up by :func:`known_task`, which imports nothing; what is given on the command line or in
-Python by :func:`task_of` or :func:`as_task`, which also take ``module:factory``. A file is a blueprint, with a goal
-file beside it, or a task file, a small YAML file that names both and a reward; docs/tasks.md shows one.
+Python by :func:`as_task`, which also takes ``module:factory``. A file is a blueprint, with a goal file beside it, or a
+task file, a small YAML file that names both and a reward; docs/tasks.md shows one.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from craftsim.discrete.files.blueprint import KEYS, Blueprint, blueprint_of, read_blueprint
+from craftsim.discrete.files.blueprint import KEYS, blueprint_of, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.shipped import Shelf, find
 from craftsim.discrete.grid import Kind
@@ -101,59 +101,41 @@ def as_task(
     n_blocks: int | None = None,
     area: tuple[int, ...] | None = None,
 ) -> Task:
-    """Return a task as it is, or the one that a text stands for, see :func:`task_of`; InputError for anything else."""
-    if isinstance(task, Task):
-        if (n_cars, n_blocks, area) != (None, None, None):
-            raise InputError(
-                f"the task '{task.name}' has its own area and numbers of cars and blocks; they cannot be given"
-            )
-        return task
-    if isinstance(task, str):
-        return task_of(task, n_cars=n_cars, n_blocks=n_blocks, area=area)
-    raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
-
-
-def task_of(
-    text: str,
-    reward: RewardName = "paper",
-    n_cars: int | None = None,
-    n_blocks: int | None = None,
-    area: tuple[int, ...] | None = None,
-) -> Task:
-    """Return the task that a text on the command line or in Python stands for.
+    """Return a task as it is, or the one that a text on the command line or in Python stands for.
 
     It may import code: a text that was read from a file is for :func:`known_task`.
 
     Args:
-        text: what :func:`known_task` takes, or ``module:factory``, a callable without arguments that returns a Task;
-            the module may lie in the working folder.
-        reward: how a named task or a blueprint rewards; a registered task and a factory have their own.
+        task: a Task, what :func:`known_task` takes, or ``module:factory``, a callable without arguments that returns a
+            Task; the module may lie in the working folder.
         n_cars: other than the start file's number of cars; those that it does not list are drawn at random.
         n_blocks: the same for blocks.
         area: (length, width) or (length, width, height) in cells, of a task that varies.
 
-    Raises InputError as :func:`known_task` does, for a factory that raises, and for counts and an area for a factory,
-    which has its own.
+    Raises InputError as :func:`known_task` does, for a factory that raises, and for counts and an area for a Task and
+    a factory, which have their own.
     """
-    return _found(text, True, reward, n_cars, n_blocks, area)
+    if isinstance(task, str):
+        return _found(task, True, n_cars, n_blocks, area)
+    if not isinstance(task, Task):
+        raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
+    if (n_cars, n_blocks, area) != (None, None, None):
+        raise InputError(
+            f"the task '{task.name}' has its own area and numbers of cars and blocks; they cannot be given"
+        )
+    return task
 
 
 def known_task(
     text: str,
-    reward: RewardName = "paper",
     n_cars: int | None = None,
     n_blocks: int | None = None,
     area: tuple[int, ...] | None = None,
 ) -> Task:
     """Return the task that a text in a file stands for; nothing is imported for it.
 
-    Args:
-        text: a name (one of the paper's six, one of those that vary, with ``@test`` for its held-out starts, or a
-            registered one), or a file (a blueprint or a task file, ``.yaml``).
-        reward: as in :func:`task_of`, and so are the others.
-        n_cars: number of cars.
-        n_blocks: number of blocks.
-        area: in cells.
+    ``text`` is a name (one of the paper's six, one of those that vary, with ``@test`` for its held-out starts, or a
+    registered one), or a file (a blueprint or a task file, ``.yaml``); the others are as in :func:`as_task`.
 
     Raises InputError for a text that stands for nothing, ``module:factory`` included, a file that is wrong, counts for
     a registered task, which has its own, and an area for any but a task that varies.
@@ -162,21 +144,22 @@ def known_task(
         raise InputError(
             f"task '{text[:40]}...': a name of {len(text)} characters; allowed: at most {_LONGEST}"
         )
-    return _found(text, False, reward, n_cars, n_blocks, area)
+    return _found(text, False, n_cars, n_blocks, area)
 
 
 def _found(
-    text: str,
-    may_import: bool,
-    reward: RewardName,
-    n_cars: int | None,
-    n_blocks: int | None,
-    area: tuple[int, ...] | None,
+    text: str, may_import: bool, n_cars: int | None, n_blocks: int | None, area: tuple[int, ...] | None
 ) -> Task:
     """Return the task of a name, a file or, where code may be imported, ``module:factory``."""
     name, _, split = text.partition("@")
     if name in VARIED_NAMES:
-        return _varied(name, split or "train", reward, n_cars, n_blocks, area)
+        # The generator's room is above this one, as those are that factories of one's own lie in.
+        varied: Any = random_task
+        given: list[Any] = [name.removeprefix(RANDOM), split or "train"]
+        if name == DESIGNS:
+            varied, given = importlib.import_module("craftsim.designs.tasks").designs_task, given[1:]
+        task: Task = varied(*given, n_cars=n_cars, n_blocks=n_blocks, area=area)
+        return task
     names = task_names()
     is_code = ":" in text and not is_file(text)
     if is_code and not may_import:
@@ -189,35 +172,17 @@ def _found(
             f"task '{text}' has its own area; only those that vary take one: {', '.join(VARIED_NAMES)}"
         )
     if text in TASK_NAMES:
-        return make_task(text, reward, n_cars=n_cars, n_blocks=n_blocks)
+        return make_task(text, n_cars=n_cars, n_blocks=n_blocks)
     if is_code or text in _REGISTERED:
         if n_cars is not None or n_blocks is not None:
             raise InputError(f"task '{text}' has its own numbers of cars and blocks; they cannot be given")
         return _made(text) if is_code else _REGISTERED[text]
     if is_file(text) or text.endswith((".yaml", ".yml")):
-        return read_task(text, reward, n_cars, n_blocks)
+        return read_task(text, n_cars, n_blocks)
     others = "a file .yaml, or module:factory" if may_import else "a file .yaml"
     raise InputError(
         f"unknown task '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, {others}"
     )
-
-
-def _varied(
-    name: str,
-    split: Any,
-    reward: RewardName,
-    n_cars: int | None,
-    n_blocks: int | None,
-    area: tuple[int, ...] | None,
-) -> Task:
-    """Return a task that varies."""
-    if name != DESIGNS:
-        return random_task(name.removeprefix(RANDOM), split, reward, n_cars, n_blocks, area)
-    # The generator's room is above this one, as those are that factories of one's own lie in.
-    drawn: Task = importlib.import_module("craftsim.designs.tasks").designs_task(
-        split, reward, n_cars=n_cars, n_blocks=n_blocks, area=area
-    )
-    return drawn
 
 
 def _made(text: str) -> Task:
@@ -255,41 +220,43 @@ def _made(text: str) -> Task:
     return task
 
 
-def read_task(
-    path: str | Path, reward: RewardName = "paper", n_cars: int | None = None, n_blocks: int | None = None
-) -> Task:
+def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None = None) -> Task:
     """Return the task of a blueprint or of a task file.
 
     A blueprint ``mine.yaml`` has the design in ``mine_goal.yaml`` beside it as its goal. Without one, the goal is to
-    bring its flag to its goal cell if it has both; else there is none, unless a task file says ``goal: platform``. What
-    a task file says of reward and counts goes before the arguments. Raises BlueprintError with file, line and key.
+    bring its flag to its goal cell if it has both; else there is none, unless a task file says ``goal: platform``. The
+    counts that a task file gives go before the arguments. Raises BlueprintError with file, line and key.
     """
     path = Path(path)
     document = read_document(path, BlueprintError)
+    design: Design | None = None
     if "start" not in document.plain:
         document.mapping([*KEYS, *(key for key in _KEYS if key not in KEYS)])
-        start = blueprint_of(document).with_counts(n_cars, n_blocks)
+        file = _File(start=None)
+        starts = [blueprint_of(document).with_counts(n_cars, n_blocks)]
         beside = path.with_name(f"{path.stem}_goal{path.suffix}")
-        design = read_design(beside) if is_file(beside) else None
-        return _task(path, (start,), design, reward, DEFAULT_MAX_STEPS)
-    file = document.to(_File)
-    counts = (
-        n_cars if file.cars is None else file.cars,
-        n_blocks if file.blocks is None else file.blocks,
-    )
-    starts = tuple(read_blueprint(place).with_counts(*counts) for place in _places(document, file.start))
-    platform, design = file.goal == PLATFORM, None
-    if "goal" in document.plain and not platform:
-        design = read_design(_place(document, file.goal, "goal", "goals"))
-    return _task(path, starts, design, file.reward or reward, file.max_steps or DEFAULT_MAX_STEPS, platform)
-
-
-def _places(document: Document, start: Any) -> list[Path]:
-    """Return the files that a start names: one, or a list of which one is drawn for each episode."""
-    items = start if isinstance(start, list) else [start]
-    if not items:
-        document.fail(("start",), "key 'start': needs at least one start file")
-    return [_place(document, item, "start", "blueprints") for item in items]
+        if is_file(beside):
+            design = read_design(beside)
+    else:
+        file = document.to(_File)
+        cars, blocks = (
+            n_cars if file.cars is None else file.cars,
+            n_blocks if file.blocks is None else file.blocks,
+        )
+        named = file.start if isinstance(file.start, list) else [file.start]
+        if not named:
+            document.fail(("start",), "key 'start': needs at least one start file")
+        places = [_place(document, one, "start", "blueprints") for one in named]
+        starts = [read_blueprint(place).with_counts(cars, blocks) for place in places]
+        if "goal" in document.plain and file.goal != PLATFORM:
+            design = read_design(_place(document, file.goal, "goal", "goals"))
+    name, max_steps = writable(path.stem), file.max_steps or DEFAULT_MAX_STEPS
+    goal = "built" if design else "one_platform" if file.goal == PLATFORM else ""
+    if design is None and all(start.goal is not None and start.listed(Kind.FLAG) for start in starts):
+        goal = "flag_at_goal"
+    if not goal:
+        return free_play(name, tuple(starts), max_steps)
+    return build_task(name, tuple(starts), goal, file.reward or "paper", max_steps, design)
 
 
 def _place(document: Document, name: Any, key: str, shelf: Shelf) -> Path:
@@ -298,21 +265,3 @@ def _place(document: Document, name: Any, key: str, shelf: Shelf) -> Path:
         document.fail((key,), f"key '{key}': must be a file beside this one, or the name of a shipped one")
     near = document.path.parent / name
     return near if is_file(near) else find(name, shelf)
-
-
-def _task(
-    path: Path,
-    starts: tuple[Blueprint, ...],
-    design: Design | None,
-    reward: RewardName,
-    max_steps: int,
-    platform: bool = False,
-) -> Task:
-    name = writable(path.stem)
-    if design is not None:
-        return build_task(name, starts, "built", reward, max_steps, design)
-    if starts and all(start.goal is not None and start.listed(Kind.FLAG) for start in starts):
-        return build_task(name, starts, "flag_at_goal", reward, max_steps)
-    if platform:
-        return build_task(name, starts, "one_platform", reward, max_steps)
-    return free_play(name, starts, max_steps)

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from craftsim.discrete.tasks import make_task, task_of
+from craftsim.discrete.tasks import as_task, make_task
 from craftsim.errors import InputError
 from craftsim.validation.runs.policies import check_policy, make_policy, policy_digest
 
@@ -128,9 +128,9 @@ def test_what_is_no_factory_of_tasks_is_refused(name, tmp_path, monkeypatch):
     (tmp_path / "leave_task.py").write_text("import sys\nsys.exit(4)\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(InputError, match=f"task '{name}'"):
-        task_of(name)
+        as_task(name)
 
 
 def test_a_factory_that_leaves_is_refused():
     with pytest.raises(InputError, match="the factory raised SystemExit"):
-        task_of("sys:exit")
+        as_task("sys:exit")

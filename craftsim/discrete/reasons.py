@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from string import Formatter
+from typing import Any, Final
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kernel import batch
@@ -25,7 +26,7 @@ class RuleReason:
 
     words: str
     """Its fields are places of :data:`_PLACES`: ``{place}`` is their cell, ``{place:what}`` what is there, see
-    :class:`_Place`. ``{car}`` is the car that the reason names, ``{load}`` the own load."""
+    :meth:`_Case.format_field`. ``{car}`` is the car that the reason names, ``{load}`` the own load."""
     cells: tuple[str, ...] = ("own",)
     """The places concerned."""
     correction: Correction | None = None
@@ -187,7 +188,7 @@ def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanati
     case = _Case(grid, car, action, found >> code.DETAIL_BITS)
     if reason.correction is None:
         cells = tuple(case.place(name) for name in reason.cells)
-        return Explanation(action, False, reason.words.format_map(case), None, cells)
+        return Explanation(action, False, case.format(reason.words), None, cells)
     things = list(_in_the_way(grid, car, lambda cells, cars: why(cells, cars) == code.LEGAL))
     named = "; ".join(text for _, text in things)
     words = reason.words + (f": {named}" if named else "")
@@ -220,8 +221,8 @@ def _in_the_way(grid: Grid, car: int, legal: Callable[[object, object], bool]) -
                     yield (cx, cy, cz), f"{NAMES[kind]} is in {(cx, cy, cz)}"
 
 
-class _Case:
-    """A forbidden action; as a mapping it gives the fields of a reason's words."""
+class _Case(Formatter):
+    """A forbidden action, which writes a reason's words."""
 
     def __init__(self, grid: Grid, car: int, action: Action, detail: int) -> None:
         self.grid, self.car, self.detail = grid, car, detail
@@ -230,10 +231,34 @@ class _Case:
         self.direction = MOVE_DIRECTION.get(action, 0)
         self.turn = 1 if action == Action.ROTATE_LEFT else -1
 
-    def __getitem__(self, name: str) -> object:
-        if name == "car":
-            return self.detail
-        return NAMES[Kind(self.load)] if name == "load" else _Place(self, self.place(name))
+    def get_field(self, field_name: str, args: object, kwargs: object) -> tuple[Any, str]:
+        """Return what a field of the words stands for: a car's number, a load's name or the cell of a place."""
+        named = {"car": self.detail, "load": NAMES[Kind(self.load)]}
+        return named[field_name] if field_name in named else self.place(field_name), field_name
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a field's text: after a place ``what`` is there, ``if any``, its ``occupant``, or a ``blocker``."""
+        if not format_spec:
+            return str(value)
+        x, y, z = cell = value
+        length, width, _ = self.grid.size
+        inside = 0 <= x < length and 0 <= y < width
+        # Above the map there is air.
+        named = NAMES[self.grid.kind_at(cell)] if inside else "the end of the map"
+        if format_spec == "if any":
+            return "" if named == "nothing" else f": {named}"
+        if format_spec == "occupant":
+            if self.detail >= 0:
+                return f"car {self.detail}"
+            above = self.format_field((x, y, z + 1), "what")
+            return "so says its mark, left by past events" if above == "nothing" else above
+        if format_spec == "blocker":
+            places = self.grid.cars[:, : CarField.YAW].tolist()
+            for car, place in enumerate(places):
+                if car != self.car and tuple(place) == cell:
+                    return f"car {car}"
+            return "a gear that another car carries" if named == "nothing" else named
+        return named
 
     def place(self, name: str) -> Cell:
         """Return the cell of a place."""
@@ -242,12 +267,6 @@ class _Case:
             x, y, z = self.place(rest)
             return x, y, z + (1 if beyond == "above" else -1)
         return _PLACES[name](self)
-
-    def kind(self, cell: Cell) -> Kind:
-        """Return what is in a cell; beside the map there is wall, above it air."""
-        length, width, _ = self.grid.size
-        inside = 0 <= cell[0] < length and 0 <= cell[1] < width
-        return self.grid.kind_at(cell) if inside else Kind.WALL
 
     def ahead(self, cells: int) -> Cell:
         """Return the cell so many ahead in the direction of a move."""
@@ -282,34 +301,3 @@ _PLACES: Final[dict[str, Callable[[_Case], Cell]]] = {
 ``foot`` is that of the slope in the own cell, ``side`` and ``other`` are named by the reason's detail, ``swept`` is
 passed by the gear of a carried slope, the last three lie in the direction of a move.
 """
-
-
-@dataclass(frozen=True)
-class _Place:
-    """A cell in a reason's words."""
-
-    case: _Case
-    cell: Cell
-
-    def __format__(self, what: str) -> str:
-        """Return the cell, ``what`` is there, after a colon ``if any``, its ``occupant``, or a ``blocker``."""
-        x, y, z = self.cell
-        length, width, _ = self.case.grid.size
-        kind = self.case.kind(self.cell)
-        named = NAMES[kind] if 0 <= x < length and 0 <= y < width else "the end of the map"
-        if what == "what":
-            return named
-        if what == "if any":
-            return "" if kind == Kind.AIR else f": {named}"
-        if what == "occupant":
-            if self.case.detail >= 0:
-                return f"car {self.case.detail}"
-            above = f"{_Place(self.case, (x, y, z + 1)):what}"
-            return "so says its mark, left by past events" if above == "nothing" else above
-        if what == "blocker":
-            places = self.case.grid.cars[:, : CarField.YAW].tolist()
-            for car, place in enumerate(places):
-                if car != self.case.car and tuple(place) == self.cell:
-                    return f"car {car}"
-            return "a gear that another car carries" if named == "nothing" else named
-        return str(self.cell)

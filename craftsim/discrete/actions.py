@@ -19,18 +19,6 @@ from craftsim.discrete.kernel.rules import why
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action, CarField, Kind
 
 
-@dataclass(frozen=True)
-class Variation:
-    """What the audit's contexts vary for an action, beyond the car's level, ground, cell and load."""
-
-    ahead: tuple[int, ...] = ()
-    """Directions, relative to the heading, in which the action goes: what is in the next cell there is varied."""
-    over: bool = False
-    """Whether it matters what is above the own cell or, with ``ahead``, above the next one."""
-    beyond: int | None = None
-    """Relative direction in which it matters whether a block is in the cell after the next."""
-
-
 def _nothing(grid: Grid, car: int) -> str:
     return ""
 
@@ -49,9 +37,15 @@ class ActionSpec:
     """Its row in ``craftsim/data/durations.yaml``; empty where no skill performs it, as no rule ever allows it."""
     nothing_to_try: Callable[[Grid, int], str] = _nothing
     """Says why there is nothing to try where it is forbidden: (grid, car) -> words, empty where there is something."""
-    varies: Variation = Variation()
     direction: int | None = None
     """Of a move: the grid yaw in which it goes."""
+    ahead: tuple[int, ...] = ()
+    """Directions, relative to the heading, in which it goes: the audit's contexts vary what is in the next cell there,
+    beyond the car's level, ground, cell and load."""
+    over: bool = False
+    """Whether it matters what is above the own cell or, with ``ahead``, above the next one."""
+    beyond: int | None = None
+    """Relative direction in which it matters whether a block is in the cell after the next."""
 
     @property
     def performed(self) -> bool:
@@ -88,8 +82,10 @@ def _nothing_to_unfold(grid: Grid, car: int) -> str:
 
 
 def _move(action: Action) -> ActionSpec:
-    words, varies = action.name.replace("_", " ").lower(), Variation(ahead=(0, 1, 2, 3))
-    return ActionSpec("MOVE", words, space.of_move, "move", _nothing, varies, MOVE_DIRECTION[action])
+    words = action.name.replace("_", " ").lower()
+    return ActionSpec(
+        "MOVE", words, space.of_move, "move", direction=MOVE_DIRECTION[action], ahead=(0, 1, 2, 3)
+    )
 
 
 def _diagonal(action: Action) -> ActionSpec:
@@ -97,13 +93,11 @@ def _diagonal(action: Action) -> ActionSpec:
 
 
 ACTIONS: Final[Mapping[Action, ActionSpec]] = {
-    Action.LIFT: ActionSpec("LIFT", "lift", space.of_board, "lift", _nothing_to_lift, Variation(over=True)),
+    Action.LIFT: ActionSpec("LIFT", "lift", space.of_board, "lift", _nothing_to_lift, over=True),
     Action.DROP: ActionSpec("DROP", "drop", space.of_board, "drop", _nothing_to_drop),
-    Action.FOLD: ActionSpec(
-        "FOLD", "fold", space.of_flap, "fold", _nothing_to_fold, Variation(over=True, beyond=2)
-    ),
+    Action.FOLD: ActionSpec("FOLD", "fold", space.of_flap, "fold", _nothing_to_fold, over=True, beyond=2),
     Action.UNFOLD: ActionSpec(
-        "UNFOLD", "unfold", space.of_flap, "unfold", _nothing_to_unfold, Variation(over=True, beyond=2)
+        "UNFOLD", "unfold", space.of_flap, "unfold", _nothing_to_unfold, over=True, beyond=2
     ),
     Action.ROTATE_LEFT: ActionSpec("ROTATE_LEFT", "rotate left", space.of_turn, "rotate"),
     Action.ROTATE_RIGHT: ActionSpec("ROTATE_RIGHT", "rotate right", space.of_turn, "rotate"),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Final
 
-from craftsim.discrete.actions import ACTIONS, VERBS, Variation
+from craftsim.discrete.actions import ACTIONS, VERBS, ActionSpec
 from craftsim.discrete.grid import KINDS_WITH_YAW, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
@@ -18,7 +18,7 @@ DIRECTION_NAMES: Final = ("forward", "left", "back", "right")
 _ACTION_OF: Final = {
     (spec.verb, spec.direction): action for action, spec in ACTIONS.items() if spec.performed
 }
-_VARIATION_OF: Final = {spec.verb: spec.varies for spec in ACTIONS.values() if spec.performed}
+_SPEC_OF: Final = {spec.verb: spec for spec in ACTIONS.values() if spec.performed}
 
 
 class Verb(StrEnum):
@@ -29,9 +29,9 @@ class Verb(StrEnum):
         vars()[verb] = verb
 
     @property
-    def varies(self) -> Variation:
-        """What its contexts vary."""
-        return _VARIATION_OF[self.value]
+    def spec(self) -> ActionSpec:
+        """Its row in the table of actions, of a move any: what its contexts vary is the same."""
+        return _SPEC_OF[self.value]
 
 
 class Ground(Enum):

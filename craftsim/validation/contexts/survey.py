@@ -52,13 +52,13 @@ _LOADS: Final = (Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
 
 def _inner(verb: Verb) -> list[tuple[int | None, Thing | None, int, Thing, bool]]:
     """Return the combinations of direction, next, level, over and beyond that a verb depends on, in a fixed order."""
-    varies = verb.varies
-    ways: list[tuple[int | None, Thing | None]] = [*product(varies.ahead, _NEXT)] or [(None, None)]
+    spec = verb.spec
+    ways: list[tuple[int | None, Thing | None]] = [*product(spec.ahead, _NEXT)] or [(None, None)]
     found = []
     for (direction, thing), level in product(ways, LEVELS):
         ramp = thing is not None and thing.kind in (Kind.FOOT, Kind.BODY)
-        overs = _OVER if ramp or varies.over else [NOTHING]
-        beyonds = (False,) if varies.beyond is None else (False, True)
+        overs = _OVER if ramp or spec.over else [NOTHING]
+        beyonds = (False,) if spec.beyond is None else (False, True)
         found += [(direction, thing, level, over, beyond) for over, beyond in product(overs, beyonds)]
     return found
 

@@ -102,8 +102,8 @@ def draw(context: Context) -> Drawing:
         _draw_next(drawing, context, own)
     if context.over.kind != Kind.AIR:
         drawing.put_thing(context.over, _over(context, own))
-    if context.beyond_taken and context.verb.varies.beyond is not None:
-        drawing.put(Kind.BLOCK, _after_next(own, context.verb.varies.beyond)[-1])
+    if context.beyond_taken and context.verb.spec.beyond is not None:
+        drawing.put(Kind.BLOCK, _after_next(own, context.verb.spec.beyond)[-1])
     drawing.support_all()
     return drawing
 
@@ -185,7 +185,7 @@ def _over(context: Context, own: Cell) -> Cell:
     if context.direction is None or context.next is None:
         return x, y, z + 1
     ahead = beside(own, context.direction)
-    if context.verb.varies.over:
+    if context.verb.spec.over:
         return ahead[0], ahead[1], z + 1
     if context.next.below:
         return beside(ahead, context.direction)
@@ -215,8 +215,8 @@ def fillable(context: Context, drawing: Drawing) -> list[tuple[Cell, ...]]:
         falls = context.ground.half == 2 and context.ground.downhill == context.direction
         ways.append((x, y, z + climbs - falls))
     taken = set(ways)
-    if context.verb.varies.beyond is not None:
-        taken |= {*_after_next(own, context.verb.varies.beyond)}
+    if context.verb.spec.beyond is not None:
+        taken |= {*_after_next(own, context.verb.spec.beyond)}
     columns: list[tuple[Cell, ...]] = []
     for x, y, z in ways:
         for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)):

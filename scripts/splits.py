@@ -23,8 +23,9 @@ from craftsim.designs.tasks import DrawnDesigns, shape_digest
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.random_tasks import RANDOM_NAMES, RandomPlacement
 from craftsim.discrete.tasks.registry import DESIGNS
-from craftsim.discrete.tasks.starts import Split, Starts, write_split
+from craftsim.discrete.tasks.starts import Split, Starts, split_path
 from craftsim.planning import NoPlanError, plan_building
+from craftsim.storage.writing import whole
 
 HELD_OUT = dict.fromkeys(RANDOM_NAMES, 1000) | {DESIGNS: 800}
 TRAINED = 6000
@@ -77,8 +78,14 @@ def planned_ticks(task: Task, start: Starts) -> int:
 
 
 def write(name: str, split: Split, kept: list[Starts], ticks: list[int]) -> Path:
-    """Write starts into the file of a split."""
-    return write_split(name, split, Starts.joined(kept), np.array(ticks))
+    """Write starts, with the ticks of a plan for each, into the file of a split; return the file."""
+    path, starts = split_path(name, split), Starts.joined(kept)
+    path.parent.mkdir(exist_ok=True)
+    known = starts.grids.to_arrays() | {"designs": starts.designs}
+    arrays = {array: known[array].astype(np.int8) for array in ("kind", "yaw", "cars", "designs")}
+    with whole(path) as unfinished, unfinished.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays, ticks=np.array(ticks, np.int16))
+    return path
 
 
 def write_held_out(name: str, n: int) -> None:

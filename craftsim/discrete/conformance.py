@@ -20,9 +20,10 @@ from typing_extensions import TypedDict
 from craftsim.discrete.files.blueprint import MAX_SIDE
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.grid_checks import check_size, check_values
+from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.kinds import Action, CellField, Correction
 from craftsim.discrete.rules import Helper, Rules
-from craftsim.discrete.tasks.observation import ROW, Layout, entity_rows
+from craftsim.discrete.tasks.observation import Layout, entity_rows
 from craftsim.discrete.tasks.rewards import POTENTIALS, Reward
 from craftsim.discrete.tasks.starts import targets_of
 from craftsim.discrete.tasks.task import Task, make_task

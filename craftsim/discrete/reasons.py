@@ -65,7 +65,9 @@ REASONS: Final[dict[int, RuleReason]] = {
     ),
     code.FORWARD_ONLY: RuleReason("from under {own:what} in {own} a car can only move forward"),
     code.NOT_SIDEWAYS: RuleReason("from under {own:what} in {own} a car cannot move sideways"),
-    code.NO_FLOOR: RuleReason("there is nothing to stand on in {under target}: {under target:what}", ("target",)),
+    code.NO_FLOOR: RuleReason(
+        "there is nothing to stand on in {under target}: {under target:what}", ("target",)
+    ),
     code.IN_THE_WAY: RuleReason("{target:what} is in {target}", ("target",)),
     code.CAR_THERE: RuleReason("car {car} is in {target}", ("target",)),
     code.GEAR_THERE: RuleReason("another car carries a gear in {target}", ("target",)),

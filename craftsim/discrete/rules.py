@@ -91,10 +91,13 @@ class Rules:
 
         Returns the world after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
         """
-        after = grid.copy()
-        acting = _in_order(grid, joint)
-        batch.step(after.cells[None], after.cars[None], int(self.corrections), *acting)
-        return after, acting[-1][0]
+        for car, _ in joint:
+            _check_car(grid, car)
+        turns, acts = np.array(joint, np.int64).reshape(-1, 2).T.copy()
+        after, applied = grid.copy(), np.zeros((1, len(turns)), np.bool_)
+        arrays = after.cells[None], after.cars[None], int(self.corrections)
+        batch.step(*arrays, turns[None], acts[None], applied)
+        return after, applied[0]
 
 
 class Helper:
@@ -111,10 +114,6 @@ class Helper:
         self.depth = depth
         self._last: tuple[Cell, SearchBuffers] | None = None
 
-    def empty_queue(self, n_cars: int) -> NDArray[np.int8]:
-        """Return queues of n cars, shape (n_cars, depth + 1), with nothing in them (-1)."""
-        return empty_queue(n_cars, self.depth)
-
     def plan_move(self, grid: Grid, car: int, action: Action) -> tuple[Action, ...] | None:
         """Return the primitives that a MOVE stands for now, or None if the helper finds no way."""
         if action not in MOVE_DIRECTION:
@@ -128,7 +127,7 @@ class Helper:
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
         """Return the primitive that an action stands for now, and leave in ``queue`` what is to follow it.
 
-        As :meth:`tick` chooses it, for physical execution.
+        As a batch's steps choose it, for physical execution.
         """
         if queue[car, 0] >= 0:
             due, queue[car, :-1], queue[car, -1] = int(queue[car, 0]), queue[car, 1:].copy(), -1
@@ -145,22 +144,6 @@ class Helper:
         arrays = grid.cells[None], grid.cars[None]
         batch.masks(*arrays, int(self.rules.corrections), self._space(grid), self.depth, out)
         return out[0]
-
-    def tick(
-        self, grid: Grid, queue: NDArray[np.int8], joint: Joint
-    ) -> tuple[Grid, NDArray[np.int8], NDArray[np.bool_]]:
-        """Let cars act in the order given, helper on; return world, queues and which primitives applied.
-
-        A car whose queue is not empty ignores the action it is given. ``queue`` has shape (n_cars, depth + 1) with -1
-        where nothing is queued.
-        """
-        if queue.shape != (grid.n_cars, self.depth + 1):
-            raise ValueError(f"queue has shape {queue.shape}; it must be {(grid.n_cars, self.depth + 1)}")
-        after, queues = grid.copy(), queue[None].copy()
-        acting = _in_order(grid, joint)
-        arrays = after.cells[None], after.cars[None], int(self.rules.corrections)
-        batch.step_with_helper(*arrays, *acting, queues, self._space(grid), self.depth)
-        return after, queues[0], acting[-1][0]
 
     def _space(self, grid: Grid) -> SearchBuffers:
         """Return scratch arrays; those of one map size are kept, and no more: they may take 20 MB each."""
@@ -190,15 +173,3 @@ def _check_car(grid: Grid, car: int) -> None:
     """Raise ValueError if a world has no such car: compiled code would read past its arrays."""
     if not 0 <= car < grid.n_cars:
         raise ValueError(f"no car {car}; the world has {grid.n_cars}, counted from 0")
-
-
-def _in_order(grid: Grid, joint: Joint) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Return, each (1, len(joint)), the cars as they act, what each does, and room for whether that was legal."""
-    for car, _ in joint:
-        _check_car(grid, car)
-    order = np.array([car for car, _ in joint], np.int64)[None]
-    return (
-        order,
-        np.array([int(action) for _, action in joint], np.int64)[None],
-        np.zeros(order.shape, np.bool_),
-    )

@@ -10,17 +10,9 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.state import F_X, F_YAW, F_Z
+from craftsim.discrete.kernel.tasks import IS_CAR, IS_FLAG, IS_FOOT, IS_LOADED, YAW_HIGH, YAW_LOW
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.observation import (
-    IS_CAR,
-    IS_FLAG,
-    IS_FOOT,
-    IS_LOADED,
-    YAW_HIGH,
-    YAW_LOW,
-    Layout,
-    entity_rows,
-)
+from craftsim.discrete.tasks.observation import Layout, entity_rows
 from craftsim.discrete.tasks.starts import Targets, targets_of
 from craftsim.envs.observe import Observe
 from craftsim.errors import InputError

@@ -11,8 +11,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.observation import ROW, car_vectors
+from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.options import Options

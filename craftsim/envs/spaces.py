@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.observation import ROW
 from craftsim.envs.actions import N_ACTIONS
 from craftsim.envs.images import Images
 

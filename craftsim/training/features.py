@@ -7,8 +7,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.tasks import IS_CAR, IS_GOAL, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
 from craftsim.discrete.kinds import MOVE_DIRECTION
-from craftsim.discrete.tasks.observation import IS_CAR, IS_GOAL, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
 from craftsim.training.shape import FORMS, Shape
 
 

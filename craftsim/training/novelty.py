@@ -10,7 +10,7 @@ from typing import Final
 import torch
 from tensordict import TensorDictBase
 
-from craftsim.discrete.tasks.observation import ROW
+from craftsim.discrete.kernel.tasks import ROW
 from craftsim.training.networks import OBSERVATION
 from craftsim.training.shape import Shape
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 
+from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.observation import ROW, car_vectors
+from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.grid_env import TeamEnv
 

@@ -75,7 +75,7 @@ class TrainedPolicy:
 
     def __call__(self, observations: Observations) -> dict[str, int]:
         """Return one action for each agent; raises InputError if the observations are those of another task."""
-        from craftsim.discrete.tasks.observation import ROW
+        from craftsim.discrete.kernel.tasks import ROW
         from craftsim.training.evaluation import choose_actions
 
         task = getattr(observations, "task", None)

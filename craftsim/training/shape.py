@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from craftsim.discrete.grid_checks import check_size
+from craftsim.discrete.kernel.tasks import IS_BLOCK, IS_BODY, IS_CAR, IS_FLAG, IS_FOOT, IS_FSLOPE, ROW
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.observation import IS_BLOCK, IS_BODY, IS_CAR, IS_FLAG, IS_FOOT, IS_FSLOPE, ROW
 from craftsim.errors import InputError
 from craftsim.storage.limits import NETWORK_WIDTH, POLICY, size_text
 

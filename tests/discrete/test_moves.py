@@ -4,7 +4,7 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.discrete.rules import Helper, Rules, empty_queue
+from craftsim.discrete.rules import Helper, Rules
 
 BOTH = pytest.mark.parametrize(
     "rules", [Rules("published"), Rules("physical")], ids=["published", "physical"]
@@ -257,7 +257,6 @@ def test_a_car_that_is_not_there_is_refused(rules, scene, car, number):
         lambda: rules.tick(grid, [(number, Action.STOP)]),
         lambda: planner.plan_move(grid, number, RIGHT),
         lambda: planner.plan_to(grid, number, (1, 1, 1)),
-        lambda: planner.tick(grid, empty_queue(1, 10), [(number, Action.STOP)]),
     ]
     for call in calls:
         with pytest.raises(ValueError, match=f"no car {number}; the world has 1"):

@@ -6,10 +6,7 @@ import torch
 from torch import nn
 
 import craftsim
-from craftsim.discrete.kinds import MOVE_DIRECTION
-from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
-from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.observation import (
+from craftsim.discrete.kernel.tasks import (
     IS_BLOCK,
     IS_BODY,
     IS_CAR,
@@ -20,6 +17,9 @@ from craftsim.discrete.tasks.observation import (
     YAW_HIGH,
     YAW_LOW,
 )
+from craftsim.discrete.kinds import MOVE_DIRECTION
+from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
+from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.random_tasks import random_task
 from craftsim.errors import InputError
 from craftsim.training.config import TrainConfig

@@ -10,7 +10,7 @@ from torch import nn
 import craftsim
 from craftsim.cli import main
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.tasks.observation import IS_BLOCK, IS_CAR, IS_GOAL, ROW
+from craftsim.discrete.kernel.tasks import IS_BLOCK, IS_CAR, IS_GOAL, ROW
 from craftsim.errors import InputError
 from craftsim.training.config import TrainConfig
 from craftsim.training.networks import CarNet

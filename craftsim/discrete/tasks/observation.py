@@ -23,7 +23,6 @@ from craftsim.discrete.kernel.tasks import (
     IS_FOOT,
     IS_FSLOPE,
     IS_GOAL,
-    IS_LOADED,
     ROW,
     YAW_HIGH,
     YAW_LOW,
@@ -31,24 +30,6 @@ from craftsim.discrete.kernel.tasks import (
 )
 from craftsim.discrete.tasks.starts import Targets
 from craftsim.errors import CraftsimError
-
-__all__ = [
-    "IS_BLOCK",
-    "IS_BODY",
-    "IS_CAR",
-    "IS_FLAG",
-    "IS_FOOT",
-    "IS_FSLOPE",
-    "IS_GOAL",
-    "IS_LOADED",
-    "ROW",
-    "YAW_HIGH",
-    "YAW_LOW",
-    "Layout",
-    "car_vectors",
-    "entity_rows",
-    "target_rows",
-]
 
 _TYPE_FLAGS: Final = {
     Kind.FSLOPE: IS_FSLOPE,

@@ -141,17 +141,6 @@ def read_split(task: str, split: Split) -> tuple[Starts, NDArray[np.int64]]:
     return starts, arrays["ticks"].astype(np.int64)
 
 
-def write_split(task: str, split: Split, starts: Starts, ticks: NDArray[np.integer]) -> Path:
-    """Write the starts that are shipped with a task and a split; return the file."""
-    path = split_path(task, split)
-    path.parent.mkdir(exist_ok=True)
-    known = starts.grids.to_arrays() | {"designs": starts.designs}
-    arrays = {name: known[name].astype(np.int8) for name in ("kind", "yaw", "cars", "designs")}
-    with whole(path) as partial, partial.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays, ticks=ticks.astype(np.int16))
-    return path
-
-
 def save_starts(path: Path, grids: Sequence[Grid]) -> None:
     """Write worlds of one size and number of cars into an ``.npz`` file, which is whole or as it was.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, INCLINE_RAD, LEVEL_HEIGHT_M, yaw_angle
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR, KIND, YAW
 
 PLACE_TOLERANCE_M: Final = 0.025
@@ -40,6 +42,8 @@ Floats = NDArray[np.float64]
 Vector = Sequence[float]
 Axes = tuple[Vector, Vector, Vector]
 """Of a turned body: forward, left and up, (x, y, z) each in the world frame."""
+_axes_of: Final[Callable[..., Axes]] = getattr(body_axes, "py_func", body_axes)
+"""Not compiled: poses are read once an action."""
 _Seat = tuple[int, Axes, float, float]
 """What a carried object sits on: the car, its axes, how far off its centre line and how high above it."""
 
@@ -62,9 +66,7 @@ class Poses:
 
     def copy(self) -> Poses:
         """Return a copy whose poses may be written to."""
-        cars, things = self.car_positions.copy(), self.positions.copy()
-        turned = self.car_quaternions.copy(), self.quaternions.copy()
-        return Poses(cars, turned[0], self.kinds, things, turned[1], self.hinges.copy())
+        return deepcopy(self)
 
     def name(self, index: int) -> str:
         """Return the name of an object for people, counted by kind: ``block 0``, ``flag 0``, ``slope 1``."""
@@ -142,15 +144,7 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
 
 def _axes(quaternions: Floats) -> list[Axes]:
     """Return the axes of bodies turned by quaternions (n, 4) of any length."""
-    found: list[Axes] = []
-    for w, x, y, z in quaternions.tolist():
-        norm = math.sqrt(w * w + x * x + y * y + z * z)
-        w, x, y, z = w / norm, x / norm, y / norm, z / norm
-        forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-        left = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
-        up = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-        found.append((forward, left, up))
-    return found
+    return [_axes_of(*quaternion) for quaternion in quaternions.tolist()]
 
 
 def _dot(a: Vector, b: Vector) -> float:

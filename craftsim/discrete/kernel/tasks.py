@@ -29,7 +29,6 @@ from craftsim.discrete.kernel.state import (
     dir_x,
     dir_y,
     kind_at,
-    standable,
     world_at,
     yaw_at,
 )
@@ -150,28 +149,6 @@ def largest_platforms(
                     if w.cells[x, y, z, KIND] in (BLOCK, also) and not seen[x, y]:
                         largest = max(largest, platform_size(w, x, y, z, also, seen, stack))
         out[i] = largest
-
-
-@compiled
-def count_storeys_and_ramps(worlds: World, out: NDArray[np.float64]) -> None:
-    """Write, for each world, the levels that blocks stand above the floor, and how many ramps lead to a block, in all.
-
-    Such a ramp is an unfolded slope with its foot below and a block behind its body. ``out`` is (B,).
-    """
-    for i in range(out.shape[0]):
-        w = world_at(worlds, i)
-        total = 0
-        for x in range(w.cells.shape[0]):
-            for y in range(w.cells.shape[1]):
-                for z in range(1, w.cells.shape[2]):
-                    if w.cells[x, y, z, KIND] == BLOCK:
-                        total += z - 1
-                    elif w.cells[x, y, z, KIND] == BODY:
-                        yaw = yaw_at(w, x, y, z)
-                        dx, dy = dir_x(yaw), dir_y(yaw)
-                        leads = standable(kind_at(w, x - dx, y - dy, z))
-                        total += leads and holds(w, FOOT, x + dx, y + dy, z, yaw)
-        out[i] = total
 
 
 @compiled

@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.tasks import (
-    count_storeys_and_ramps,
     flag_distances,
     largest_platforms,
     score_buildings,
@@ -80,10 +80,19 @@ def flag_nearness(grids: Grid, designs: Targets, layout: Layout) -> Floats:
 
 
 def complexity(grids: Grid, designs: Targets, layout: Layout) -> Floats:
-    """Return how elaborate a building is: its largest platform, levels of blocks above the floor, ramps to blocks."""
-    out = np.empty(len(grids))
-    count_storeys_and_ramps(grids.world(), out)
-    return platform(grids, designs, layout) + out
+    """Return how elaborate a building is: its largest platform, levels of blocks above the floor, ramps to blocks.
+
+    Such a ramp is an unfolded slope with its foot below and a block behind its body.
+    """
+    storeys = ((grids.kind == Kind.BLOCK) * np.arange(-1, grids.size[2])).sum(axis=(1, 2, 3))
+    edge = (0, 0), (1, 1), (1, 1), (0, 0)
+    kinds, yaws = np.pad(grids.kind, edge), np.pad(grids.yaw, edge)
+    world, x, y, z = np.nonzero(kinds == Kind.BODY)
+    yaw = yaws[world, x, y, z]
+    dx, dy = DIRECTIONS[yaw].T
+    foot = world, x + dx, y + dy, z
+    leads = (kinds[foot] == Kind.FOOT) & (yaws[foot] == yaw) & (kinds[world, x - dx, y - dy, z] == Kind.BLOCK)
+    return platform(grids, designs, layout) + storeys + np.bincount(world[leads], minlength=len(grids))
 
 
 POTENTIALS: Final[dict[str, Potential]] = {

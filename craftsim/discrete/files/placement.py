@@ -44,6 +44,29 @@ def _below(cell: Cell) -> Cell:
     return cell[0], cell[1], cell[2] - 1
 
 
+def free_floor(kind: NDArray[np.int16], slope: bool) -> NDArray[np.bool_]:
+    """Return (B, 1, L, W): where a thing has room on the floor of B worlds, of which ``kind`` is (B, L, W).
+
+    For a folded slope (B, 4, L, W), by its yaw: its gear needs the next cell, and no wall is behind it.
+    """
+    free: NDArray[np.bool_] = (kind == Kind.AIR)[:, None]
+    if slope:
+        free = free & (beside_each(kind, 1, Kind.WALL) == Kind.AIR)
+        free &= beside_each(kind, -1, Kind.WALL) != Kind.WALL
+    return free
+
+
+def beside_each(array: NDArray[Any], sign: int, edge: int) -> NDArray[Any]:
+    """Return (B, 4, L, W): what an array (B, L, W) has ahead of each cell in each yaw, with sign -1 behind it.
+
+    ``edge`` is what is beside the map.
+    """
+    _, length, width = array.shape
+    around = np.pad(array, ((0, 0), (1, 1), (1, 1)), constant_values=edge)
+    steps = [(1 + sign * dx, 1 + sign * dy) for dx, dy in DIRECTIONS.tolist()]
+    return np.stack([around[:, x : x + length, y : y + width] for x, y in steps], axis=1)
+
+
 class _Draw:
     """Draws free places at level 1."""
 
@@ -61,31 +84,15 @@ class _Draw:
         for x, y, z, *_ in blueprint.cars.values():
             self.cars[x, y] |= z == 1
 
-    def allowed(self, slope_yaw: int | None, for_car: bool) -> NDArray[np.bool_]:
-        """Return (L, W): the columns where a thing can be put, a slope in the direction given."""
-        length, width, _ = self.grid.size
-        level = np.pad(self.grid.kind[:, :, 1], 1, constant_values=Kind.WALL)
-        avoided = np.pad(self.used | self.cars if self.sane else np.zeros_like(self.used), 1)
-
-        def neighbour(array: NDArray[Any], yaw: int) -> NDArray[Any]:
-            dx, dy = DIRECTIONS[yaw % 4]
-            return array[1 + dx : 1 + dx + length, 1 + dy : 1 + dy + width]
-
-        free: NDArray[np.bool_] = (self.grid.kind[:, :, 1] == Kind.AIR) & ~self.used
-        if self.sane or for_car:
-            free &= ~self.cars
-        if slope_yaw is not None:
-            free &= (neighbour(level, slope_yaw) == Kind.AIR) & ~neighbour(avoided, slope_yaw)
-            free &= neighbour(level, slope_yaw + 2) != Kind.WALL
-        return free
-
     def place(self, what: str, slope: bool = False, for_car: bool = False) -> tuple[Cell, int]:
         """Return a free cell and a yaw, and count the cell as used; raise BlueprintError if there is none."""
-        yaws = range(4 if self.sane else 3)
-        if slope:
-            allowed = np.array([self.allowed(yaw, for_car) for yaw in yaws])
-        else:
-            allowed = np.repeat(self.allowed(None, for_car)[None], len(yaws), axis=0)
+        yaws = 4 if self.sane else 3
+        free = free_floor(self.grid.kind[None, ..., 1], slope)[0, :yaws] & ~self.used
+        if self.sane or for_car:
+            free &= ~self.cars
+        if slope and self.sane:
+            free &= ~beside_each((self.used | self.cars)[None], 1, False)[0]
+        allowed = np.broadcast_to(free, (yaws, *self.used.shape))
         found = self._sane(allowed) if self.sane else self._published(allowed, slope)
         if found is None:
             raise BlueprintError(f"{self.path}: no room left for {what}")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.blueprint import Blueprint
+from craftsim.discrete.files.placement import free_floor
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.grid_checks import check_size
@@ -88,19 +89,14 @@ def place_things(
 ) -> NDArray[np.bool_]:
     """Place things on the floor of each of B worlds, one after the other; return (B,) where all found room.
 
-    A slope takes the cell that its yaw points to for its gear, and no wall is behind it. ``flag_x`` is the lowest x of
-    a flag; ``chances`` (B, things), from 0 to below 1, decide.
+    ``flag_x`` is the lowest x of a flag; ``chances`` (B, things), from 0 to below 1, decide.
     """
     kind, yaw = grids.kind[..., 1], grids.yaw[..., 1]
     each, found_room = np.arange(len(grids)), np.ones(len(grids), np.bool_)
     for thing, chance in zip(kinds, chances.T, strict=True):
-        free = (kind == Kind.AIR)[:, None]
+        free = free_floor(kind, thing == Kind.FSLOPE)
         if thing == Kind.FLAG:
             free[:, :, :flag_x] = False
-        elif thing == Kind.FSLOPE:
-            around = np.pad(kind, ((0, 0), (1, 1), (1, 1)), constant_values=Kind.WALL)
-            ahead, behind = _beside(around, 1) == Kind.AIR, _beside(around, -1) != Kind.WALL
-            free = free & ahead & behind
         found, (turn, x, y) = _choose(free, chance)
         found_room &= found
         kind[each, x, y], yaw[each, x, y] = thing, turn
@@ -117,7 +113,7 @@ def place_cars(grids: Grid, chances: NDArray[np.float64]) -> NDArray[np.bool_]:
     ``chances`` (B, 2 n), from 0 to below 1, decide: the cell and the yaw of each car.
     """
     each, found_room = np.arange(len(grids)), np.ones(len(grids), np.bool_)
-    free = (grids.kind[..., 1] == Kind.AIR)[:, None]
+    free = free_floor(grids.kind[..., 1], False)
     for car in range(grids.n_cars):
         found, (_, x, y) = _choose(free, chances[:, 2 * car])
         found_room &= found
@@ -125,13 +121,6 @@ def place_cars(grids: Grid, chances: NDArray[np.float64]) -> NDArray[np.bool_]:
         grids.cars[:, car, CarField.X], grids.cars[:, car, CarField.Y] = x, y
         grids.cars[:, car, CarField.YAW] = (chances[:, 2 * car + 1] * _YAWS).astype(np.int16)
     return found_room
-
-
-def _beside(around: NDArray[np.int16], sign: int) -> NDArray[np.int16]:
-    """Return (B, 4, L, W): what is ahead of each cell in each yaw, with sign -1 behind it; ``around`` has an edge."""
-    length, width = around.shape[1] - 2, around.shape[2] - 2
-    steps = [(1 + sign * dx, 1 + sign * dy) for dx, dy in DIRECTIONS.tolist()]
-    return np.stack([around[:, x : x + length, y : y + width] for x, y in steps], axis=1)
 
 
 def _choose(

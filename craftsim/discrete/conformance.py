@@ -22,7 +22,7 @@ from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.grid_checks import check_size, check_values
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.kinds import Action, CellField, Correction
-from craftsim.discrete.rules import Helper, Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.observation import Layout, entity_rows
 from craftsim.discrete.tasks.rewards import POTENTIALS, Reward
 from craftsim.discrete.tasks.starts import targets_of
@@ -249,7 +249,6 @@ class Checker:
         self.exact = rules.rule_set == "published"
         self.uncorrected = Rules(rules.rule_set, Correction.derived_marks)
         """The physical rules before physics corrected them: nothing but the bookkeeping differs from published."""
-        self._planner = Helper(rules)
         self.records = 0
         self.skipped = 0
         """Records with a quirk tag, which the physical rule set need not follow."""
@@ -327,14 +326,13 @@ class Checker:
                 yield "", what, (), wanted, got
 
     def _plans(self, record: Record, before: Grid) -> Iterator[_Comparison]:
-        if self._planner.depth != record["depth"]:
-            self._planner = Helper(self.rules, record["depth"])
+        depth = record["depth"]
         masks = [entry["mask"] for entry in record["cars"]]
-        yield from _masks("reachable", masks, self._planner.reachable(before))
+        yield from _masks("reachable", masks, self.rules.reachable(before, depth))
         for car, entry in enumerate(record["cars"]):
             for key, wanted in entry["plans"].items():
                 action = Action(int(key))
-                plan = self._planner.plan_move(before, car, action)
+                plan = self.rules.plan_move(before, car, action, depth)
                 self.actions[action.name] += 1
                 got = None if plan is None else [int(step) for step in plan]
                 yield f" car {car} {action.name}", "plan", (action.name,), wanted, got

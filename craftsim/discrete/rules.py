@@ -55,6 +55,7 @@ class Rules:
             )
         self.rule_set: RuleSet = rule_set
         self.corrections = RULE_SETS[rule_set] if corrections is None else corrections
+        self._last: tuple[Cell, SearchBuffers] | None = None
 
     def mask(self, grid: Grid) -> NDArray[np.bool_]:
         """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state."""
@@ -99,51 +100,42 @@ class Rules:
         batch.step(*arrays, turns[None], acts[None], applied)
         return after, applied[0]
 
+    def reachable(self, grid: Grid, depth: int = DEFAULT_DEPTH) -> NDArray[np.bool_]:
+        """Return (n_cars, 15): legal actions, and moves that are not legal but that the action helper has a plan for.
 
-class Helper:
-    """The action helper: a MOVE means "get to the neighbour cell", by whatever moves and turns lead there.
+        With the helper a MOVE means "get to the neighbour cell", by whatever moves and turns lead there. ``mask`` says
+        what a car can do at once; the two are never mixed.
+        """
+        out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
+        arrays = grid.cells[None], grid.cars[None], int(self.corrections)
+        batch.masks(*arrays, self._space(grid), depth, out)
+        return out[0]
 
-    ``legal`` (Rules.mask) says what a car can do at once, ``reachable`` what the helper can bring about; they are never
-    mixed. What is left of a plan is kept in a queue that everybody can see, and that a reset empties. Methods raise
-    ValueError for a car that a world does not have.
-    """
-
-    def __init__(self, rules: Rules, depth: int = DEFAULT_DEPTH) -> None:
-        """Take the rules and the search depth."""
-        self.rules = rules
-        self.depth = depth
-        self._last: tuple[Cell, SearchBuffers] | None = None
-
-    def plan_move(self, grid: Grid, car: int, action: Action) -> tuple[Action, ...] | None:
+    def plan_move(
+        self, grid: Grid, car: int, action: Action, depth: int = DEFAULT_DEPTH
+    ) -> tuple[Action, ...] | None:
         """Return the primitives that a MOVE stands for now, or None if the helper finds no way."""
         if action not in MOVE_DIRECTION:
             raise ValueError(f"{action!r} is not one of the four moves")
-        return self._plan(grid, car, int(action), (0, 0, 0))
-
-    def plan_to(self, grid: Grid, car: int, cell: Cell) -> tuple[Action, ...] | None:
-        """Return the primitives that bring a car to a cell, or None if the helper finds no way."""
-        return self._plan(grid, car, -1, cell)
+        _check_car(grid, car)
+        steps, cell = np.empty(depth + 1, np.int8), (0, 0, 0)
+        arrays = grid.cells, grid.cars, int(self.corrections)
+        length = batch.plan(*arrays, car, int(action), cell, self._space(grid), depth, steps)
+        return None if length < 0 else tuple(Action(step) for step in steps[:length].tolist())
 
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
         """Return the primitive that an action stands for now, and leave in ``queue`` what is to follow it.
 
-        As a batch's steps choose it, for physical execution.
+        As a batch's steps choose it, for physical execution. ``queue`` is that of :func:`empty_queue`.
         """
         if queue[car, 0] >= 0:
             due, queue[car, :-1], queue[car, -1] = int(queue[car, 0]), queue[car, 1:].copy(), -1
             return Action(due)
         if action not in MOVE_DIRECTION:
             return action
-        first, *rest = self.plan_move(grid, car, action) or (Action.STOP,)
+        first, *rest = self.plan_move(grid, car, action, queue.shape[1] - 1) or (Action.STOP,)
         queue[car, : len(rest)] = rest
         return first
-
-    def reachable(self, grid: Grid) -> NDArray[np.bool_]:
-        """Return (n_cars, 15): legal actions, and moves that are not legal but have a plan."""
-        out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
-        arrays = grid.cells[None], grid.cars[None]
-        batch.masks(*arrays, int(self.rules.corrections), self._space(grid), self.depth, out)
-        return out[0]
 
     def _space(self, grid: Grid) -> SearchBuffers:
         """Return scratch arrays; those of one map size are kept, and no more: they may take 20 MB each."""
@@ -151,16 +143,11 @@ class Helper:
             self._last = grid.size, search_buffers(grid.size)
         return self._last[1]
 
-    def _plan(self, grid: Grid, car: int, action: int, cell: Cell) -> tuple[Action, ...] | None:
-        _check_car(grid, car)
-        steps = np.empty(self.depth + 1, np.int8)
-        arrays = grid.cells, grid.cars, int(self.rules.corrections)
-        length = batch.plan(*arrays, car, action, cell, self._space(grid), self.depth, steps)
-        return None if length < 0 else tuple(Action(step) for step in steps[:length].tolist())
-
 
 def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
-    """Return queues of n cars, shape (n_cars, depth + 1), with nothing in them (-1).
+    """Return (n_cars, depth + 1): what the action helper still has to do for each car, nothing yet (-1).
+
+    It is there for everybody to see, and a reset empties it.
 
     Raises ValueError for a negative search depth.
     """

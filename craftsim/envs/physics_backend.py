@@ -17,7 +17,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import Helper, Rules
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.backend import Tick
 from craftsim.envs.pictures import Pictures, has_display
@@ -58,7 +58,7 @@ class PhysicsBackend:
         """
         self.setup, self.goals = setup, tuple(goals)
         self.observers, self.watch_contacts = observers, watch_contacts
-        self._planner = None if helper_depth is None else Helper(Rules(setup.rules), helper_depth)
+        self._helper = None if helper_depth is None else Rules(setup.rules)
         self._start: Grid | None = None
         self._pictures, self._records, self._images = pictures or Pictures(), records, images
         self._view: LiveView | None = None
@@ -118,11 +118,11 @@ class PhysicsBackend:
     ) -> list[tuple[int, Action]]:
         """Return (car, primitive) in acting order, each as the action helper, if it is on, makes it of an action."""
         joint = [(int(car), Action(actions[car])) for car in order]
-        if self._planner is None:
+        if self._helper is None:
             return joint
         grid, primitives = self.checked.grid, []
         for car, action in joint:
-            due = self._planner.due(grid, queue, car, action)
+            due = self._helper.due(grid, queue, car, action)
             primitives.append((car, due))
             grid = self.checked.rules.apply(grid, car, due)
         return primitives

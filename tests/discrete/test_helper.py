@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.kernel.batch import step_with_helper
+from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.search import pop, push, search_buffers, sink
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import Helper, Rules, empty_queue
+from craftsim.discrete.rules import Rules, empty_queue
 
 BLOCK = Kind.BLOCK
 RIGHT = Action.MOVE_RIGHT
+
+
+def plan_to(grid, car, cell):
+    """Return the primitives that bring a car to a cell, or None if the helper finds no way."""
+    steps, arrays = np.empty(11, np.int8), (grid.cells, grid.cars, int(Rules("physical").corrections))
+    length = batch.plan(*arrays, car, -1, cell, search_buffers(grid.size), 10, steps)
+    return None if length < 0 else tuple(steps[:length].tolist())
 
 
 def tick(grid, queue, joint):
@@ -21,7 +28,7 @@ def tick(grid, queue, joint):
     turns, acts = np.array(joint, np.int64).T.copy()
     applied, space = np.empty((1, len(joint)), np.bool_), search_buffers(grid.size)
     arrays = after.cells[None], after.cars[None], int(Rules("physical").corrections)
-    step_with_helper(*arrays, turns[None], acts[None], applied, queues, space, queue.shape[1] - 1)
+    batch.step_with_helper(*arrays, turns[None], acts[None], applied, queues, space, queue.shape[1] - 1)
     return after, queues[0], applied[0]
 
 
@@ -58,8 +65,8 @@ def test_the_heap_keeps_ties_in_the_order_of_pythons_heapq():
 
 def test_a_move_out_from_under_a_block_sideways_is_planned_with_turns(scene, car):
     grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
-    planner = Helper(Rules("physical"))
-    assert not planner.rules.legal(grid, 0, RIGHT)
+    planner = Rules("physical")
+    assert not planner.legal(grid, 0, RIGHT)
     assert planner.plan_move(grid, 0, RIGHT) == (Action.ROTATE_RIGHT, RIGHT)
     assert planner.reachable(grid)[0, RIGHT]
 
@@ -67,22 +74,21 @@ def test_a_move_out_from_under_a_block_sideways_is_planned_with_turns(scene, car
 @pytest.mark.parametrize(("depth", "found"), [(0, False), (1, True)])
 def test_a_plan_has_at_most_one_step_more_than_the_search_depth(depth, found, scene, car):
     grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
-    planner = Helper(Rules("physical"), depth)
-    assert (planner.plan_move(grid, 0, RIGHT) is not None) == found
-    assert planner.reachable(grid)[0, RIGHT] == found
+    planner = Rules("physical")
+    assert (planner.plan_move(grid, 0, RIGHT, depth) is not None) == found
+    assert planner.reachable(grid, depth)[0, RIGHT] == found
 
 
 def test_a_way_to_a_cell_leads_up_a_ramp(scene, car):
     grid = scene([(Kind.BODY, (3, 3, 1), 2), (BLOCK, (4, 3, 1))], [car(1, 3)])
-    planner = Helper(Rules("physical"))
-    assert planner.plan_to(grid, 0, (4, 3, 2)) == (RIGHT, RIGHT, RIGHT)
-    assert planner.plan_to(grid, 0, (4, 3, 3)) is None
-    assert planner.plan_to(grid, 0, (1, 3, 1)) == ()
+    assert plan_to(grid, 0, (4, 3, 2)) == (RIGHT, RIGHT, RIGHT)
+    assert plan_to(grid, 0, (4, 3, 3)) is None
+    assert plan_to(grid, 0, (1, 3, 1)) == ()
 
 
 def test_only_moves_are_planned(scene, car):
     with pytest.raises(ValueError, match="LIFT"):
-        Helper(Rules("physical")).plan_move(scene([], [car(3, 3)]), 0, Action.LIFT)
+        Rules("physical").plan_move(scene([], [car(3, 3)]), 0, Action.LIFT)
 
 
 def test_the_queue_goes_on_whatever_the_car_is_told(scene, car):

@@ -4,7 +4,7 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.discrete.rules import Helper, Rules
+from craftsim.discrete.rules import Rules
 
 BOTH = pytest.mark.parametrize(
     "rules", [Rules("published"), Rules("physical")], ids=["published", "physical"]
@@ -251,12 +251,11 @@ def test_a_tick_leaves_the_world_it_was_given_alone(rules, scene, car):
 @BOTH
 @pytest.mark.parametrize("number", [-1, 1, 99])
 def test_a_car_that_is_not_there_is_refused(rules, scene, car, number):
-    grid, planner = scene([], [car(3, 3)]), Helper(rules)
+    grid = scene([], [car(3, 3)])
     calls = [
         lambda: rules.legal(grid, number, Action.STOP),
         lambda: rules.tick(grid, [(number, Action.STOP)]),
-        lambda: planner.plan_move(grid, number, RIGHT),
-        lambda: planner.plan_to(grid, number, (1, 1, 1)),
+        lambda: rules.plan_move(grid, number, RIGHT),
     ]
     for call in calls:
         with pytest.raises(ValueError, match=f"no car {number}; the world has 1"):

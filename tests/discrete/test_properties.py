@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.grid import SECOND_PART, CarField, Kind, beside
-from craftsim.discrete.rules import Helper, Rules
+from craftsim.discrete.rules import Rules
 
 from .worldgen import MIRRORED_ACTIONS, TURNED_ACTIONS, mirrored, play, random_world, turned
 
@@ -111,14 +111,13 @@ def test_applied_means_legal_at_its_turn_and_the_illegal_changes_nothing(seed):
 def test_a_plan_leads_step_by_legal_step_to_the_cell_asked_for(seed):
     rng = np.random.default_rng(seed)
     grid = random_world(rng)
-    planner = Helper(PHYSICAL, 12)
     grid = list(play(PHYSICAL, grid, rng, 5))[-1][1]
-    reachable, legal = planner.reachable(grid), PHYSICAL.mask(grid)
+    reachable, legal = PHYSICAL.reachable(grid, 12), PHYSICAL.mask(grid)
     assert (reachable >= legal).all()
     assert np.array_equal(np.delete(reachable, range(6, 10), 1), np.delete(legal, range(6, 10), 1))
     for car in range(grid.n_cars):
         for action, (dx, dy) in {6: (0, 1), 7: (0, -1), 8: (-1, 0), 9: (1, 0)}.items():
-            plan = planner.plan_move(grid, car, action)
+            plan = PHYSICAL.plan_move(grid, car, action, 12)
             assert reachable[car, action] == (plan is not None)
             if plan is None:
                 continue

@@ -154,7 +154,6 @@ class Explanation:
     """Why an action is forbidden, or that it is not; ``str()`` gives it in one line."""
 
     action: Action
-    legal: bool
     reason: str = ""
     """In words; empty if the action is legal."""
     correction: Correction | None = None
@@ -165,9 +164,12 @@ class Explanation:
     """Of docs/rules.md, where the correction is explained."""
 
     def __str__(self) -> str:
-        if self.legal:
-            return f"{self.action.name} is legal"
-        return f"{self.action.name} is forbidden: {self.why}"
+        return f"{self.action.name} is " + ("legal" if self.legal else f"forbidden: {self.why}")
+
+    @property
+    def legal(self) -> bool:
+        """Whether nothing forbids it."""
+        return not self.reason
 
     @property
     def why(self) -> str:
@@ -185,17 +187,17 @@ def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanati
 
     found = why(grid.cells, grid.cars)
     if found == code.LEGAL:
-        return Explanation(action, True)
+        return Explanation(action)
     reason = REASONS[found & ((1 << code.DETAIL_BITS) - 1)]
     case = _Case(grid, car, action, found >> code.DETAIL_BITS)
     if reason.correction is None:
         cells = tuple(case.place(name) for name in reason.cells)
-        return Explanation(action, False, case.format(reason.words), None, cells)
+        return Explanation(action, case.format(reason.words), None, cells)
     things = list(_in_the_way(grid, car, lambda cells, cars: why(cells, cars) == code.LEGAL))
     named = "; ".join(text for _, text in things)
     words = reason.words + (f": {named}" if named else "")
     cells = tuple(dict.fromkeys(cell for cell, _ in things)) or (case.place("own"),)
-    return Explanation(action, False, words, reason.correction, cells, reason.heading)
+    return Explanation(action, words, reason.correction, cells, reason.heading)
 
 
 def _in_the_way(grid: Grid, car: int, legal: Callable[[object, object], bool]) -> Iterator[tuple[Cell, str]]:

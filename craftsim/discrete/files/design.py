@@ -107,11 +107,11 @@ class Design:
         blocks = {*self.of_kind(Kind.BLOCK)}
         return [t.cell for t in self.targets if t.cell[2] > 1 and (*t.cell[:2], t.cell[2] - 1) not in blocks]
 
-    def finished(self, size: Cell | None = None, n_cars: int = 0) -> Grid:
+    def finished(self, size: Cell | None = None) -> Grid:
         """Return a world that holds the finished building and nothing else; raises as :meth:`check_fits`."""
         size = size or self.size
         self.check_fits(size)
-        grid = Grid.empty(size, n_cars)
+        grid = Grid.empty(size)
         for kind, cell, yaw in self.targets:
             grid.kind[cell], grid.yaw[cell] = kind, max(yaw, 0)
         grid.derive_marks()

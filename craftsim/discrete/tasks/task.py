@@ -16,7 +16,7 @@ from craftsim.discrete.files.blueprint import Blueprint, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.placement import Placement
 from craftsim.discrete.files.shipped import shipped_blueprint
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.grid_checks import check_grid
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS, Reward, check_name
@@ -218,7 +218,10 @@ class Task:
                 f"{first.n_cars}"
             )
         things = [*grid.kind.ravel().tolist(), *grid.cars[:, CarField.LOAD].tolist()]
-        slopes = things.count(Kind.FSLOPE) + things.count(Kind.BODY) + _lone_feet(grid)
+        whole = {(body.cells[1], body.yaw) for body in grid.pieces(Kind.BODY)}
+        # A foot whose slope has no body takes a row of observations as a whole slope does.
+        lone_feet = sum((foot.cell, foot.yaw) not in whole for foot in grid.pieces(Kind.FOOT))
+        slopes = things.count(Kind.FSLOPE) + things.count(Kind.BODY) + lone_feet
         for what, count, most in (
             ("blocks", things.count(Kind.BLOCK), layout.n_blocks),
             ("slopes", slopes, layout.n_slopes),
@@ -254,16 +257,6 @@ class Task:
         """Return whether episodes are over after tick t (from 0), elementwise."""
         too_long: NDArray[np.bool_] = t > self.max_steps
         return too_long | success if self.ends_on_success else too_long
-
-
-def _lone_feet(grid: Grid) -> int:
-    """Return the number of feet whose slope has no body: each takes a row of observations as a whole slope does."""
-    feet = [(int(x), int(y), int(z)) for x, y, z in np.argwhere(grid.kind == Kind.FOOT)]
-    bodies = set()
-    for x, y, z in np.argwhere(grid.kind == Kind.BODY):
-        cell = int(x), int(y), int(z)
-        bodies.add((beside(cell, int(grid.yaw[cell])), int(grid.yaw[cell])))
-    return sum((cell, int(grid.yaw[cell])) not in bodies for cell in feet)
 
 
 def free_play(name: str, starts: tuple[Blueprint, ...], max_steps: int = DEFAULT_MAX_STEPS) -> Task:

@@ -12,7 +12,8 @@ from craftsim.checking.settings import setup_of
 from craftsim.checking.world import Seed, set_up
 from craftsim.compiling import tell
 from craftsim.designs.drawn import random_start
-from craftsim.discrete.files.plan import read_plan, shipped_plan
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.envs import vector_env

@@ -48,8 +48,9 @@ def show(
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.files.design import read_design
     from craftsim.discrete.files.plan import read_plan
+    from craftsim.discrete.files.shipped import shipped_blueprint
     from craftsim.discrete.grid import Kind
-    from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task, shipped_blueprint
+    from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task
 
     name, rng = str(blueprint), np.random.default_rng(seed)
     shipped, varied = name in TASK_NAMES, name.partition("@")[0] in VARIED_NAMES

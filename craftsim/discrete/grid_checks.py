@@ -5,7 +5,7 @@ What play may lead to need not make sense, and is not checked for it: two cars i
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,8 @@ _LOADS: Final = (Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
 _ARRAYS: Final = {"cells": len(CellField), "cars": len(CarField)}
 """Of a :class:`Grid`, with the length of the last axis."""
 
-Checks = list[tuple[str, NDArray[np.bool_], str]]
-"""A field, where it is wrong, and what is allowed."""
+Checks = list[tuple[str, NDArray[Any], NDArray[np.bool_], str]]
+"""A field, its values, where they are wrong, and what is allowed."""
 
 
 def check_size(size: Cell, n_cars: int) -> None:
@@ -52,31 +52,25 @@ def check_grid(grid: Grid) -> None:
 
 def check_values(grid: Grid) -> None:
     """Raise InputError for the first cell or car that holds what no world has; the arrays are those of a grid."""
-    checks = _cell_checks(grid)
-    found = _first(checks)
-    if found is not None:
-        (name, _, allowed), place = found
-        value = int(
-            getattr(grid, "occupant" if name == "top" else "landing" if name == "back" else name)[place]
-        )
+    if found := _first(_cell_checks(grid)):
+        name, value, allowed, place = found
         raise InputError(f"'{name}' of the cell {place} is {value}; allowed: {allowed}")
-    found = _first(_car_checks(grid))
-    if found is not None:
-        (name, _, allowed), (car,) = found
+    if found := _first(_car_checks(grid)):
+        name, value, allowed, (car,) = found
         if name == "cell":
             at = tuple(grid.cars[car, : CarField.Z + 1].tolist())
             raise InputError(f"car {car} is at {at}, outside the map of size {grid.size}")
-        value = int(grid.cars[car, CarField[name.upper()]])
         raise InputError(f"'{name}' of car {car} is {value}; allowed: {allowed}")
 
 
-def _first(checks: Checks) -> tuple[tuple[str, NDArray[np.bool_], str], tuple[int, ...]] | None:
-    """Return the first check that fails at the first place where any does, and that place."""
-    bad = np.logical_or.reduce([wrong for _, wrong, _ in checks])
+def _first(checks: Checks) -> tuple[str, int, str, tuple[int, ...]] | None:
+    """Return the first check that fails at the first place where any does: field, value, what is allowed, place."""
+    bad = np.logical_or.reduce([wrong for _, _, wrong, _ in checks])
     if not bad.any():
         return None
     place = tuple(int(i) for i in np.unravel_index(int(bad.argmax()), bad.shape))
-    return next(check for check in checks if check[1][place]), place
+    name, values, _, allowed = next(check for check in checks if check[2][place])
+    return name, int(values[place]), allowed, place
 
 
 def _cell_checks(grid: Grid) -> Checks:
@@ -85,11 +79,16 @@ def _cell_checks(grid: Grid) -> Checks:
     most_yaw = 3 * np.isin(kind, KINDS_WITH_YAW)
     landing = (grid.landing != 0) & ((kind != Kind.BLOCK) | (grid.landing != 1))
     return [
-        ("kind", (kind < Kind.AIR) | (kind > Kind.FOOT), "the kinds 0 to 8"),
-        ("kind", in_ground_layer != (kind == Kind.GROUND), "ground in the layer 0, and nowhere else"),
-        ("yaw", (yaw < 0) | (yaw > most_yaw), "the yaws 0 to 3 for what has one, else 0"),
-        ("top", (occupant < -2) | (occupant >= grid.n_cars), "the marks -2, -1 and the numbers of its cars"),
-        ("back", landing, "a mark as landing on blocks alone"),
+        ("kind", kind, (kind < Kind.AIR) | (kind > Kind.FOOT), "the kinds 0 to 8"),
+        ("kind", kind, in_ground_layer != (kind == Kind.GROUND), "ground in the layer 0, and nowhere else"),
+        ("yaw", yaw, (yaw < 0) | (yaw > most_yaw), "the yaws 0 to 3 for what has one, else 0"),
+        (
+            "top",
+            occupant,
+            (occupant < -2) | (occupant >= grid.n_cars),
+            "the marks -2, -1 and the numbers of its cars",
+        ),
+        ("back", grid.landing, landing, "a mark as landing on blocks alone"),
     ]
 
 
@@ -102,9 +101,9 @@ def _car_checks(grid: Grid) -> Checks:
     turned = "0 to 3 with a folded slope, else 0"
     on_slope = (slope == 0) | ((slope == 1) & (z <= height)) | ((slope == 2) & (z > 1))
     return [
-        ("cell", ~inside, ""),
-        ("yaw", (yaw < 0) | (yaw > 3), "0 to 3"),
-        ("load", ~np.isin(load, _LOADS), loads),
-        ("load_yaw", (load_yaw < 0) | (load_yaw > 3 * (load == Kind.FSLOPE)), turned),
-        ("slope", ~on_slope, "0, 1 below the top level, and 2 above the floor"),
+        ("cell", x, ~inside, ""),
+        ("yaw", yaw, (yaw < 0) | (yaw > 3), "0 to 3"),
+        ("load", load, ~np.isin(load, _LOADS), loads),
+        ("load_yaw", load_yaw, (load_yaw < 0) | (load_yaw > 3 * (load == Kind.FSLOPE)), turned),
+        ("slope", slope, ~on_slope, "0, 1 below the top level, and 2 above the floor"),
     ]

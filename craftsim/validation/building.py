@@ -13,7 +13,8 @@ from craftsim.checking.settings import Setup
 from craftsim.checking.world import SetUp, set_up
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
-from craftsim.discrete.files.plan import Plan, read_plan, shipped_plan
+from craftsim.discrete.files.plan import Plan, read_plan
+from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
 from craftsim.logs.log import Log

@@ -8,8 +8,9 @@ import pytest
 
 from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
 from craftsim.discrete.files.design import read_design
+from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
+from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import BlueprintError
 
 GOOD = """\

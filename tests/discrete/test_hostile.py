@@ -15,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
-from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
+from craftsim.discrete.files.shipped import shipped_blueprint
+from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import BlueprintError, InputError
 from craftsim.skills.gains import load_gains
 from craftsim.storage.limits import YAML

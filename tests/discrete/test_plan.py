@@ -6,7 +6,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from craftsim.discrete.files.plan import plan_text, read_plan, shipped_plan, write_plan
+from craftsim.discrete.files.plan import plan_text, read_plan, write_plan
+from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule

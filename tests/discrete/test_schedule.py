@@ -7,7 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from craftsim.discrete.files.plan import read_plan, shipped_plan
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action

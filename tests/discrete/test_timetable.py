@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from craftsim.discrete.files.plan import read_plan, shipped_plan
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule, nominal_durations

@@ -6,10 +6,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from platforms import platform
 
-from craftsim.discrete.files.plan import read_plan, shipped_plan
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.files.shipped import shipped_blueprint, shipped_plan
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import TASK_NAMES, make_task, shipped_blueprint
+from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.errors import InputError

@@ -11,7 +11,8 @@ import numpy as np
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import read_actions, read_plan
-from craftsim.discrete.tasks import TASK_NAMES, shipped_blueprint
+from craftsim.discrete.files.shipped import shipped_blueprint
+from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.discrete.tasks.registry import read_task
 from craftsim.errors import InputError
 from craftsim.models.parameter_files import load_machines

@@ -16,7 +16,7 @@ import numpy as np
 from discrete.test_hostile import HOSTILE
 
 from craftsim import cli
-from craftsim.discrete.files.plan import shipped_plan
+from craftsim.discrete.files.shipped import shipped_plan
 
 from .golden import digest, record
 

@@ -17,7 +17,7 @@ from craftsim.checking.world import Seed, set_up
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import design_text
-from craftsim.discrete.files.plan import shipped_plan
+from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.models.parameters import NOMINAL
 from craftsim.skills.gains import load_gains

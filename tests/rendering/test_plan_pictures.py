@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from craftsim.cli import main
-from craftsim.discrete.files.plan import read_plan, shipped_plan
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules

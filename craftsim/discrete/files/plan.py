@@ -15,15 +15,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple, NoReturn
 
-from craftsim.discrete.files.shipped import find, shipped_plan
+from craftsim.discrete.files.shipped import find
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Constraints, Schedule
 from craftsim.errors import BlueprintError, InputError, PlanError, suggestion
 from craftsim.storage.limits import TEXT
 from craftsim.storage.reading import read_text
 from craftsim.storage.writing import write_whole
-
-__all__ = ["Plan", "plan_text", "read_actions", "read_plan", "shipped_plan", "write_plan"]
 
 MAX_TICK: Final = 100_000
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final, Literal
 
@@ -11,28 +10,23 @@ from craftsim.storage.paths import exists, is_file
 
 Shelf = Literal["blueprints", "goals", "plans"]
 
-_PLACES: Final[dict[Shelf, tuple[str, str]]] = {
-    "blueprints": ("blueprints", ".yaml"),
-    "goals": ("blueprints", ".yaml"),
-    "plans": ("plans", ".plan"),
-}
-"""Folder and suffix of each kind of file."""
+_DATA: Final = Path(__file__).parents[2] / "data"
 
 
 def shipped_blueprint(name: str) -> Path:
     """Return the path of a shipped start or goal file, e.g. ``strip`` or ``strip_goal``."""
-    return _path(name, "blueprints")
+    return _DATA / "blueprints" / f"{name}.yaml"
 
 
 def shipped_plan(name: str) -> Path:
     """Return the path of a shipped plan, named as the task that it builds."""
-    return _path(name, "plans")
+    return _DATA / "plans" / f"{name}.plan"
 
 
 def shipped_names(shelf: Shelf) -> list[str]:
     """Return the names of what is shipped, sorted; those of goal files end in ``_goal``."""
-    suffix = _PLACES[shelf][1]
-    names = sorted(path.stem for path in _path("", shelf).parent.glob(f"*{suffix}"))
+    pattern = shipped_plan("*") if shelf == "plans" else shipped_blueprint("*")
+    names = sorted(path.stem for path in pattern.parent.glob(pattern.name))
     return [name for name in names if name.endswith("_goal") == (shelf == "goals")]
 
 
@@ -46,14 +40,8 @@ def find(path: str | Path, shelf: Shelf) -> Path:
     if exists(found) and (is_file(found) or not known):
         return found
     if known:
-        return _path(str(path), shelf)
+        return shipped_plan(str(path)) if shelf == "plans" else shipped_blueprint(str(path))
     if found.name != str(path):
         raise BlueprintError(f"{path}: no such file")
     hint = suggestion(str(path)[:80], names)
     raise BlueprintError(f"{path}: no such file{hint}; shipped {shelf} are {', '.join(names)}")
-
-
-def _path(name: str, shelf: Shelf) -> Path:
-    folder, suffix = _PLACES[shelf]
-    with as_file(files("craftsim") / "data" / folder) as path:
-        return path / f"{name}{suffix}"

@@ -1,6 +1,5 @@
 """Tasks: worlds with a goal, rewards and observations, one by one and in batches."""
 
-from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.tasks.random_tasks import random_task
 from craftsim.discrete.tasks.registry import (
     VARIED_NAMES,
@@ -22,6 +21,5 @@ __all__ = [
     "make_task",
     "random_task",
     "register_task",
-    "shipped_blueprint",
     "task_names",
 ]

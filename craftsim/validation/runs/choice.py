@@ -14,7 +14,8 @@ from craftsim.checking.recipe import Step
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import check_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
-from craftsim.discrete.files.plan import Plan, read_actions, read_plan, shipped_plan
+from craftsim.discrete.files.plan import Plan, read_actions, read_plan
+from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
+from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
-from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
-from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, kind_at, standable
+from craftsim.discrete.kernel.search import SUCCESSORS, node_of
+from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, SUPPORTS, Pose, World, kind_at
 from craftsim.discrete.kinds import CellField, Correction
 from craftsim.discrete.rules import Rules
 
@@ -168,7 +169,7 @@ def _fill_steps(w: World, me: int, load: int, steps: NDArray[np.int32]) -> None:
     for first in range(0, steps.shape[0], 4):
         car = pose_at_node(w, first, load)
         below = kind_at(w, car.x, car.y, car.z - 1)
-        if car.z == 0 or not (standable(below) or below == BODY):
+        if car.z == 0 or not (below in SUPPORTS or below == BODY):
             continue
         for node in range(first, first + 4):
             car = pose_at_node(w, node, load)

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
+from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.reach import car_in
 from craftsim.discrete.kernel.rules import legal_actions
-from craftsim.discrete.kernel.search import SUCCESSORS, after, node_of
-from craftsim.discrete.kernel.state import World, world_at
+from craftsim.discrete.kernel.search import SUCCESSORS, node_of
+from craftsim.discrete.kernel.state import World
 from craftsim.discrete.move_graph import N_STEPS, UNREACHABLE, Distances, node_number, pose_at_node
 
 WAIT: Final = -1
@@ -127,7 +128,9 @@ def _find(
         heads[rank] = following[state]
         since, node = state // n_nodes, state % n_nodes
         tick = first + since
-        now, then = world_at(worlds, min(tick, end)), world_at(worlds, min(tick + 1, end))
+        before, behind = min(tick, end), min(tick + 1, end)
+        now = World(worlds.cells[before], worlds.cars[before], worlds.corrections)
+        then = World(worlds.cells[behind], worlds.cars[behind], worlds.corrections)
         car = pose_at_node(now, node, load)
         arrived = distances[node] == 0 and tick >= not_before
         if arrived and last < 0:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import act
-from craftsim.discrete.kernel.state import DERIVED_MARKS, World, derive_marks, world_at
+from craftsim.discrete.kernel.state import DERIVED_MARKS, World, derive_marks
 from craftsim.discrete.kinds import Action, Kind
 from craftsim.discrete.rules import Rules
 
@@ -131,7 +131,7 @@ def _replay(worlds: World, actions: NDArray[np.int8], first: int, end: int, left
         for car in range(n_cars):
             for field in range(car_fields):
                 worlds.cars[tick + 1, car, field] = worlds.cars[tick, car, field]
-        w = world_at(worlds, tick + 1)
+        w = World(worlds.cells[tick + 1], worlds.cars[tick + 1], worlds.corrections)
         for car in range(n_cars):
             if car == left_out or actions[tick, car] < 0:
                 continue

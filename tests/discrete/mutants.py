@@ -58,8 +58,8 @@ MUTANTS: Final = (
     *(Mutant(f"never {_NAMES[code]}", never(_NAMES[code]), "LEGAL") for code in REASONS),
     _text(
         "a block turns past what stands at the corners",
-        "if car.load == FSLOPE and not is_air_or_gear(kind_at(w, corner_x",
-        "if not is_air_or_gear(kind_at(w, corner_x",
+        "if car.load == FSLOPE and kind_at(w, corner_x",
+        "if kind_at(w, corner_x",
     ),
     _text(
         "a carried gear needs room beside it",
@@ -78,9 +78,7 @@ MUTANTS: Final = (
         "left_air = kind_at(w, car.x, car.y, car.z) in (AIR, GEAR)",
         "kernel/effects.py",
     ),
-    _text(
-        "a flap needs the cell beyond the foot", "if not is_air_or_gear(beyond) and not", "if False and not"
-    ),
+    _text("a flap needs the cell beyond the foot", "if beyond not in ROOMY and not", "if False and not"),
     _text(
         "a flap meets a gear above the foot",
         "for z in range(car.z, car.z + 2):",

@@ -7,7 +7,7 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kernel import batch
-from craftsim.discrete.kernel.search import pop, push, search_buffers, sink
+from craftsim.discrete.kernel.search import pop, rise, search_buffers, sink
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, empty_queue
 
@@ -47,7 +47,9 @@ def test_the_heap_keeps_ties_in_the_order_of_pythons_heapq():
     ranks = rng.integers(0, 4, 300).astype(np.int32)
     heap, size, model = np.zeros(300, np.int32), 0, []
     for item in range(300):
-        size = push(heap, size, item, ranks)
+        heap[size] = item
+        rise(heap, 0, size, ranks)
+        size += 1
         heapq.heappush(model, Ranked(item, ranks))
         if rng.random() < 0.4:
             assert pop(heap, size, ranks) == heapq.heappop(model).item

@@ -34,6 +34,7 @@ from craftsim.discrete.kernel.state import (
     NOTHING,
     OBJECT,
     OCCUPANT,
+    ROOMY,
     SECOND_RAMP,
     YAW,
     Pose,
@@ -42,7 +43,6 @@ from craftsim.discrete.kernel.state import (
     dir_x,
     dir_y,
     inside,
-    is_air_or_gear,
     kind_at,
     pose_of,
     yaw_at,
@@ -90,7 +90,7 @@ def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
     if not w.corrections & LASTING_GEARS:
         put(w, x, y, z, kind, yaw)
         return
-    if not is_air_or_gear(kind_at(w, x, y, z)):
+    if kind_at(w, x, y, z) not in ROOMY:
         return
     kind, yaw = AIR, 0
     for d in range(3, -1, -1):
@@ -115,8 +115,11 @@ def set_landing(w: World, x: int, y: int, z: int, mark: bool) -> None:
 
 
 @compiled
-def turned(car: Pose, turn: int) -> Pose:
-    """Return a car's state after a turn by +1 or -1; a carried slope turns with it."""
+def after(w: World, car: Pose, action: int) -> Pose:
+    """Return a car's state after a turn, with which a carried slope turns, or after a move."""
+    if action not in (ROTATE_LEFT, ROTATE_RIGHT):
+        return moved(w, car, move_direction(action))
+    turn = 1 if action == ROTATE_LEFT else -1
     load_yaw = (car.load_yaw + turn) & 3 if car.load == FSLOPE else 0
     return Pose(car.x, car.y, car.z, (car.yaw + turn) & 3, car.load, load_yaw, car.slope)
 
@@ -166,24 +169,18 @@ def swing(w: World, car: Pose, folding: bool) -> None:
 
 
 @compiled
-def drive(w: World, me: int, car: Pose, m: int) -> None:
-    """Drive to the next cell in direction m."""
-    new = moved(w, car, m)
-    # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
-    left_air = kind_at(w, car.x, car.y, car.z) == AIR
-    set_occupant(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
-    set_occupant(w, new.x, new.y, new.z - 1, me)
-    write_pose(w, me, new)
-
-
-@compiled
 def apply(w: World, me: int, action: int) -> None:
     """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
     car = pose_of(w, me)
     if FIRST_MOVE <= action <= LAST_MOVE:
-        drive(w, me, car, move_direction(action))
+        new = after(w, car, action)
+        # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
+        left_air = kind_at(w, car.x, car.y, car.z) == AIR
+        set_occupant(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
+        set_occupant(w, new.x, new.y, new.z - 1, me)
+        write_pose(w, me, new)
     elif action in (ROTATE_LEFT, ROTATE_RIGHT):
-        write_pose(w, me, turned(car, 1 if action == ROTATE_LEFT else -1))
+        write_pose(w, me, after(w, car, action))
     elif action in (LIFT, DROP):
         exchange(w, me, car, action == LIFT)
     elif action in (FOLD, UNFOLD):

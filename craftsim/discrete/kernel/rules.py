@@ -106,7 +106,9 @@ from craftsim.discrete.kernel.state import (
     OWN_RAMP,
     RAMP_BELOW_GEAR,
     REACHING_LOAD,
+    ROOMY,
     RUN_OUT,
+    SUPPORTS,
     SWINGING_FLAP,
     TURNING_LOAD,
     WALL,
@@ -116,12 +118,10 @@ from craftsim.discrete.kernel.state import (
     dir_x,
     dir_y,
     inside,
-    is_air_or_gear,
     is_landing,
     kind_at,
     occupant_of,
     pose_of,
-    standable,
     yaw_at,
 )
 
@@ -192,9 +192,9 @@ def why_unfold(w: World, me: int, car: Pose) -> int:
         return NO_SLOPE_HERE
     yaw = yaw_at(w, car.x, car.y, car.z)
     x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
-    if not is_air_or_gear(kind_at(w, x, y, car.z)):
+    if kind_at(w, x, y, car.z) not in ROOMY:
         return FOOT_BLOCKED
-    if not standable(kind_at(w, x, y, car.z - 1)):
+    if kind_at(w, x, y, car.z - 1) not in SUPPORTS:
         return FOOT_UNSUPPORTED
     if is_landing(w, x, y, car.z - 1):
         return LANDING_BELOW_FOOT
@@ -233,7 +233,7 @@ def flap_has_room(w: World, me: int, car: Pose, yaw: int, fx: int, fy: int, bx: 
     """
     facing = (yaw + 2) & 3
     beyond = kind_at(w, bx, by, car.z) if inside(w, bx, by, car.z) else AIR
-    if not is_air_or_gear(beyond) and not (beyond == FOOT and yaw_at(w, bx, by, car.z) == facing):
+    if beyond not in ROOMY and not (beyond == FOOT and yaw_at(w, bx, by, car.z) == facing):
         return False
     if car_in(w, me, fx, fy, car.z, False) >= 0 or car_in(w, me, bx, by, car.z, True) >= 0:
         return False
@@ -261,7 +261,7 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
             return because(LOAD_HITS_THING, d)
     corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)
     corner_y = car.y + dir_y(car.load_yaw) + dir_y(car.load_yaw + turn)
-    if car.load == FSLOPE and not is_air_or_gear(kind_at(w, corner_x, corner_y, car.z)):
+    if car.load == FSLOPE and kind_at(w, corner_x, corner_y, car.z) not in ROOMY:
         return SLOPE_HITS_CORNER
     for other in range(w.cars.shape[0]):
         if other == me or w.cars[other, F_Z] != car.z or w.cars[other, F_LOAD] == AIR:
@@ -277,12 +277,7 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
             points_at_me = gx + dir_x(yaw) == car.x and gy + dir_y(yaw) == car.y
             if abs(gx - car.x) + abs(gy - car.y) == 1 and not points_at_me:
                 return because(LOAD_HITS_GEAR, other)
-    return why_turning_load(w, me, car)
-
-
-@compiled
-def why_turning_load(w: World, me: int, car: Pose) -> int:
-    """Look whether a load that turns meets a car, a load that leans or reaches in, or a wall overhead."""
+    # Whether the load meets a car, a load that leans or reaches in, or a wall overhead.
     legs_mm = 42 if car.load == FSLOPE else 32
     turning, reaching, wall = False, w.corrections & REACHING_LOAD != 0 and below_leaning(w, me, car), False
     for d in range(4):
@@ -355,7 +350,7 @@ def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, 
         return FORWARD_ONLY
     if own in (BLOCK, FLAG) and not along:
         return NOT_SIDEWAYS
-    if not standable(below) and below != BODY:
+    if below not in SUPPORTS and below != BODY:
         return IN_THE_WAY if target == WALL else NO_FLOOR
     other = car_in(w, me, x, y, car.z, False)
     if other >= 0:
@@ -388,7 +383,7 @@ def gear_has_room(w: World, me: int, car: Pose, m: int) -> bool:
     x, y = car.x + dir_x(car.yaw + 2) + dir_x(m), car.y + dir_y(car.yaw + 2) + dir_y(m)
     facing = (car.load_yaw + 2) & 3
     swept = kind_at(w, x, y, car.z)
-    if not is_air_or_gear(swept) or (swept == GEAR and yaw_at(w, x, y, car.z) != facing):
+    if swept not in ROOMY or (swept == GEAR and yaw_at(w, x, y, car.z) != facing):
         return False
     return car_in(w, me, x, y, car.z, True) < 0 and not carried_gear_in(w, me, x, y, car.z, facing)
 
@@ -411,7 +406,7 @@ def why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     if on_foot >= 0:
         return because(CAR_ON_FOOT_BELOW, on_foot)
     x, y = x + dir_x(m), y + dir_y(m)
-    if not standable(kind_at(w, x, y, car.z - 2)):
+    if kind_at(w, x, y, car.z - 2) not in SUPPORTS:
         return NO_FLOOR_AT_END
     at_end = occupant_of(w, x, y, car.z - 2, me)
     return because(THING_AT_END, at_end) if at_end != NOTHING else LEGAL
@@ -432,7 +427,7 @@ def why_ascent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     if on_body != NOTHING:
         return because(THING_ON_BODY, on_body)
     x, y = x + dir_x(m), y + dir_y(m)
-    if not standable(kind_at(w, x, y, car.z)):
+    if kind_at(w, x, y, car.z) not in SUPPORTS:
         return NO_LANDING
     on_landing = occupant_of(w, x, y, car.z, me)
     if on_landing >= 0:
@@ -465,7 +460,7 @@ def load_fits(w: World, me: int, old: Pose, new: Pose) -> bool:
         return not leans and not carried_gear_in(w, me, new.x, new.y, new.z, -1)
     downhill = downhill_of(w, new.x, new.y, new.z, new.slope)
     x, y = new.x + dir_x(downhill), new.y + dir_y(downhill)
-    if not is_air_or_gear(kind_at(w, x, y, new.z)) and not (x == old.x and y == old.y):
+    if kind_at(w, x, y, new.z) not in ROOMY and not (x == old.x and y == old.y):
         return False
     if car_in(w, me, x, y, new.z, True) >= 0 or gear_across(w, me, x, y, new.z, downhill):
         return False

@@ -14,11 +14,10 @@ from craftsim.discrete.kernel.codes import (
     FIRST_MOVE,
     LAST_MOVE,
     ROTATE_LEFT,
-    ROTATE_RIGHT,
     STOP,
     move_direction,
 )
-from craftsim.discrete.kernel.effects import moved, turned
+from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import act, legal_actions
 from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
@@ -106,14 +105,6 @@ def sink(heap: NDArray[np.int32], size: int, place: int, rank: NDArray[np.int32]
 
 
 @compiled
-def push(heap: NDArray[np.int32], size: int, item: int, rank: NDArray[np.int32]) -> int:
-    """Add an item to a heap of the given size; return the new size."""
-    heap[size] = item
-    rise(heap, 0, size, rank)
-    return size + 1
-
-
-@compiled
 def pop(heap: NDArray[np.int32], size: int, rank: NDArray[np.int32]) -> int:
     """Take the item of lowest rank from a heap of the given size, which shrinks by one."""
     item = heap[0]
@@ -141,14 +132,6 @@ def pose_at(w: World, start: Pose, node: int, slope: int) -> Pose:
 
 
 @compiled
-def after(w: World, car: Pose, action: int) -> Pose:
-    """Return the car's state after one of SUCCESSORS."""
-    if action in (ROTATE_LEFT, ROTATE_RIGHT):
-        return turned(car, 1 if action == ROTATE_LEFT else -1)
-    return moved(w, car, move_direction(action))
-
-
-@compiled
 def legal_from(w: World, me: int, space: SearchBuffers, node: int, car: Pose) -> int:
     """Return the legal successors of a node, a bit for each action, worked out at most once."""
     if space.legal[node] == UNKNOWN or space.legal_slope[node] != car.slope:
@@ -172,7 +155,7 @@ def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, go
     space.depth[first] = 0
     space.slope[first] = start.slope
     space.parent[first] = -1
-    size = push(space.heap, 0, first, space.rank)
+    space.heap[0], size = first, 1
     while size > 0:
         node = pop(space.heap, size, space.rank)
         size -= 1
@@ -206,7 +189,9 @@ def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, go
             else:
                 space.depth[next_node] = space.depth[node] + 1
                 space.state[next_node] = OPEN
-                size = push(space.heap, size, next_node, space.rank)
+                space.heap[size] = next_node
+                rise(space.heap, 0, size, space.rank)
+                size += 1
     return -1
 
 

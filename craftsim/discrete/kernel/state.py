@@ -23,6 +23,11 @@ GEAR = int(Kind.GEAR)
 BODY = int(Kind.BODY)
 FOOT = int(Kind.FOOT)
 
+SUPPORTS = (GROUND, BLOCK)
+"""What a car or an object can stand on."""
+ROOMY = (AIR, GEAR)
+"""What leaves room: nothing there, or a gear."""
+
 NOTHING = -1
 OBJECT = -2
 
@@ -134,18 +139,6 @@ def pose_of(w: World, car: int) -> Pose:
 
 
 @compiled
-def standable(kind: int) -> bool:
-    """Return whether a car or an object can stand on a kind."""
-    return kind in (GROUND, BLOCK)
-
-
-@compiled
-def is_air_or_gear(kind: int) -> bool:
-    """Return whether a kind leaves room: nothing there, or a gear."""
-    return kind in (AIR, GEAR)
-
-
-@compiled
 def derived_landing(w: World, x: int, y: int, z: int) -> bool:
     """Return whether a cell is the landing of a ramp: a neighbour in direction d holds a body with yaw d."""
     for d in range(4):
@@ -196,12 +189,6 @@ def derive_marks(w: World) -> None:
             w.cells[car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z) - 1, OCCUPANT] = (
                 car
             )
-
-
-@compiled
-def world_at(worlds: World, i: int) -> World:
-    """Return one world of a batch, whose arrays have a leading dimension over worlds."""
-    return World(worlds.cells[i], worlds.cars[i], worlds.corrections)
 
 
 @compiled

@@ -29,7 +29,6 @@ from craftsim.discrete.kernel.state import (
     dir_x,
     dir_y,
     kind_at,
-    world_at,
     yaw_at,
 )
 
@@ -60,7 +59,7 @@ def score_buildings(
     ``thing`` once its body and foot are both in place; a finished building counts ``completion`` more.
     """
     for i in range(out.shape[0]):
-        w = world_at(worlds, i)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
         score, finished = 0.0, True
         for row in range(designs.shape[1]):
             kind, x, y, z, yaw = designs[i, row]
@@ -86,7 +85,7 @@ def score_buildings_as_published(
 ) -> None:
     """Write how far each building is as CraftEnv's code computes it (docs/rules.md#goal-score) into out (B,)."""
     for i in range(out.shape[0]):
-        w = world_at(worlds, i)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
         score = 0.0
         hits = wanted = 0
         for row in range(designs.shape[1]):
@@ -140,7 +139,7 @@ def largest_platforms(
     ``also`` is another kind that counts as a block; ``seen`` (L, W) and ``stack`` (L * W, 2) are scratch.
     """
     for i in range(out.shape[0]):
-        w = world_at(worlds, i)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
         largest = 0
         for z in range(1, levels + 1):
             seen[:] = False
@@ -173,7 +172,7 @@ def flag_distance(w: World, goal: tuple[int, int, int]) -> int:
 def flag_distances(worlds: World, goal: tuple[int, int, int], out: NDArray[np.float64]) -> None:
     """Write the distance of the flag to the goal in each world into out (B,)."""
     for i in range(out.shape[0]):
-        out[i] = flag_distance(world_at(worlds, i), goal)
+        out[i] = flag_distance(World(worlds.cells[i], worlds.cars[i], worlds.corrections), goal)
 
 
 @compiled
@@ -215,7 +214,7 @@ def write_rows(
     """
     fit = True
     for i in range(out.shape[0]):
-        w, rows = world_at(worlds, i), out[i]
+        w, rows = World(worlds.cells[i], worlds.cars[i], worlds.corrections), out[i]
         rows[:] = 0
         for row in range(out.shape[1] - n_goals, out.shape[1]):
             write_row(rows[row], goal[0], goal[1], goal[2], IS_GOAL, 0)

@@ -67,76 +67,66 @@ def beside_each(array: NDArray[Any], sign: int, edge: int) -> NDArray[Any]:
     return np.stack([around[:, x : x + length, y : y + width] for x, y in steps], axis=1)
 
 
-class _Draw:
-    """Draws free places at level 1."""
-
-    def __init__(
-        self, grid: Grid, blueprint: Blueprint, rng: np.random.Generator, placement: Placement
-    ) -> None:
-        self.grid = grid
-        self.rng = rng
-        self.sane = placement == "sane"
-        self.path = blueprint.path
-        self.used = np.zeros(grid.size[:2], np.bool_)
-        self.cars = np.zeros(grid.size[:2], np.bool_)
-        for item in blueprint.objects:
-            self.used[item.cell[:2]] |= item.cell[2] == 1
-        for x, y, z, *_ in blueprint.cars.values():
-            self.cars[x, y] |= z == 1
-
-    def place(self, what: str, slope: bool = False, for_car: bool = False) -> tuple[Cell, int]:
-        """Return a free cell and a yaw, and count the cell as used; raise BlueprintError if there is none."""
-        yaws = 4 if self.sane else 3
-        free = free_floor(self.grid.kind[None, ..., 1], slope)[0, :yaws] & ~self.used
-        if self.sane or for_car:
-            free &= ~self.cars
-        if slope and self.sane:
-            free &= ~beside_each((self.used | self.cars)[None], 1, False)[0]
-        allowed = np.broadcast_to(free, (yaws, *self.used.shape))
-        found = self._sane(allowed) if self.sane else self._published(allowed, slope)
-        if found is None:
-            raise BlueprintError(f"{self.path}: no room left for {what}")
-        yaw, x, y = found
-        self.used[x, y] = True
-        return (x, y, 1), yaw
-
-    def _sane(self, allowed: NDArray[np.bool_]) -> tuple[int, int, int] | None:
-        free = np.flatnonzero(allowed)
-        if not len(free):
-            return None
-        yaw, x, y = np.unravel_index(free[self.rng.integers(len(free))], allowed.shape)
-        return int(yaw), int(x), int(y)
-
-    def _published(self, allowed: NDArray[np.bool_], redraw_yaw: bool) -> tuple[int, int, int] | None:
-        yaws, length, width = allowed.shape
-        yaw = int(self.rng.integers(yaws))
-        for _ in range(PUBLISHED_TRIES):
-            x, y = int(self.rng.integers(length)), int(self.rng.integers(width))
-            if allowed[yaw, x, y]:
-                return yaw, x, y
-            if redraw_yaw:
-                yaw = int(self.rng.integers(yaws))
+def _choose_sane(free: NDArray[np.bool_], rng: np.random.Generator) -> tuple[int, int, int] | None:
+    """Return a yaw, x and y of (yaws, L, W), all that are free as likely; None where none is."""
+    places = np.flatnonzero(free)
+    if not len(places):
         return None
+    yaw, x, y = np.unravel_index(places[rng.integers(len(places))], free.shape)
+    return int(yaw), int(x), int(y)
+
+
+def _choose_published(
+    free: NDArray[np.bool_], rng: np.random.Generator, redraw_yaw: bool
+) -> tuple[int, int, int] | None:
+    """Return the same as CraftEnv draws it: place after place until one is free."""
+    yaws, length, width = free.shape
+    yaw = int(rng.integers(yaws))
+    for _ in range(PUBLISHED_TRIES):
+        x, y = int(rng.integers(length)), int(rng.integers(width))
+        if free[yaw, x, y]:
+            return yaw, x, y
+        if redraw_yaw:
+            yaw = int(rng.integers(yaws))
+    return None
 
 
 def build_grid(blueprint: Blueprint, rng: np.random.Generator, placement: Placement) -> Grid:
     """Return the start of a world as :meth:`craftsim.discrete.files.blueprint.Blueprint.grid` describes it."""
-    grid = Grid.empty(blueprint.size, blueprint.n_cars)
+    grid, sane = Grid.empty(blueprint.size, blueprint.n_cars), placement == "sane"
     _stand(grid, blueprint.objects)
     for piece in blueprint.snapshot.pieces if blueprint.snapshot else ():
         grid.cells[piece.cell] = (piece.kind, piece.yaw, -1, 0)
-    draw = _Draw(grid, blueprint, rng, placement)
+    cars = np.zeros(grid.size[:2], np.bool_)
+    for x, y, z, *_ in blueprint.cars.values():
+        cars[x, y] |= z == 1
+
+    def place(what: str, slope: bool = False, for_car: bool = False) -> tuple[Cell, int]:
+        """Return a free cell on the floor and a yaw; raise BlueprintError if there is none."""
+        free = free_floor(grid.kind[None, ..., 1], slope)[0]
+        if sane or for_car:
+            free = free & ~cars
+        if sane and slope:
+            free &= ~beside_each(cars[None], 1, False)[0]
+        free = np.broadcast_to(free, (4, *cars.shape))
+        found = _choose_sane(free, rng) if sane else _choose_published(free[:3], rng, slope)
+        if found is None:
+            raise BlueprintError(f"{blueprint.path}: no room left for {what}")
+        yaw, x, y = found
+        return (x, y, 1), yaw
+
     for _ in range(blueprint.n_slopes - blueprint.listed(Kind.FSLOPE, Kind.BODY)):
-        cell, yaw = draw.place("a random folded slope", slope=True)
+        cell, yaw = place("a random folded slope", slope=True)
         grid.put(Piece(Kind.FSLOPE, cell, yaw))
     for _ in range(blueprint.n_blocks - blueprint.listed(Kind.BLOCK)):
-        cell, _ = draw.place("a random block")
+        cell, _ = place("a random block")
         grid.put(Piece(Kind.BLOCK, cell))
     for car in range(blueprint.n_cars):
         row = blueprint.cars.get(car)
         if row is None:
-            cell, yaw = draw.place(f"car {car}", for_car=True)
+            cell, yaw = place(f"car {car}", for_car=True)
             row = (*cell, yaw, Kind.AIR, 0, 0)
+            cars[cell[:2]] = True
         grid.cars[car] = row
         grid.occupant[row[0], row[1], row[2] - 1] = car
     if blueprint.snapshot:

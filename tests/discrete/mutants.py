@@ -45,7 +45,7 @@ class Mutant:
 
 def never(code: str) -> str:
     """Return the regular expression of where a reason is given."""
-    return rf"because\({code}, \w+\)|\b{code}\b(?!,)"
+    return rf"\b{code} \| \w+ << DETAIL_BITS|\b{code}\b(?!,)"
 
 
 def _text(rule: str, old: str, new: str, file: str = "kernel/rules.py") -> Mutant:
@@ -63,8 +63,8 @@ MUTANTS: Final = (
     ),
     _text(
         "a carried gear needs room beside it",
-        "return car_in(w, me, x, y, car.z, True) < 0 and not carried_gear_in(w, me, x, y, car.z, facing)",
-        "return not carried_gear_in(w, me, x, y, car.z, facing)",
+        "if car_in(w, me, gx, gy, car.z, True) >= 0 or carried_gear_in(w, me, gx, gy, car.z, facing):",
+        "if carried_gear_in(w, me, gx, gy, car.z, facing):",
     ),
     _text(
         "no loaded climb under a block",

@@ -79,13 +79,7 @@ N_CODES = 53
 """What may forbid an action."""
 
 DETAIL_BITS = 8
-"""A reason's detail lies above so many bits."""
-
-
-@compiled
-def because(code: int, detail: int) -> int:
-    """Return a reason with a detail: a direction 0..3 or a car's number."""
-    return code | (detail << DETAIL_BITS)
+"""A reason's detail, a direction 0..3 or a car's number, lies above so many bits."""
 
 
 @compiled

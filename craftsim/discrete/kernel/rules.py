@@ -1,8 +1,8 @@
 """The rules: why an action is forbidden. docs/rules.md explains the oddities.
 
 :func:`why` returns 0 for a legal action, else a reason: a code, and in the higher bits a detail such as a car's number
-(:func:`because`). A rule, and a correction, is read in one place. In each rule the published ones come first, then the
-corrections in the order of their codes: so the reason is a correction only where the published rules allow the action.
+(above DETAIL_BITS). A rule, and a correction, is read in one place. In each rule the published ones come first, then
+the corrections in the order of their codes: so the reason is a correction only where the published rules allow it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from craftsim.discrete.kernel.codes import (
     CAR_THERE,
     CARRIES,
     CARRIES_NOTHING,
+    DETAIL_BITS,
     DOWN_FORWARD_ONLY,
     DROP,
     ENTERED_SIDEWAYS,
@@ -70,7 +71,6 @@ from craftsim.discrete.kernel.codes import (
     UNFOLD,
     UP_FORWARD_ONLY,
     WALL_OVERHEAD,
-    because,
     move_direction,
 )
 from craftsim.discrete.kernel.effects import apply, moved
@@ -141,7 +141,7 @@ def why_lift(w: World, me: int, car: Pose) -> int:
         return NOTHING_TO_LIFT
     on_top = occupant_of(w, car.x, car.y, car.z, me)
     if on_top != NOTHING:
-        return because(THING_ON_TOP, on_top)
+        return THING_ON_TOP | on_top << DETAIL_BITS
     if w.corrections & REACHING_LOAD and below_leaning(w, me, car):
         return REACHING_LOAD_HITS
     if w.corrections & OVERHEAD_WALL and kind_at(w, car.x, car.y, car.z + 1) == WALL:
@@ -177,10 +177,10 @@ def why_fold(w: World, me: int, car: Pose) -> int:
         return NO_RAMP_HERE
     on_top = occupant_of(w, car.x, car.y, car.z, me)
     if on_top != NOTHING:
-        return because(THING_ON_TOP, on_top)
+        return THING_ON_TOP | on_top << DETAIL_BITS
     yaw = yaw_at(w, car.x, car.y, car.z)
     on_foot = occupant_of(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z - 1, me)
-    return because(CAR_ON_OWN_FOOT, on_foot) if on_foot >= 0 else why_flap(w, me, car, yaw)
+    return CAR_ON_OWN_FOOT | on_foot << DETAIL_BITS if on_foot >= 0 else why_flap(w, me, car, yaw)
 
 
 @compiled
@@ -205,12 +205,27 @@ def why_unfold(w: World, me: int, car: Pose) -> int:
 def why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
     """Look whether the flap of the slope in a car's cell can swing, which CraftEnv's rules do not (docs/rules.md#flap).
 
-    It is 0.43 m high on its way.
+    It is 0.43 m high on its way, and its lip goes 12 mm beyond the cell of the foot. There may stand an unloaded car, a
+    foot whose low end is towards this one's, and a gear that points at it.
     """
     fx, fy = car.x + dir_x(yaw), car.y + dir_y(yaw)
     bx, by = fx + dir_x(yaw), fy + dir_y(yaw)
-    if w.corrections & SWINGING_FLAP and not flap_has_room(w, me, car, yaw, fx, fy, bx, by):
-        return FLAP_HITS
+    if w.corrections & SWINGING_FLAP:
+        facing = (yaw + 2) & 3
+        beyond = kind_at(w, bx, by, car.z) if inside(w, bx, by, car.z) else AIR
+        if beyond not in ROOMY and not (beyond == FOOT and yaw_at(w, bx, by, car.z) == facing):
+            return FLAP_HITS
+        if car_in(w, me, fx, fy, car.z, False) >= 0 or car_in(w, me, bx, by, car.z, True) >= 0:
+            return FLAP_HITS
+        if leans_into(w, me, car.x, car.y, car.z, -1) or leans_into(w, me, fx, fy, car.z, -1):
+            return FLAP_HITS
+        if leans_into(w, me, bx, by, car.z, facing) or gear_across(w, me, bx, by, car.z, yaw):
+            return FLAP_HITS
+        for z in range(car.z, car.z + 2):
+            if gear_across(w, me, fx, fy, z, yaw):
+                return FLAP_HITS
+        if gear_across(w, me, car.x, car.y, car.z + 1, yaw):
+            return FLAP_HITS
     if w.corrections & REACHING_LOAD:
         for z in range(car.z + 1, car.z + 3):
             if leans_into(w, me, car.x, car.y, z, -1) or leans_into(w, me, fx, fy, z, -1):
@@ -225,29 +240,6 @@ def why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
 
 
 @compiled
-def flap_has_room(w: World, me: int, car: Pose, yaw: int, fx: int, fy: int, bx: int, by: int) -> bool:
-    """Return whether a flap can swing between the cells of its foot (fx, fy) and the next one (bx, by).
-
-    Its lip goes 12 mm into that. There may stand an unloaded car, a foot whose low end is towards this one's, and a
-    gear that points at it.
-    """
-    facing = (yaw + 2) & 3
-    beyond = kind_at(w, bx, by, car.z) if inside(w, bx, by, car.z) else AIR
-    if beyond not in ROOMY and not (beyond == FOOT and yaw_at(w, bx, by, car.z) == facing):
-        return False
-    if car_in(w, me, fx, fy, car.z, False) >= 0 or car_in(w, me, bx, by, car.z, True) >= 0:
-        return False
-    if leans_into(w, me, car.x, car.y, car.z, -1) or leans_into(w, me, fx, fy, car.z, -1):
-        return False
-    if leans_into(w, me, bx, by, car.z, facing) or gear_across(w, me, bx, by, car.z, yaw):
-        return False
-    for z in range(car.z, car.z + 2):
-        if gear_across(w, me, fx, fy, z, yaw):
-            return False
-    return not gear_across(w, me, car.x, car.y, car.z + 1, yaw)
-
-
-@compiled
 def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
     """Turn by +1 or -1: unloaded not under a slope; loaded only with room all round for the load."""
     if car.load == AIR:
@@ -258,7 +250,7 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
         neighbour = kind_at(w, x, y, car.z)
         facing = neighbour == GEAR and yaw_at(w, x, y, car.z) == (d + 2) & 3
         if neighbour != AIR and not facing:
-            return because(LOAD_HITS_THING, d)
+            return LOAD_HITS_THING | d << DETAIL_BITS
     corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)
     corner_y = car.y + dir_y(car.load_yaw) + dir_y(car.load_yaw + turn)
     if car.load == FSLOPE and kind_at(w, corner_x, corner_y, car.z) not in ROOMY:
@@ -270,13 +262,13 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
         if abs(ox - car.x) + abs(oy - car.y) == 1 or (
             car.load == FSLOPE and ox == corner_x and oy == corner_y
         ):
-            return because(LOAD_HITS_LOAD, other)
+            return LOAD_HITS_LOAD | other << DETAIL_BITS
         if w.cars[other, F_LOAD] == FSLOPE:
             yaw = car_field(w, other, F_LOAD_YAW)
             gx, gy = ox + dir_x(yaw), oy + dir_y(yaw)
             points_at_me = gx + dir_x(yaw) == car.x and gy + dir_y(yaw) == car.y
             if abs(gx - car.x) + abs(gy - car.y) == 1 and not points_at_me:
-                return because(LOAD_HITS_GEAR, other)
+                return LOAD_HITS_GEAR | other << DETAIL_BITS
     # Whether the load meets a car, a load that leans or reaches in, or a wall overhead.
     legs_mm = 42 if car.load == FSLOPE else 32
     turning, reaching, wall = False, w.corrections & REACHING_LOAD != 0 and below_leaning(w, me, car), False
@@ -354,12 +346,18 @@ def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, 
         return IN_THE_WAY if target == WALL else NO_FLOOR
     other = car_in(w, me, x, y, car.z, False)
     if other >= 0:
-        return because(CAR_THERE, other)
+        return CAR_THERE | other << DETAIL_BITS
     if loaded and car.slope == 0:
         if carried_gear_in(w, me, x, y, car.z, -1):
             return GEAR_THERE
-        if car.load == FSLOPE and not gear_has_room(w, me, car, m):
-            return GEAR_NO_ROOM
+        if car.load == FSLOPE:
+            # The gear behind the car needs room beside its way.
+            gx, gy = car.x + dir_x(car.yaw + 2) + dir_x(m), car.y + dir_y(car.yaw + 2) + dir_y(m)
+            facing, swept = (car.load_yaw + 2) & 3, kind_at(w, gx, gy, car.z)
+            if swept not in ROOMY or (swept == GEAR and yaw_at(w, gx, gy, car.z) != facing):
+                return GEAR_NO_ROOM
+            if car_in(w, me, gx, gy, car.z, True) >= 0 or carried_gear_in(w, me, gx, gy, car.z, facing):
+                return GEAR_NO_ROOM
     if target == AIR:
         return why_descent(w, me, car, m, x, y) if below == BODY else LEGAL
     if target == FOOT:
@@ -378,17 +376,6 @@ def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, 
 
 
 @compiled
-def gear_has_room(w: World, me: int, car: Pose, m: int) -> bool:
-    """Return whether the gear of the slope that a car on the flat carries has room beside its way in direction m."""
-    x, y = car.x + dir_x(car.yaw + 2) + dir_x(m), car.y + dir_y(car.yaw + 2) + dir_y(m)
-    facing = (car.load_yaw + 2) & 3
-    swept = kind_at(w, x, y, car.z)
-    if swept not in ROOMY or (swept == GEAR and yaw_at(w, x, y, car.z) != facing):
-        return False
-    return car_in(w, me, x, y, car.z, True) < 0 and not carried_gear_in(w, me, x, y, car.z, facing)
-
-
-@compiled
 def why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     """Drive down onto the slope whose body is below the target cell (x, y).
 
@@ -400,16 +387,16 @@ def why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
         return DOWN_FORWARD_ONLY
     on_body = occupant_of(w, x, y, car.z - 1, me)
     if on_body != NOTHING:
-        return because(THING_ON_BODY_BELOW, on_body)
+        return THING_ON_BODY_BELOW | on_body << DETAIL_BITS
     x, y = x + dir_x(m), y + dir_y(m)
     on_foot = occupant_of(w, x, y, car.z - 2, me)
     if on_foot >= 0:
-        return because(CAR_ON_FOOT_BELOW, on_foot)
+        return CAR_ON_FOOT_BELOW | on_foot << DETAIL_BITS
     x, y = x + dir_x(m), y + dir_y(m)
     if kind_at(w, x, y, car.z - 2) not in SUPPORTS:
         return NO_FLOOR_AT_END
     at_end = occupant_of(w, x, y, car.z - 2, me)
-    return because(THING_AT_END, at_end) if at_end != NOTHING else LEGAL
+    return THING_AT_END | at_end << DETAIL_BITS if at_end != NOTHING else LEGAL
 
 
 @compiled
@@ -421,17 +408,17 @@ def why_ascent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
         return UP_FORWARD_ONLY
     on_foot = occupant_of(w, x, y, car.z - 1, me)
     if on_foot >= 0:
-        return because(CAR_ON_FOOT, on_foot)
+        return CAR_ON_FOOT | on_foot << DETAIL_BITS
     x, y = x + dir_x(m), y + dir_y(m)
     on_body = occupant_of(w, x, y, car.z, me)
     if on_body != NOTHING:
-        return because(THING_ON_BODY, on_body)
+        return THING_ON_BODY | on_body << DETAIL_BITS
     x, y = x + dir_x(m), y + dir_y(m)
     if kind_at(w, x, y, car.z) not in SUPPORTS:
         return NO_LANDING
     on_landing = occupant_of(w, x, y, car.z, me)
     if on_landing >= 0:
-        return because(CAR_ON_LANDING, on_landing)
+        return CAR_ON_LANDING | on_landing << DETAIL_BITS
     over = kind_at(w, x, y, car.z + 1)
     free = over == AIR or (over in (BLOCK, FLAG) and car.load == AIR)
     return LEGAL if free else NO_ROOM_ON_LANDING

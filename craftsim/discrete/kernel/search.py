@@ -292,16 +292,6 @@ def add_reachable(w: World, space: SearchBuffers, limit: int, mask: NDArray[np.b
 
 
 @compiled
-def advance(queue: NDArray[np.int8]) -> int:
-    """Take the first action from one car's queue."""
-    action = int(np.int64(queue[0]))
-    for i in range(len(queue) - 1):
-        queue[i] = queue[i + 1]
-    queue[-1] = -1
-    return action
-
-
-@compiled
 def act_with_helper(
     w: World, car: int, action: int, queue: NDArray[np.int8], space: SearchBuffers, limit: int
 ) -> bool:
@@ -311,15 +301,17 @@ def act_with_helper(
     """
     queued = queue[0] >= 0
     due = action
-    if queued:
-        due = advance(queue)
-    elif FIRST_MOVE <= action <= LAST_MOVE:
+    if not queued and FIRST_MOVE <= action <= LAST_MOVE:
         space.legal[:] = UNKNOWN
         node = plan_move(w, car, space, action, limit)
         due = STOP
         if node >= 0:
             write_plan(space, node, queue)
-            due = advance(queue)
+    if queue[0] >= 0:
+        due = int(np.int64(queue[0]))
+        for i in range(len(queue) - 1):
+            queue[i] = queue[i + 1]
+        queue[-1] = -1
     applied = act(w, car, due)
     if queued and not applied:
         queue[:] = -1

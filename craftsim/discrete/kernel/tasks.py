@@ -151,28 +151,24 @@ def largest_platforms(
 
 
 @compiled
-def flag_distance(w: World, goal: tuple[int, int, int]) -> int:
-    """Return the Manhattan distance of the flag, carried or not, to the goal; a lost one is farther than any cell."""
-    for car in range(w.cars.shape[0]):
-        if car_field(w, car, F_LOAD) == FLAG:
-            return (
-                abs(car_field(w, car, F_X) - goal[0])
-                + abs(car_field(w, car, F_Y) - goal[1])
-                + abs(car_field(w, car, F_Z) - goal[2])
-            )
-    for x in range(w.cells.shape[0]):
-        for y in range(w.cells.shape[1]):
-            for z in range(1, w.cells.shape[2]):
-                if w.cells[x, y, z, KIND] == FLAG:
-                    return abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2])
-    return w.cells.shape[0] + w.cells.shape[1] + w.cells.shape[2]
-
-
-@compiled
 def flag_distances(worlds: World, goal: tuple[int, int, int], out: NDArray[np.float64]) -> None:
-    """Write the distance of the flag to the goal in each world into out (B,)."""
+    """Write the Manhattan distance of the flag, carried or not, to the goal in each world into out (B,).
+
+    A lost flag is farther than any cell.
+    """
     for i in range(out.shape[0]):
-        out[i] = flag_distance(World(worlds.cells[i], worlds.cars[i], worlds.corrections), goal)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        distance = w.cells.shape[0] + w.cells.shape[1] + w.cells.shape[2]
+        for x in range(w.cells.shape[0]):
+            for y in range(w.cells.shape[1]):
+                for z in range(1, w.cells.shape[2]):
+                    if w.cells[x, y, z, KIND] == FLAG:
+                        distance = min(distance, abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2]))
+        for car in range(w.cars.shape[0]):
+            if car_field(w, car, F_LOAD) == FLAG:
+                x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
+                distance = min(distance, abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2]))
+        out[i] = distance
 
 
 @compiled

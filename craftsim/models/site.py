@@ -27,6 +27,7 @@ from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import FreeBody
 from craftsim.models.placement import placements
+from craftsim.models.stepping import reaches
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _BROKEN = [
@@ -245,7 +246,7 @@ class Site:
         """Run one control period of physics under the commands that stand; ``observe`` is called after every step."""
         if self._grip is not None:
             self._grip.limit()
-        before, self._commanded = self._commanded, (self._ctrl != 0.0).tobytes()
+        before, self._commanded = self._commanded, self._ctrl.astype(bool).tobytes()
         if self._commanded != before and self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
             self.model.opt.enableflags &= ~_SLEEP
@@ -262,8 +263,7 @@ class Site:
         for _ in range(count):
             mujoco.mj_step(model, data)
             self.follow()
-            # Of a list it is quicker than of a short array.
-            self.capped_steps += max(iterations.tolist()) >= cap
+            self.capped_steps += reaches(iterations, cap)
             if self._grip is not None and self.uneven:
                 self._grip.limit()
             if observe is not None:

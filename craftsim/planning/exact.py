@@ -139,31 +139,26 @@ class _Worlds:
 
     def grid(self, world: bytes) -> Grid:
         """Return a world from its bytes."""
-        self._show(world)
+        self._expand(world, self._actions[:0])
         grid = self._grid.copy()
         grid.derive_marks()
         return grid
 
-    def _show(self, world: bytes) -> None:
-        """Write a world into the last row, and into the grid, of which the marks stay as they are."""
-        row = self._rows[-1]
-        row[:] = np.frombuffer(world, np.uint8)
-        cells = row[: self._n_cells].reshape(self._grid.kind[:, :, 1:].shape)
-        self._grid.kind[:, :, 1:], self._grid.yaw[:, :, 1:] = cells & _KIND_BITS, cells >> _YAW_SHIFT
-        self._grid.cars[:] = row[self._n_cells :].reshape(self._grid.cars.shape)
-
     def after(self, world: bytes) -> list[tuple[bytes, int, int, int]]:
         """Return what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
-        self._show(world)
-        count = _expand(
-            *(self._world, self._actions, self._costs, self._targets),
-            *(self._things, self._best, self._rows, self._steps),
-        )
+        count = self._expand(world, self._actions)
         raw, size = self._rows[:count].tobytes(), self._rows.shape[1]
         return [
             (raw[i * size : (i + 1) * size], cost, rest, step)
             for i, (cost, rest, step) in enumerate(self._steps[:count].tolist())
         ]
+
+    def _expand(self, world: bytes, actions: NDArray[np.int64]) -> int:
+        self._rows[-1] = np.frombuffer(world, np.uint8)
+        return _expand(
+            *(self._world, actions, self._costs, self._targets),
+            *(self._things, self._best, self._rows, self._steps),
+        )
 
 
 @compiled
@@ -177,36 +172,46 @@ def _expand(
     rows: NDArray[np.uint8],
     steps: NDArray[np.int64],
 ) -> int:
-    """Write the worlds after ``w``, and for each the cost, the least work left and the step.
+    """Write the worlds after the one in the last row, and for each the cost, the least work left and the step.
 
-    The last row holds ``w`` itself.
+    That in the last row is in ``w`` afterwards, with whatever marks there were.
     """
-    count, before = 0, rows[rows.shape[0] - 1]
+    count, n_cars, n_actions = 0, w.cars.shape[0], actions.shape[0]
     length, width, layers = w.cells.shape[:3]
-    for car in range(w.cars.shape[0]):
-        for i in range(actions.shape[0]):
+    before = rows[rows.shape[0] - 1]
+    for step in range(-1, n_cars * n_actions):
+        if step >= 0:
+            car, action = step // n_actions, actions[step % n_actions]
             pose = pose_of(w, car)
-            if not legal_actions(w, car, pose, actions[i], actions[i]) & (1 << actions[i]):
+            if not legal_actions(w, car, pose, action, action) & (1 << action):
                 continue
-            apply(w, car, actions[i])
+            apply(w, car, action)
             sloping = pose.slope > 0 or car_field(w, car, F_SLOPE) > 0
             column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
-            steps[count, 0] = costs[actions[i], column]
+            steps[count, 0] = costs[action, column]
             steps[count, 1] = least_left(w, costs, targets, things, best)
-            steps[count, 2] = car * costs.shape[0] + actions[i]
-            # The world goes into its row, and the one before comes back.
+            steps[count, 2] = car * costs.shape[0] + action
             following, at = rows[count], 0
             for x in range(length):
                 for y in range(width):
                     for z in range(1, layers):
                         following[at] = w.cells[x, y, z, KIND] | (w.cells[x, y, z, YAW] << _YAW_SHIFT)
-                        w.cells[x, y, z, KIND] = before[at] & _KIND_BITS
-                        w.cells[x, y, z, YAW] = before[at] >> _YAW_SHIFT
                         at += 1
-            for other in range(w.cars.shape[0]):
+            for other in range(n_cars):
                 for field in range(w.cars.shape[1]):
                     following[at] = w.cars[other, field]
-                    w.cars[other, field] = before[at]
                     at += 1
             count += 1
+        # Here the world before comes (back) into ``w``.
+        at = 0
+        for x in range(length):
+            for y in range(width):
+                for z in range(1, layers):
+                    w.cells[x, y, z, KIND] = before[at] & _KIND_BITS
+                    w.cells[x, y, z, YAW] = before[at] >> _YAW_SHIFT
+                    at += 1
+        for other in range(n_cars):
+            for field in range(w.cars.shape[1]):
+                w.cars[other, field] = before[at]
+                at += 1
     return count

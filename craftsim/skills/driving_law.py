@@ -13,7 +13,7 @@ from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import Floats, Records
 from craftsim.skills.health import end
-from craftsim.skills.mecanum import Triple, wheel_speeds, wheel_torques
+from craftsim.skills.mecanum import Triple, on_wheels
 from craftsim.skills.profile import distance_at, motion_at
 from craftsim.skills.progress import check_progress
 from craftsim.skills.state import GRAVITY, LOAD_MISSED, MOVES_OFF_TARGET, RESTS_OFF_TARGET, RUNNING, SUCCEEDED
@@ -81,7 +81,7 @@ def _command_wheels(
     velocity = velocity[0] + shake_x, velocity[1] + shake_y, velocity[2]
     forward, left, turn = _to_body(velocity, now)
     left, turn = gains.sideways_slip * left, gains.turn_slip * turn
-    speeds = wheel_speeds(car.lever_m, car.radius_m, forward, left, turn)
+    speeds = on_wheels(forward / car.radius_m, left / car.radius_m, car.lever_m * turn / car.radius_m)
     # By what factors the front and the rear wheels must outrun the body's forward speed: where the ground bends, at the
     # cell border, the axles roll on different inclines, but the stiff body gives both the same speed along itself. An
     # axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
@@ -98,12 +98,11 @@ def _command_wheels(
     mass = car.mass_kg + load_kg
     weight, inertia = mass * GRAVITY, mass + car.spin_mass_kg
     forward, left, turn = _to_body((step.x * pull, step.y * pull, step.heading * pull), now)
-    torques = wheel_torques(
-        car.lever_m,
-        car.radius_m,
-        inertia * forward + weight * math.sin(now.pitch),
-        inertia * left + weight * math.sin(now.roll),
-        car.turn_inertia_kgm2 * turn,
+    quarter = car.radius_m / 4
+    torques = on_wheels(
+        quarter * (inertia * forward + weight * math.sin(now.pitch)),
+        quarter * (inertia * left + weight * math.sin(now.roll)),
+        quarter * (car.turn_inertia_kgm2 * turn) / car.lever_m,
     )
     for wheel in range(4):
         turning = speeds[wheel] * (front if wheel < 2 else rear)

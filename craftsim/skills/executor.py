@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +24,9 @@ from craftsim.skills.localisation import Localiser
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.recovery import Tries
 from craftsim.skills.skill import CompiledSkill, Skill, SkillSetup, Terrain, n_past
-from craftsim.skills.state import COMMAND, CONSTANTS, DRIVE, HOLD, IDLE, OWN, RUNNING, TASK
+from craftsim.skills.state import COMMAND, CONSTANTS, HOLD, IDLE, NO_TASK, OWN, TASK
 
 Observer = Callable[[Site], None]
-_NO_TASK: Final = np.zeros((), TASK)
 Guard = Callable[[], bool]
 """Returns whether something unsafe has happened."""
 
@@ -140,9 +138,8 @@ class Executor:
     def paths(self) -> NDArray[np.float64]:
         """Return where on its path each car should be now, (n, 3): x and y in metres, and heading in radians; nan
         for those not driving."""
-        tasks = self._tasks
-        driving = (tasks["law"] == DRIVE) & (tasks["status"] == RUNNING)
-        return np.where(driving[:, None], tasks["drive"]["path"], np.nan)
+        path: NDArray[np.float64] = self._tasks["drive"]["path"]
+        return path.copy()
 
     def begin(self, car: int, action: Action, terrain: Terrain | None = None) -> None:
         """Let an idle car start an action; it runs as :meth:`advance` is called."""
@@ -229,7 +226,7 @@ class Executor:
         if car in self._own:
             self._own.remove(car)
         now = readings[car]
-        self._tasks[car] = _NO_TASK
+        self._tasks[car] = NO_TASK
         self._tasks[car]["law"] = HOLD if on_incline(now["pitch"], now["roll"], self.gains.hold) else IDLE
 
     def _look(self) -> None:

@@ -29,14 +29,17 @@ class Mecanum:
 
     def wheel_speeds(self, twist: Iterable[float]) -> PerWheel:
         """Return the four wheel speeds in rad/s of a body twist (vx, vy, omega) in m/s, m/s and rad/s."""
-        return wheel_speeds(self.lever_m, self.radius_m, *map(float, twist))
+        x, y, turn = map(float, twist)
+        return on_wheels(x / self.radius_m, y / self.radius_m, self.lever_m * turn / self.radius_m)
 
     def wheel_torques(self, wrench: Iterable[float]) -> PerWheel:
         """Return the four wheel torques in Nm that push the body with a wrench (fx, fy, mz) in N, N and Nm.
 
         By equal power, torque . speed = wrench . twist; of all torques that do it these are the smallest.
         """
-        return wheel_torques(self.lever_m, self.radius_m, *map(float, wrench))
+        x, y, turn = map(float, wrench)
+        quarter = self.radius_m / 4
+        return on_wheels(quarter * x, quarter * y, quarter * turn / self.lever_m)
 
     def wrench(self, torques: Iterable[float]) -> Triple:
         """Return the wrench (fx, fy, mz) in N, N and Nm with which four wheel torques in Nm push the body."""
@@ -48,17 +51,11 @@ class Mecanum:
 
 
 @compiled
-def wheel_speeds(lever_m: float, radius_m: float, x: float, y: float, turn: float) -> PerWheel:
-    """Return the wheel speeds of a twist; see :class:`Mecanum`."""
-    along, across, spin = x / radius_m, y / radius_m, lever_m * turn / radius_m
-    return along - across - spin, along + across + spin, along + across - spin, along - across + spin
+def on_wheels(along: float, across: float, spin: float) -> PerWheel:
+    """Return what each wheel has, speed or torque, of shares along and across the car and of a spin.
 
-
-@compiled
-def wheel_torques(lever_m: float, radius_m: float, x: float, y: float, turn: float) -> PerWheel:
-    """Return the wheel torques of a wrench; see :class:`Mecanum`."""
-    quarter = radius_m / 4
-    along, across, spin = quarter * x, quarter * y, quarter * turn / lever_m
+    Which shares those are of a twist and of a wrench says :class:`Mecanum`.
+    """
     return along - across - spin, along + across + spin, along + across - spin, along - across + spin
 
 

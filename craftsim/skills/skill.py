@@ -16,7 +16,7 @@ from craftsim.models.sensing import CarMeasurement, PerWheel, write_reading
 from craftsim.skills.gains import Gains, careful
 from craftsim.skills.health import check_health
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.state import COMMAND, OWN, TASK, constants_of, outcome_of
+from craftsim.skills.state import COMMAND, NO_TASK, OWN, TASK, constants_of, outcome_of
 
 Law = Callable[[Records, Records, Floats, Records, Records, int], None]
 """A compiled controller: (readings, tasks, past, constants, commands, car); it reads and writes what is the car's."""
@@ -96,6 +96,7 @@ class Skill(ABC):
         self.outcome: Outcome | None = None
         self.task = records(1, TASK)
         """(1,) TASK: what the skill remembers."""
+        self.task[0] = NO_TASK
         self.task[0]["law"] = OWN
         self._reading = records(1, READING)
         self._read: CarMeasurement | None = None

@@ -95,7 +95,7 @@ DRIVE_TASK: Final = np.dtype(
     ],
     align=True,
 )
-"""``path`` is where the car should be when it is looked at next: x and y in metres, and heading."""
+"""``path`` is where the car should be when it is looked at next: x and y in metres, and heading; nan if nowhere."""
 BOARD_TASK: Final = np.dtype(
     [*_floats("target_m", "speed", "last_m", "deadline_s"), ("needs_load", "i8")], align=True
 )
@@ -118,6 +118,10 @@ TASK: Final = np.dtype(
     align=True,
 )
 """What one car is about: the law that controls it, how that stands, and what it remembers."""
+
+NO_TASK: Final = np.zeros((), TASK)
+"""What a task is before anything is known of it."""
+NO_TASK["drive"]["path"] = np.nan
 
 COMMAND: Final = np.dtype([("wheels", "f8", (4,)), ("board", "f8"), ("hinge", "f8")], align=True)
 """A :class:`~craftsim.skills.skill.Command` as a record."""

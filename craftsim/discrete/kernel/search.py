@@ -19,7 +19,7 @@ from craftsim.discrete.kernel.codes import (
 )
 from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import act, legal_actions
+from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions
 from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
 from craftsim.discrete.kinds import Action
 
@@ -135,7 +135,8 @@ def pose_at(w: World, start: Pose, node: int, slope: int) -> Pose:
 def legal_from(w: World, me: int, space: SearchBuffers, node: int, car: Pose) -> int:
     """Return the legal successors of a node, a bit for each action, worked out at most once."""
     if space.legal[node] == UNKNOWN or space.legal_slope[node] != car.slope:
-        space.legal[node] = legal_actions(w, me, car, ROTATE_LEFT, LAST_MOVE)
+        legal = legal_actions(w, me, car, ROTATE_LEFT, LAST_MOVE)
+        space.legal[node] = legal & ((1 << REASON_BIT) - 1)
         space.legal_slope[node] = car.slope
     return int(np.int64(space.legal[node]))
 

@@ -94,10 +94,10 @@ class Rules:
         """
         for car, _ in joint:
             _check_car(grid, car)
-        turns, acts = np.array(joint, np.int64).reshape(-1, 2).T.copy()
-        after, applied = grid.copy(), np.zeros((1, len(turns)), np.bool_)
-        arrays = after.cells[None], after.cars[None], int(self.corrections)
-        batch.step(*arrays, turns[None], acts[None], applied)
+        turns = np.array([car for car, _ in joint], np.int64)[None]
+        acts = np.array([int(action) for _, action in joint], np.int64)[None]
+        after, applied = grid.copy(), np.zeros(turns.shape, np.bool_)
+        batch.step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
         return after, applied[0]
 
     def reachable(self, grid: Grid, depth: int = DEFAULT_DEPTH) -> NDArray[np.bool_]:

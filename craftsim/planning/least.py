@@ -41,7 +41,27 @@ def least_left(
     """Return work that is left at least: the cheapest way to give each target a thing of its own, and to begin."""
     if targets.shape[0] == 0:
         return 0
-    n_things, carrying, up = _list_things(w, things)
+    # Kind, place and whether it is carried of each thing; ``up``: a car is above the floor, or a slope leads there.
+    n_things, up = 0, False
+    length, width, layers = w.cells.shape[:3]
+    for x in range(length):
+        for y in range(width):
+            for z in range(1, layers):
+                kind = w.cells[x, y, z, KIND]
+                if kind in (BLOCK, FLAG, FSLOPE, BODY):
+                    things[n_things, 0], things[n_things, 1], things[n_things, 2] = kind, x, y
+                    things[n_things, 3], things[n_things, 4] = z, 0
+                    n_things += 1
+                    up = up or kind == BODY
+    carrying = False
+    for car in range(w.cars.shape[0]):
+        up = up or car_field(w, car, F_Z) > 1
+        if car_field(w, car, F_LOAD) != AIR:
+            things[n_things, 0] = car_field(w, car, F_LOAD)
+            things[n_things, 1], things[n_things, 2] = car_field(w, car, F_X), car_field(w, car, F_Y)
+            things[n_things, 3], things[n_things, 4] = 0, 1
+            n_things += 1
+            carrying = True
     # What is above the floor needs a ramp to get up by: one that is asked for, or another.
     asked, missing = False, False
     for k in range(targets.shape[0]):
@@ -80,35 +100,6 @@ def least_left(
             way = abs(car_field(w, car, F_X) - things[i, 1]) + abs(car_field(w, car, F_Y) - things[i, 2])
             nearest = min(nearest, way)
     return least + nearest * costs[_MOVE, 0]
-
-
-@compiled
-def _list_things(w: World, things: NDArray[np.int64]) -> tuple[int, bool, bool]:
-    """Write kind, place and whether it is carried of each thing.
-
-    Return how many there are, whether any is carried, and whether a car is above the floor or a slope leads there.
-    """
-    count, up = 0, False
-    length, width, layers = w.cells.shape[:3]
-    for x in range(length):
-        for y in range(width):
-            for z in range(1, layers):
-                kind = w.cells[x, y, z, KIND]
-                if kind in (BLOCK, FLAG, FSLOPE, BODY):
-                    things[count, 0], things[count, 1], things[count, 2] = kind, x, y
-                    things[count, 3], things[count, 4] = z, 0
-                    count += 1
-                    up = up or kind == BODY
-    carrying = False
-    for car in range(w.cars.shape[0]):
-        up = up or car_field(w, car, F_Z) > 1
-        if car_field(w, car, F_LOAD) != AIR:
-            things[count, 0] = car_field(w, car, F_LOAD)
-            things[count, 1], things[count, 2] = car_field(w, car, F_X), car_field(w, car, F_Y)
-            things[count, 3], things[count, 4] = 0, 1
-            count += 1
-            carrying = True
-    return count, carrying, up
 
 
 @compiled

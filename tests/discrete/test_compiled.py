@@ -221,9 +221,6 @@ for room in ("discrete", "designs", "planning", "models", "skills", "checking"):
 
 
 @needs_compiler
-@pytest.mark.xfail(
-    reason="the rules have functions with two signatures, and there are 219 functions", strict=False
-)
 def test_a_function_has_one_signature_and_there_are_few_of_them(tmp_path):
     # With an empty cache: what has no wrapper is not read from it, for it is a part of what has one.
     done = subprocess.run(

@@ -5,7 +5,6 @@ Codes of the published rules come first, then those of corrections.
 
 from __future__ import annotations
 
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kinds import Action
 
 LIFT = int(Action.LIFT)
@@ -18,6 +17,8 @@ FIRST_MOVE = int(Action.MOVE_FORWARD)
 LAST_MOVE = int(Action.MOVE_RIGHT)
 STOP = int(Action.STOP)
 N_ACTIONS = len(Action)
+MOVE_DIRECTIONS = (1, 3, 2, 0)
+"""Of the four moves, from FIRST_MOVE on: +y, -y, -x, +x."""
 
 N_CODES = 53
 
@@ -80,10 +81,3 @@ N_CODES = 53
 
 DETAIL_BITS = 8
 """A reason's detail, a direction 0..3 or a car's number, lies above so many bits."""
-
-
-@compiled
-def move_direction(action: int) -> int:
-    """Return the direction 0..3 of one of the four move actions 6..9 (+y, -y, -x, +x)."""
-    step = action - FIRST_MOVE
-    return 1 if step == 0 else (3 if step == 1 else (2 if step == 2 else 0))

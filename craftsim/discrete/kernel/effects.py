@@ -8,10 +8,10 @@ from craftsim.discrete.kernel.codes import (
     FOLD,
     LAST_MOVE,
     LIFT,
+    MOVE_DIRECTIONS,
     ROTATE_LEFT,
     ROTATE_RIGHT,
     UNFOLD,
-    move_direction,
 )
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.state import (
@@ -118,7 +118,7 @@ def set_landing(w: World, x: int, y: int, z: int, mark: bool) -> None:
 def after(w: World, car: Pose, action: int) -> Pose:
     """Return a car's state after a turn, with which a carried slope turns, or after a move."""
     if action not in (ROTATE_LEFT, ROTATE_RIGHT):
-        return moved(w, car, move_direction(action))
+        return moved(w, car, MOVE_DIRECTIONS[action - FIRST_MOVE])
     turn = 1 if action == ROTATE_LEFT else -1
     load_yaw = (car.load_yaw + turn) & 3 if car.load == FSLOPE else 0
     return Pose(car.x, car.y, car.z, (car.yaw + turn) & 3, car.load, load_yaw, car.slope)
@@ -153,22 +153,6 @@ def exchange(w: World, me: int, car: Pose, lifting: bool) -> None:
 
 
 @compiled
-def swing(w: World, car: Pose, folding: bool) -> None:
-    """Turn the ramp in the own cell into a folded slope, or a folded slope into a ramp behind the car.
-
-    The landing of a folded ramp is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).
-    """
-    yaw = (car.yaw + 2) & 3
-    x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
-    put(w, car.x, car.y, car.z, FSLOPE if folding else BODY, yaw)
-    put(w, x, y, car.z, AIR if folding else FOOT, 0 if folding else yaw)
-    if folding:
-        put_gear(w, x, y, car.z, GEAR, yaw)
-    set_occupant(w, x, y, car.z - 1, NOTHING if folding else OBJECT)
-    set_landing(w, car.x + dir_x(car.yaw), car.y + dir_y(car.yaw), car.z, not folding)
-
-
-@compiled
 def apply(w: World, me: int, action: int) -> None:
     """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
     car = pose_of(w, me)
@@ -184,4 +168,13 @@ def apply(w: World, me: int, action: int) -> None:
     elif action in (LIFT, DROP):
         exchange(w, me, car, action == LIFT)
     elif action in (FOLD, UNFOLD):
-        swing(w, car, action == FOLD)
+        # The ramp in the own cell becomes a folded slope, or a folded slope a ramp behind the car. The landing of a
+        # folded ramp is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).
+        folding, yaw = action == FOLD, (car.yaw + 2) & 3
+        x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
+        put(w, car.x, car.y, car.z, FSLOPE if folding else BODY, yaw)
+        put(w, x, y, car.z, AIR if folding else FOOT, 0 if folding else yaw)
+        if folding:
+            put_gear(w, x, y, car.z, GEAR, yaw)
+        set_occupant(w, x, y, car.z - 1, NOTHING if folding else OBJECT)
+        set_landing(w, car.x + dir_x(car.yaw), car.y + dir_y(car.yaw), car.z, not folding)

@@ -42,6 +42,7 @@ from craftsim.discrete.kernel.codes import (
     LOAD_HITS_THING,
     LOAD_NOT_THROUGH_GEAR,
     LOAD_NOT_UNDER,
+    MOVE_DIRECTIONS,
     NEVER,
     NO_ASCENT_FROM,
     NO_DESCENT_FROM,
@@ -71,7 +72,6 @@ from craftsim.discrete.kernel.codes import (
     UNFOLD,
     UP_FORWARD_ONLY,
     WALL_OVERHEAD,
-    move_direction,
 )
 from craftsim.discrete.kernel.effects import apply, moved
 from craftsim.discrete.kernel.jit import compiled
@@ -488,7 +488,7 @@ def load_below_walls(w: World, old: Pose, new: Pose) -> bool:
 def why(w: World, me: int, car: Pose, action: int) -> int:
     """Return why car ``me``, were it in the state ``car``, could not do a primitive action now; 0 if it could."""
     if FIRST_MOVE <= action <= LAST_MOVE:
-        return why_move(w, me, car, move_direction(action))
+        return why_move(w, me, car, MOVE_DIRECTIONS[action - FIRST_MOVE])
     if not 0 <= action <= STOP:
         return NEVER
     if car.slope != 0:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.codes import (
     FIRST_MOVE,
     LAST_MOVE,
+    MOVE_DIRECTIONS,
     ROTATE_LEFT,
     STOP,
-    move_direction,
 )
 from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
@@ -226,7 +226,7 @@ def goal_level(w: World, car: Pose, m: int) -> int:
 def plan_move(w: World, me: int, space: SearchBuffers, action: int, limit: int) -> int:
     """Search a way for a MOVE; return the node reached, or -1."""
     car = pose_of(w, me)
-    m = move_direction(action)
+    m = MOVE_DIRECTIONS[action - FIRST_MOVE]
     return search(w, me, space, car.x + dir_x(m), car.y + dir_y(m), goal_level(w, car, m), limit)
 
 
@@ -250,7 +250,7 @@ def near_enough(w: World, me: int, space: SearchBuffers, limit: int) -> int:
         head += 1
         car = pose_at(w, start, node, space.slope[node])
         for i in range(4):
-            m = move_direction(FIRST_MOVE + i)
+            m = MOVE_DIRECTIONS[i]
             there = car.x == start.x + dir_x(m) and car.y == start.y + dir_y(m)
             if there and car.z == goal_level(w, start, m):
                 goals |= 1 << i

@@ -12,14 +12,20 @@ from craftsim.checking.settings import setup_of
 from craftsim.checking.world import Seed, set_up
 from craftsim.compiling import tell
 from craftsim.designs.drawn import random_start
+from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
+from craftsim.discrete.grid import Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.task import TASK_NAMES
 from craftsim.envs import vector_env
 from craftsim.models.parameters import DRIVES
 from craftsim.planning import plan_building
 from craftsim.skills.mecanum import Mecanum
+from craftsim.validation.play.cars import has_room
 
 
 def main() -> None:
@@ -33,8 +39,19 @@ def main() -> None:
         envs = vector_env(task, 1, "grid", **options)
         envs.reset(seed=0)
         envs.step(np.full((1, task.layout.n_cars), int(Action.STOP)))
+    for name in TASK_NAMES:
+        for reward in ("paper", "published_code"):
+            Episodes(make_task(name, reward), np.random.default_rng(0))
     start = task.draw(np.random.default_rng(0))
+    rules = Rules("physical")
+    rules.explain(start, 0, Action.LIFT)
+    rules.enforce(start, 0, Action.STOP)
+    rules.plan_move(start, 0, Action.MOVE_RIGHT)
+    has_room(start)
     plan_building(start, task, rounds=1)
+    small = Grid.empty((3, 2, 1), n_cars=1)
+    small.put(Piece(Kind.BLOCK, (1, 0, 1)))
+    plan_building(small, Design.of("small", [(2, 0, 1)]))
     random_start(np.random.default_rng(0))
     for drive in DRIVES:
         for preset in ("none", "workshop_floor"):

@@ -7,7 +7,7 @@ import pytest
 
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kernel import batch
-from craftsim.discrete.kernel.search import pop, rise, search_buffers, sink
+from craftsim.discrete.kernel.search import rise, search_buffers, sink
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, empty_queue
 
@@ -40,6 +40,14 @@ class Ranked:
 
     def __lt__(self, other):
         return self.ranks[self.item] < self.ranks[other.item]
+
+
+def pop(heap, size, ranks):
+    """Take the item of lowest rank, as the search does."""
+    item, heap[0] = int(heap[0]), heap[size - 1]
+    if size > 1:
+        sink(heap, size - 1, 0, ranks)
+    return item
 
 
 def test_the_heap_keeps_ties_in_the_order_of_pythons_heapq():

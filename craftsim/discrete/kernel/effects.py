@@ -108,13 +108,6 @@ def set_occupant(w: World, x: int, y: int, z: int, mark: int) -> None:
 
 
 @compiled
-def set_landing(w: World, x: int, y: int, z: int, mark: bool) -> None:
-    """Set the mark "I am the landing of a ramp" of a cell; only blocks carry it."""
-    if kind_at(w, x, y, z) == BLOCK:
-        w.cells[x, y, z, LANDING] = mark
-
-
-@compiled
 def after(w: World, car: Pose, action: int) -> Pose:
     """Return a car's state after a turn, with which a carried slope turns, or after a move."""
     if action not in (ROTATE_LEFT, ROTATE_RIGHT):
@@ -145,8 +138,8 @@ def exchange(w: World, me: int, car: Pose, lifting: bool) -> None:
     if kind == FSLOPE:
         gear = AIR if lifting else GEAR
         put_gear(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, gear, 0 if lifting else yaw)
-    if kind == BLOCK and not lifting:
-        set_landing(w, car.x, car.y, car.z, derived_landing(w, car.x, car.y, car.z))
+    if kind == BLOCK and not lifting and inside(w, car.x, car.y, car.z):
+        w.cells[car.x, car.y, car.z, LANDING] = derived_landing(w, car.x, car.y, car.z)
     load, load_yaw = (kind, yaw if kind == FSLOPE else 0) if lifting else (AIR, 0)
     write_pose(w, me, Pose(car.x, car.y, car.z, car.yaw, load, load_yaw, car.slope))
     set_occupant(w, car.x, car.y, car.z - 1, me)
@@ -177,4 +170,6 @@ def apply(w: World, me: int, action: int) -> None:
         if folding:
             put_gear(w, x, y, car.z, GEAR, yaw)
         set_occupant(w, x, y, car.z - 1, NOTHING if folding else OBJECT)
-        set_landing(w, car.x + dir_x(car.yaw), car.y + dir_y(car.yaw), car.z, not folding)
+        x, y = car.x + dir_x(car.yaw), car.y + dir_y(car.yaw)
+        if kind_at(w, x, y, car.z) == BLOCK:
+            w.cells[x, y, car.z, LANDING] = not folding

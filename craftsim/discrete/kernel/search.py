@@ -105,16 +105,6 @@ def sink(heap: NDArray[np.int32], size: int, place: int, rank: NDArray[np.int32]
 
 
 @compiled
-def pop(heap: NDArray[np.int32], size: int, rank: NDArray[np.int32]) -> int:
-    """Take the item of lowest rank from a heap of the given size, which shrinks by one."""
-    item = heap[0]
-    heap[0] = heap[size - 1]
-    if size > 1:
-        sink(heap, size - 1, 0, rank)
-    return int(np.int64(item))
-
-
-@compiled
 def node_of(w: World, car: Pose) -> int:
     """Return the index of a car's state among the nodes."""
     layers = w.cells.shape[2] + 1
@@ -158,8 +148,11 @@ def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, go
     space.parent[first] = -1
     space.heap[0], size = first, 1
     while size > 0:
-        node = pop(space.heap, size, space.rank)
+        node = int(np.int64(space.heap[0]))
         size -= 1
+        space.heap[0] = space.heap[size]
+        if size > 0:
+            sink(space.heap, size, 0, space.rank)
         car = pose_at(w, start, node, space.slope[node])
         if car.x == goal_x and car.y == goal_y and car.z == goal_z:
             return node

@@ -118,9 +118,9 @@ class Rules:
         if action not in MOVE_DIRECTION:
             raise ValueError(f"{action!r} is not one of the four moves")
         _check_car(grid, car)
-        steps, cell = np.empty(depth + 1, np.int8), (0, 0, 0)
+        steps = np.empty(depth + 1, np.int8)
         arrays = grid.cells, grid.cars, int(self.corrections)
-        length = batch.plan(*arrays, car, int(action), cell, self._space(grid), depth, steps)
+        length = batch.plan(*arrays, car, int(action), self._space(grid), depth, steps)
         return None if length < 0 else tuple(Action(step) for step in steps[:length].tolist())
 
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:

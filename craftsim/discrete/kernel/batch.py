@@ -16,7 +16,6 @@ from craftsim.discrete.kernel.search import (
     act_with_helper,
     add_reachable,
     plan_move,
-    search,
     write_plan,
 )
 from craftsim.discrete.kernel.state import (
@@ -120,18 +119,14 @@ def plan(
     corrections: int,
     car: int,
     action: int,
-    goal: tuple[int, int, int],
     space: SearchBuffers,
     depth: int,
     out: NDArray[np.int8],
 ) -> int:
-    """Write the primitives of the helper's plan for a MOVE, with action -1 to a cell; return how many, -1 if none."""
+    """Write the primitives of the helper's plan for a MOVE of a single world's car; return how many, -1 if none."""
     w = World(cells, cars, corrections)
     space.legal[:] = UNKNOWN
-    if action >= 0:
-        node = plan_move(w, car, space, action, depth)
-    else:
-        node = search(w, car, space, goal[0], goal[1], goal[2], depth)
+    node = plan_move(w, car, space, action, depth)
     return write_plan(space, node, out) if node >= 0 else -1
 
 

@@ -233,9 +233,10 @@ def write_rows(
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
                 for z in range(1, w.cells.shape[2]):
-                    if w.cells[x, y, z, KIND] == AIR:
+                    kind = int(np.int64(w.cells[x, y, z, KIND]))
+                    if kind == AIR:
                         continue
-                    flag = type_flag(kind_at(w, x, y, z))
+                    flag = type_flag(kind)
                     if flag == 0:
                         continue
                     if free[flag] > 0:

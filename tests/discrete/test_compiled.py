@@ -82,9 +82,9 @@ def test_the_cache_depends_on_code_callees_and_constants_alone(old, new, changed
     assert {name for name, a, b in zip(names, before, after, strict=True) if a != b} == set(changed)
 
 
-def run(folder, code, **environment):
+def run(folder, code, own=OWN, **environment):
     """Run Python code beside own.py, and return what it prints."""
-    (folder / "own.py").write_text(OWN)
+    (folder / "own.py").write_text(own)
     kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     words = [sys.executable, "-c", code]
     return subprocess.run(
@@ -106,6 +106,15 @@ def test_a_second_process_compiles_nothing_and_a_damaged_file_is_compiled_again(
     file.write_bytes(file.read_bytes()[:-1])
     assert run(tmp_path, COUNT, **place) == "8 1\n"
     assert run(tmp_path, COUNT, **place) == "8 0\n"
+
+
+@needs_compiler
+def test_a_called_function_is_there_for_code_of_the_cache_though_python_called_it_first(tmp_path):
+    own = OWN.replace("@compiled\ndef inner", "@compiled(inline=False)\ndef inner")
+    assert own != OWN
+    for calls in ("own.outer(1)", "own.inner(1), own.outer(1), own.inner(1)", "own.outer(1), own.inner(1)"):
+        said = run(tmp_path, f"import own; print({calls}, own.outer(1))", own, NUMBA_CACHE_DIR=str(tmp_path))
+        assert said.split()[-1] == "8"
 
 
 @needs_compiler

@@ -76,6 +76,8 @@ class _Compiled(CPUDispatcher):
         self._for_python = False
         """Whether Python has called it: what is compiled from then on has a wrapper."""
         self._wrapped: set[tuple[types.Type, ...]] = set()
+        self._callable: set[tuple[types.Type, ...]] = set()
+        """Signatures for which other compiled functions can call it, or take it in."""
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         """Compile it for a call from Python."""
@@ -90,6 +92,20 @@ class _Compiled(CPUDispatcher):
                 self._load_or_compile(arguments)
             return self.overloads[arguments].entry_point
 
+    def bring(self, arguments: tuple[types.Type, ...]) -> None:
+        """Make ready what machine code that was compiled before calls by its name, whether Python calls it or not."""
+        with global_compiler_lock:
+            if arguments in self._callable:
+                return
+            for_python, entry = self._for_python, self.overloads.get(arguments)
+            self._for_python = False
+            try:
+                self._load_or_compile(arguments)
+            finally:
+                self._for_python = for_python
+            if arguments in self._wrapped:
+                self.overloads[arguments] = entry
+
     def _load_or_compile(self, arguments: tuple[types.Type, ...]) -> None:
         kind = "entry" if self._for_python else "part" if self.targetoptions["forceinline"] else "called"
         name = f"{self.py_func.__module__}.{self.__name__}.{kind} {self.content} {arguments}"
@@ -100,12 +116,9 @@ class _Compiled(CPUDispatcher):
             if self._load(name):
                 return
             self.overloads.pop(arguments, None)
-            compilers = {
-                "entry": Compiler,
-                "part": _PartCompiler,
-                "called": partial(_CalledCompiler, self.content),
-            }
-            self._compiler.pipeline_class = compilers[kind]
+            self._compiler.pipeline_class = (
+                Compiler if self._for_python else partial(_InnerCompiler, self.content)
+            )
             self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
             super().compile(arguments)
             library = self.overloads[arguments].library
@@ -137,6 +150,7 @@ class _Compiled(CPUDispatcher):
             result = result._replace(entry_point=object())
             self._insert_into_context(result)
         self.overloads[tuple(result.signature.args)] = result
+        self._callable.add(tuple(result.signature.args))
 
     @cached_property
     def content(self) -> str:
@@ -205,8 +219,8 @@ class _Called(JITCodeLibrary):
         return self._shared_module
 
 
-class _CalledCompiler(Compiler):
-    """Compiles a function that others call, under a name that depends on its content alone."""
+class _InnerCompiler(Compiler):
+    """Compiles a function that other compiled functions call, under a name that depends on its content alone."""
 
     def __init__(
         self,
@@ -221,36 +235,18 @@ class _CalledCompiler(Compiler):
     ) -> None:
         flags.no_compile = True
         self._content = content
-        called = _Called(targetctx.codegen(), "called")
-        called.enable_object_caching()
-        super().__init__(typingctx, targetctx, called, args, return_type, flags, locals)
+        own = (_Part if flags.forceinline else _Called)(targetctx.codegen(), "inner")
+        own.enable_object_caching()
+        super().__init__(typingctx, targetctx, own, args, return_type, flags, locals)
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
-        """Compile a function; as numba does but for its number."""
+        """Compile a function as numba does, but for its number, which becomes a part of its name."""
         self.state.func_id = bytecode.FunctionIdentity.from_function(func)
         self.state.func_id.unique_id = int(self._content[:15], 16)
         ExtractByteCode().run_pass(self.state)
         self.state.lifted = ()
         self.state.lifted_from = None
         return self._compile_bytecode()
-
-
-class _PartCompiler(Compiler):
-    """Compiles a function that Python does not call."""
-
-    def __init__(
-        self,
-        typingctx: Any,
-        targetctx: Any,
-        library: None,
-        args: Any,
-        return_type: Any,
-        flags: Any,
-        locals: Any,
-    ) -> None:
-        flags.no_compile = True
-        part = _Part(targetctx.codegen(), "part")
-        super().__init__(typingctx, targetctx, part, args, return_type, flags, locals)
 
 
 class _Progress:
@@ -295,7 +291,7 @@ _progress: Final = _Progress()
 def _bring(needs: set[Need]) -> None:
     """Have functions compiled or read that the machine code of another one calls."""
     for module, name, arguments in sorted(needs, key=str):
-        getattr(import_module(module), name).compile(arguments)
+        getattr(import_module(module), name).bring(arguments)
 
 
 def _plain(kind: types.Type) -> types.Type:

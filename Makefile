@@ -51,7 +51,7 @@ hooks: $(VENV)/installed-dev  ## Run linter, formatter and type checker before e
 importtime: $(VENV)/installed  ## Time "import craftsim" in fresh interpreters (the bar is 0.15 s)
 	$(BIN)/python scripts/import_time.py
 
-golden: $(VENV)/installed-dev  ## Compare what craftsim does with its golden records (ten minutes; ARGS=--write stores them, ARGS='--base REVISION' compares here)
+golden: $(VENV)/installed-dev  ## Compare what craftsim does with its golden records (some minutes; ARGS=--write stores them, ARGS='--base REVISION' compares here)
 	PYTHONPATH=tests $(BIN)/python -m golden $(ARGS)
 
 mutants: $(VENV)/installed-dev  ## Mutation testing: break one grid rule at a time, list the tests that fail

@@ -161,7 +161,7 @@ def _figures(trajectory: Trajectory) -> str:
 
 
 def _bundles_by_flag(audits: Sequence[Path]) -> dict[str, list[Path]]:
-    """Return, by the rule flag that corrects them, the bundles of the rows of audits that are unsound."""
+    """Return, by the correction that concerns them, the bundles of the rows of audits that are unsound."""
     rows = [
         (row, audit)
         for audit in audits
@@ -197,7 +197,7 @@ def _make_rule(flag: str, bundles: Sequence[Path]) -> None:
         f"![{sentence(smallest)}]({flag}.webp)\n",
         f"{_upper(sentence(smallest))}. In physics: {attempts[0].result}"
         + (f" ({attempts[0].reason})" if attempts[0].reason else "")
-        + ". CraftEnv's rules allow it; `physical` has the rule flag "
+        + ". CraftEnv's rules allow it; `physical` has the correction "
         f"[`{flag}`](../rules.md) against it."
         + (
             " It takes chance: nominal physics does not do it, but physics and noise as drawn in one trial do."

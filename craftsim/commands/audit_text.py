@@ -40,7 +40,7 @@ def conclude(audit: Audit) -> int:
     allowed = n[Judgement.UNSOUND] + n[Judgement.SOUND]
     if flags := audit.rows_by_flag:
         text = ", ".join(f"{flag} {count}" for flag, count in flags.items())
-        say(f"unsound rows by the rule flag that corrects them: {text}")
+        say(f"unsound rows by the correction that concerns them: {text}")
     say(
         f"{audit.config['rules']}: {n[Judgement.UNSOUND]} of {allowed} rows that the rules allow are unsound; "
         f"{n[Judgement.CONSERVATIVE]} that they forbid would have worked, "

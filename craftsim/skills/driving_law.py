@@ -44,13 +44,13 @@ def drive_law(
             end(task, SUCCEEDED, 0.0, 0.0)
         elif task.elapsed_s > drive.profile.duration_s + gains.settle_allowance:
             end(task, RESTS_OFF_TARGET if drive.at_rest else MOVES_OFF_TARGET, offset * 1e3, turn * 1e3)
-    told = commands[car].wheels
+    commanded = commands[car].wheels
     if task.status == RUNNING and drive.there_periods <= gains.brake_periods:
-        _command_wheels(now, drive, known, error, task.elapsed_s, told)
+        _command_wheels(now, drive, known, error, task.elapsed_s, commanded)
     else:
-        told[0] = told[1] = told[2] = told[3] = 0.0
+        commanded[0] = commanded[1] = commanded[2] = commanded[3] = 0.0
     for wheel in range(4):
-        drive.commanded[wheel] = told[wheel]
+        drive.commanded[wheel] = commanded[wheel]
     start, step = drive.origin, drive.direction
     way = distance_at(drive.profile, task.elapsed_s + known.period_s)
     drive.path[0], drive.path[1] = start.x + step.x * way, start.y + step.y * way

@@ -33,8 +33,8 @@ Loc = tuple[str | int, ...]
 Mistake = tuple[Loc, str]
 """Where something is wrong, and what."""
 
-TOLD: Final = 5
-"""Mistakes that are told at once."""
+MOST_REPORTED: Final = 5
+"""So many mistakes are reported at once."""
 _QUOTED: Final = 40
 """Characters of what a message quotes from a file."""
 _COMPARED: Final = 100
@@ -97,17 +97,19 @@ class Document:
 
     def fail_in(self, line: int | None, message: str) -> NoReturn:
         """Raise the error of a mistake in a line, where that is known."""
-        raise self.error(self._told(line, message))
+        raise self.error(self._with_line(line, message))
 
     def refuse(self, mistakes: Iterable[Mistake]) -> None:
         """Raise the error of mistakes, the first few of them a line each, if there are any."""
-        found = list(islice(mistakes, TOLD + 1))
+        found = list(islice(mistakes, MOST_REPORTED + 1))
         if found:
-            more = [f"{self.path}: and more"] if len(found) > TOLD else []
-            told = [self._told(self.lines.get(loc), message) for loc, message in found[:TOLD]]
-            raise self.error("\n".join([*told, *more]))
+            more = [f"{self.path}: and more"] if len(found) > MOST_REPORTED else []
+            reported = [
+                self._with_line(self.lines.get(loc), message) for loc, message in found[:MOST_REPORTED]
+            ]
+            raise self.error("\n".join([*reported, *more]))
 
-    def _told(self, line: int | None, message: str) -> str:
+    def _with_line(self, line: int | None, message: str) -> str:
         return f"{self.path}: {message}" if line is None else f"{self.path}:{line}: {message}"
 
     def mapping(self, known: Iterable[str], *loc: str | int) -> dict[str, Any]:
@@ -125,7 +127,7 @@ class Document:
         return found
 
     def to(self, kind: type[T], **bounds: float) -> T:
-        """Return what it says as a dataclass; ``bounds`` are the words that stand in :class:`Between`.
+        """Return what it says as a dataclass; ``bounds`` are the words of :class:`Between`.
 
         Raises its error, with the first mistakes in the file, for what is not of that format.
         """
@@ -140,7 +142,7 @@ class Document:
         # What is missing has no line of its own.
         errors.sort(key=lambda one: self.lines.get(one["loc"], self.lines.get(one["loc"][:-1], 0)))
         self.refuse(_mistakes(kind, errors))
-        raise AssertionError("pydantic told no mistake")
+        raise AssertionError("pydantic reported no mistake")
 
 
 @cache
@@ -261,7 +263,7 @@ def described(value: object) -> str:
 
 
 def unknown_words(word: str, known: Iterable[str], what: str = "key", allowed: bool = True) -> str:
-    """Return the message of a word that is not known, with the closest known one and, unless told not to, all."""
+    """Return the message of a word that is not known, with the closest known one and, unless asked not to, all."""
     known = list(known)
     text = f"unknown {what} '{_cut(word)}'{suggestion(word[:80], known)}"
     return f"{text}; allowed: {', '.join(known)}" if allowed else text
@@ -291,7 +293,7 @@ def _mistakes(kind: Any, errors: list[ErrorDetails]) -> Iterator[Mistake]:
         *before, name = one["loc"]
         parent = tuple(before)
         if one["type"] == _UNKNOWN:
-            # What is allowed in a mapping is told once.
+            # What is allowed in a mapping is said once.
             yield one["loc"], unknown_words(str(name), _keys(kind, parent), allowed=parent not in listed)
             listed.add(parent)
         elif one["type"] != "missing":

@@ -25,7 +25,7 @@ FORBIDDEN = {
     "turn_L2_beside_slope_load_L1": "reaching_load",
     "turn_L3_beside_slope_load_L2": "reaching_load",
 }
-"""By world, the rule flag that forbids its action."""
+"""By world, the correction that forbids its action."""
 WORKS = ("climb_above_top_H1", "climb_above_top_H2")
 TURNS = {"rollers": "turn_walk.actions", "reduced": "turn_walk_reduced.actions"}
 """By drive, the actions of a car that lifts, turns and sets down one block again and again in the world turn_walk."""

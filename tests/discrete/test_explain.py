@@ -46,10 +46,15 @@ def test_every_forbidden_action_has_a_reason_and_every_legal_one_is_said_to_be_l
             mask = rules.mask(grid)
             for car in range(grid.n_cars):
                 for action in Action:
-                    told = rules.explain(grid, car, action)
-                    assert told.legal == mask[car, action] == (not told.reason), (action, told)
-                    assert told.legal or (all(len(cell) == 3 for cell in told.cells) and told.cells)
-                    seen[told.legal] += 1
+                    explanation = rules.explain(grid, car, action)
+                    assert explanation.legal == mask[car, action] == (not explanation.reason), (
+                        action,
+                        explanation,
+                    )
+                    assert explanation.legal or (
+                        all(len(cell) == 3 for cell in explanation.cells) and explanation.cells
+                    )
+                    seen[explanation.legal] += 1
     assert min(seen.values()) > 500
 
 
@@ -60,11 +65,11 @@ def test_without_the_flag_that_is_named_the_action_is_legal_or_has_another_reaso
         grid = _dense_world(rng)
         legal = Rules("published", Correction(sum(set(Correction) - set(FORBIDDING)))).mask(grid)
         for car, action in np.argwhere(legal & ~rules.mask(grid)):
-            told = rules.explain(grid, int(car), Action(action))
-            assert told.correction is not None
-            named[told.correction] += 1
-            other = Rules("physical", ~told.correction)
-            assert other.explain(grid, int(car), Action(action)).reason != told.reason
+            explanation = rules.explain(grid, int(car), Action(action))
+            assert explanation.correction is not None
+            named[explanation.correction] += 1
+            other = Rules("physical", ~explanation.correction)
+            assert other.explain(grid, int(car), Action(action)).reason != explanation.reason
         if min(named.values()) > 2:
             break
     assert min(named.values()) > 0, named
@@ -89,10 +94,10 @@ def test_reasons_name_the_cells(scene, car):
     assert rules.explain(walled, 0, Action.MOVE_RIGHT).cells == ((4, 2, 1),)
     assert str(rules.explain(walled, 0, Action.STOP)) == "STOP is legal"
     flap = scene([(FSLOPE, (4, 3, 1), 2), (BLOCK, (2, 3, 1))], [car(4, 3)])
-    told = rules.explain(flap, 0, Action.UNFOLD)
-    assert told.correction == Correction.swinging_flap
-    assert told.cells == ((2, 3, 1),)
-    assert str(told) == (
+    explanation = rules.explain(flap, 0, Action.UNFOLD)
+    assert explanation.correction == Correction.swinging_flap
+    assert explanation.cells == ((2, 3, 1),)
+    assert str(explanation) == (
         "UNFOLD is forbidden: the flap would meet something on its way: a block is in (2, 3, 1) "
         "(swinging_flap, docs/rules.md#flap)"
     )

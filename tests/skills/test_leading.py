@@ -26,9 +26,9 @@ def _turn(lag_s, n=60):
     share = 1 - math.exp(-PERIOD_S / lag_s) if lag_s else 1.0
     for k in range(n):
         wanted = np.full(4, 0.2 * (k + 1))
-        told = wanted.copy()
-        lead_wheels(lead, told, speeds, CAR, PERIOD_S, True)
-        speeds += share * (told - speeds)
+        commanded = wanted.copy()
+        lead_wheels(lead, commanded, speeds, CAR, PERIOD_S, True)
+        speeds += share * (commanded - speeds)
     return 0.01 * likeliest_age(lead["mismatches"])[0], float(wanted[0] - speeds[0])
 
 
@@ -43,18 +43,18 @@ def test_wheels_keep_up_with_what_is_wanted_however_much_motors_lag(lag_s):
 def test_wheels_that_lack_grip_are_not_taken_to_lag():
     lead, speeds = leads(1, PERIOD_S)[0], np.zeros(4)
     for k in range(30):
-        told = np.full(4, 0.8 * (k + 1))
-        lead_wheels(lead, told, speeds, CAR, PERIOD_S, True)
+        commanded = np.full(4, 0.8 * (k + 1))
+        lead_wheels(lead, commanded, speeds, CAR, PERIOD_S, True)
         # Prompt motors, whose wheels speed up by no more than this.
-        speeds += np.minimum(told - speeds, 0.4)
+        speeds += np.minimum(commanded - speeds, 0.4)
     assert 0.01 * likeliest_age(lead["mismatches"])[0] < 0.025
 
 
 def test_four_zeros_stop_at_once():
     lead = leads(1, PERIOD_S)[0]
-    for told in (np.full(4, 3.0), np.zeros(4)):
-        lead_wheels(lead, told, np.zeros(4), CAR, PERIOD_S, False)
-    assert not told.any()
+    for commanded in (np.full(4, 3.0), np.zeros(4)):
+        lead_wheels(lead, commanded, np.zeros(4), CAR, PERIOD_S, False)
+    assert not commanded.any()
     assert not lead["servos"].any()
 
 

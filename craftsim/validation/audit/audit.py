@@ -37,7 +37,7 @@ class Audit:
     config: dict[str, Any]
     seed: int
     corrections: Mapping[str, Sequence[str]]
-    """The rule flags that would each correct an unsound row, by its name."""
+    """The corrections that would each concern an unsound row, by its name."""
     comparison: Comparison | None
     smallest: tuple[Shrunk, ...] = ()
     """The first failure of each kind in its smallest world, where that was asked for."""
@@ -49,7 +49,7 @@ class Audit:
 
     @property
     def rows_by_flag(self) -> dict[str, int]:
-        """How many unsound rows each rule flag corrects."""
+        """How many unsound rows each correction concerns."""
         return rows_by_flag(self.corrections)
 
 

@@ -33,7 +33,7 @@ def rows_by_flag(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
 
 
 def _differs(situation: Situation, rule_set: RuleSet, flag: str) -> bool:
-    """Return whether one rule flag changes what is allowed, or its effect."""
+    """Return whether one correction changes what is allowed, or its effect."""
     grid, actions = start_of(situation, rule_set)
     joint = [(car, int(action)) for car, action in enumerate(actions)]
     before, after = (

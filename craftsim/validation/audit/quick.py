@@ -128,7 +128,7 @@ def _differing(one: Properties, other: Properties) -> int:
 
 
 def _reason(situation: Situation, rule_set: RuleSet) -> str:
-    """Return why an action is forbidden: its verb and the rule flag, or the words without cells and what is there."""
+    """Return why an action is forbidden: its verb and the correction, or the words without cells and what is there."""
     grid, actions = start_of(situation, rule_set)
     said = Rules(rule_set).explain(grid, 0, actions[0])
     verb = properties(situation.id)["action"].partition("-")[0]

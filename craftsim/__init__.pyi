@@ -30,7 +30,7 @@ from .models.parameters import SlopeParameters as SlopeParameters
 from .models.parameters import SmartcarParameters as SmartcarParameters
 from .models.randomization import DomainRandomization as DomainRandomization
 from .models.sensing import Sensors as Sensors
-from .models.site import Site as Site
+from .models.world import Site as Site
 from .planning.planned import Planned as Planned
 from .planning.planner import plan as plan
 from .rendering.images import take_images as take_images

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from craftsim.models.parts import FreeBody
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor, Observer
 
 _PUSH_N: Final = 4.2

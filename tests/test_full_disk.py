@@ -15,7 +15,7 @@ from craftsim.cli import main
 from craftsim.discrete.grid import Grid
 from craftsim.errors import InputError
 from craftsim.models.scene import write_scene
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.video import VideoWriter
 from craftsim.validation.statistics.durations import Duration, write_durations
 

@@ -169,10 +169,10 @@ def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
     [
         ("craftsim.discrete.grid", "import mujoco"),
         ("craftsim.discrete.grid", "def f():\n    from mujoco import MjModel"),
-        ("craftsim.discrete.grid", "from craftsim.models import site"),
+        ("craftsim.discrete.grid", "from craftsim.models import world"),
         ("craftsim.discrete.grid", "from craftsim import models"),
-        ("craftsim.discrete.grid", "from ..models import site"),
-        ("craftsim.models.site", "import craftsim.skills.move"),
+        ("craftsim.discrete.grid", "from ..models import world"),
+        ("craftsim.models.world", "import craftsim.skills.move"),
         ("craftsim.skills.move", "from craftsim.rendering.frames import Frames"),
         ("craftsim.report", "from craftsim.discrete.grid import Grid"),
     ],
@@ -184,8 +184,11 @@ def test_an_import_against_the_arrows_is_found(module, source):
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("craftsim.skills.move", "from craftsim.models.site import Site\nfrom craftsim.discrete import grid"),
-        ("craftsim.models.site", "import mujoco\nfrom .parameters import Car"),
+        (
+            "craftsim.skills.move",
+            "from craftsim.models.world import Site\nfrom craftsim.discrete import grid",
+        ),
+        ("craftsim.models.world", "import mujoco\nfrom .parameters import Car"),
         ("craftsim.report", "from craftsim.errors import InputError"),
         ("craftsim.commands.demo", "from craftsim.skills.move import Move"),
     ],

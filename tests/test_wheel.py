@@ -18,7 +18,7 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 ACTION = """
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.grid import Grid
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 
 outcomes = Executor(Site(Grid.empty((2, 1, 1), n_cars=1))).run({0: Action.MOVE_RIGHT})

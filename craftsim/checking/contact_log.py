@@ -17,7 +17,7 @@ import numpy as np
 
 from craftsim.checking.contact_forces import note_contacts, note_motion
 from craftsim.checking.forces import PossibleForce, impact_limit_n
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.storage.writing import whole
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.models.parameters import NOMINAL, ContactParameters, Machines
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.state import GRAVITY
 
 _REACH_M: Final = 1.5 * CELL_PITCH_M

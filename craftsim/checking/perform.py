@@ -10,7 +10,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
 from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.gains import Gains
 
 

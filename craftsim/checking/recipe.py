@@ -25,7 +25,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Concurrency, Constraints
 from craftsim.errors import InputError, suggestion
 from craftsim.models.extent import check_extent
-from craftsim.models.randomization import RandomizedSite
+from craftsim.models.world import Site
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 
 _NAMES: Final = [action.name for action in Action]
@@ -144,7 +144,7 @@ def _blueprint(text: str) -> Blueprint:
     return parse_blueprint(text, "world of a recipe")
 
 
-def run_up(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
+def run_up(recipe: Recipe, reuse: Site | None = None) -> CheckedSite:
     """Return the world of a recipe before its last step; ``reuse`` as of :func:`set_up`."""
     checked = start(recipe, reuse)
     for step in recipe.steps[:-1]:
@@ -152,7 +152,7 @@ def run_up(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
     return checked
 
 
-def start(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
+def start(recipe: Recipe, reuse: Site | None = None) -> CheckedSite:
     """Return the world of a recipe before its first step; ``reuse`` as of :func:`set_up`.
 
     Raises InputError where something in the recipe does not fit together.

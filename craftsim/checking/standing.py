@@ -12,7 +12,7 @@ from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.readback import Poses
 from craftsim.models.measuring import Floats
 from craftsim.models.sensing import PoseReader
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 Numbers = NDArray[np.integer]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from craftsim.models.sensing import PoseReader
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 
 

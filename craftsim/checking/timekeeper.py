@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.errors import InputError
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 
 class OverrunError(InputError):

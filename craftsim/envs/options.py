@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from craftsim.models.noise import SensorNoise
     from craftsim.models.parameters import Drive, Machines
     from craftsim.models.randomization import DomainRandomization
-    from craftsim.models.site import Site
+    from craftsim.models.world import Site
     from craftsim.skills.gains import Gains
 
 BackendName = Literal["physics", "grid"]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import mujoco
     from mujoco.viewer import Handle
 
-    from craftsim.models.site import Site
+    from craftsim.models.world import Site
 
 Picture = NDArray[np.uint8]
 """Shape (height, width, 3), red green blue."""

@@ -16,7 +16,7 @@ from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.envs.vector import GridVectorEnv
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 _SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _STAY_AWAKE: Final = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
@@ -187,7 +187,8 @@ def _step(site: Site, period: _Period) -> None:
         model.opt.enableflags &= ~_SLEEP
     for _ in range(n):
         mujoco.mj_step(model, data)
-        site.follow()
+        for effect in site.effects:
+            effect.after_step(site)
         if period.rouse:
             model.opt.enableflags |= _SLEEP
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from craftsim.logs.log import Log
 from craftsim.models.measuring import READING
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.state import COMMAND
 

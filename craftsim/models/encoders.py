@@ -14,7 +14,7 @@ import numpy as np
 from craftsim.discrete.kernel.jit import compiled, records
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.models.measuring import Floats, Records, Wiring
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 _WHEELS: Final = [(name, "f8", (4,)) for name in ("before", "angles", "counts")]
 _ENCODERS: Final = np.dtype([("joints", "i8", (4,)), ("pose", "f8", (7,)), *_WHEELS], align=True)

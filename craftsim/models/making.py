@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.imperfection import Making
 from craftsim.models.parts import WHEELS, Car
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 _FEET = ("foot_fl", "foot_fr", "foot_rl", "foot_rr")
 _POCKET = ("frame_front", "frame_back", "frame_left", "frame_right")

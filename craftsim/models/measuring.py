@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import compiled, records
 from craftsim.discrete.kernel.rotation import body_axes
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]

@@ -9,7 +9,7 @@ import numpy as np
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.models.measuring import Floats, Wiring
 from craftsim.models.sensing import PerWheel
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 
 class Motors:

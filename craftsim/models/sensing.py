@@ -17,7 +17,7 @@ from craftsim.models.disturbing import Disturber
 from craftsim.models.encoders import Encoders
 from craftsim.models.measuring import READING, Records, Wiring, read_cars
 from craftsim.models.noise import EXACT, SensorNoise
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 PerWheel = tuple[float, float, float, float]
 """A number for each wheel, in the order of WHEELS."""

@@ -20,7 +20,7 @@ from craftsim.rendering.playback import Posed
 from craftsim.rendering.renderer import make_renderer
 
 if TYPE_CHECKING:
-    from craftsim.models.site import Site
+    from craftsim.models.world import Site
 
 Images = dict[str, NDArray[Any]]
 """By kind."""

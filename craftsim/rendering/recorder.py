@@ -13,7 +13,7 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe
 from craftsim.discrete.files.design import Design
 from craftsim.models.measuring import READING
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.trajectory import (
     KINDS,
     SCHEMA_VERSION,

@@ -21,7 +21,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.recipe import Recipe, check_recipe
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.errors import InputError
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.shapes import Wanted
 from craftsim.report import versions
 from craftsim.storage import limits

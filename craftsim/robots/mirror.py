@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.models.parts import FreeBody
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.robots.link import Messenger
 from craftsim.robots.messages import Follow, Measurements, MessageError, TruePoses, pack, unpack
 from craftsim.robots.surroundings import Surroundings

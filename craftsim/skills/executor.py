@@ -13,7 +13,7 @@ from craftsim.models.measuring import Records
 from craftsim.models.motors import Motors
 from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.sensing import CarMeasurement, Sensors, measurement_of
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.control import step_cars
 from craftsim.skills.fleet import Fleet, SiteFleet
 from craftsim.skills.gains import Gains, load_gains

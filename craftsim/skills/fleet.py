@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 from craftsim.models.measuring import Floats, Records
 from craftsim.models.motors import Motors
 from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 
 class Wires(NamedTuple):

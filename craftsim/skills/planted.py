@@ -19,7 +19,7 @@ from craftsim.errors import InputError
 from craftsim.models.motors import Motors
 from craftsim.models.parts import FreeBody
 from craftsim.models.sensing import PoseReader, Sensors
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.fleet import SiteFleet
 
 PlantedKind = Literal["shove", "dead-car"]

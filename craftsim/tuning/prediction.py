@@ -19,7 +19,7 @@ from craftsim.models.config import STEPS_S, SimulationConfig
 from craftsim.models.motors import Motors
 from craftsim.models.parameters import Machines
 from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.storage.limits import IDENTIFIED_S
 from craftsim.tuning.driving_log import free_area
 from craftsim.tuning.excitation import Area

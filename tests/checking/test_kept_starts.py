@@ -9,7 +9,8 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError
 from craftsim.models.config import SimulationConfig
-from craftsim.models.randomization import DomainRandomization, _kept
+from craftsim.models.randomization import DomainRandomization, randomize
+from craftsim.models.world import _kept
 
 
 @pytest.fixture(autouse=True)
@@ -60,11 +61,11 @@ def test_drawn_physics_before_changes_nothing():
     fresh = set_up(_grid(), Setup()).site
     figures = fresh.model.body_mass.copy(), fresh.model.dof_invweight0.copy(), _numbers(fresh)
     world = compile_world(_grid(), Setup())
-    world.draw(DomainRandomization(), np.random.default_rng(0))
-    assert not np.array_equal(world.site.model.body_mass, figures[0])
-    world.restore()
-    model = world.site.model
-    for now, then in zip((model.body_mass, model.dof_invweight0, _numbers(world.site)), figures, strict=True):
+    randomize(world, DomainRandomization(), np.random.default_rng(0))
+    assert not np.array_equal(world.model.body_mass, figures[0])
+    world.reset_compiled()
+    model = world.model
+    for now, then in zip((model.body_mass, model.dof_invweight0, _numbers(world)), figures, strict=True):
         np.testing.assert_array_equal(now, then)
 
 

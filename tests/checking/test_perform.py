@@ -11,7 +11,7 @@ from craftsim.checking.world import set_up
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 GRID = draw((4, 2, 2), [(Kind.BLOCK, (3, 1, 1))], [(0, 0, 1, 0)])
 

@@ -97,8 +97,9 @@ def test_a_failed_skill_shows_as_what_happened_and_in_the_infos():
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
     site = env.core.backend.checked.site
-    site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
-    site.take_figures()
+    weak = site.baseline.copy()
+    weak.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+    site.set_baseline(weak)
     before = env.grid
     observations, _, terminated, truncated, infos = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})
     info = infos["car_0"]

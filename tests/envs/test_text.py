@@ -128,8 +128,9 @@ def test_a_skill_that_fails_says_what_happened():
     env = TextConstruction("strip", backend="physics")
     env.reset(seed=0)
     site = env.core.backend.checked.site
-    site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
-    site.take_figures()
+    weak = site.baseline.copy()
+    weak.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+    site.set_baseline(weak)
     text, *_, info = env.step("car_0: move left; car_1: stop")
     first, second = info["feedback"]
     assert (first.result, second.result) == ("failed", "as predicted")

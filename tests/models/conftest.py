@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.bearings import Bearings
+from craftsim.models.effects import Bearings
 from craftsim.models.parts import WHEELS
+from craftsim.models.world import Baseline
 
 GRAVITY = 9.81
 
@@ -66,12 +67,13 @@ class LoneCar:
 
     def run(self, seconds: float) -> None:
         """Step as a Site does; the figures in the model stay what a test has made of them."""
-        bearings = Bearings(self.model)
-        bearings.follow(self.data)
+        self.baseline = Baseline.of(self.model)
+        bearings = Bearings(self)
+        bearings.start(self)
         for _ in range(round(seconds / self.model.opt.timestep)):
             mujoco.mj_step(self.model, self.data)
-            bearings.follow(self.data)
-        bearings.show()
+            bearings.after_step(self)
+        self.baseline.write(self.model)
 
     def drive(self, speeds: object) -> None:
         self.data.ctrl[self.motors] = speeds

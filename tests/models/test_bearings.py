@@ -9,8 +9,8 @@ from drawn import draw
 from craftsim.discrete.grid import Kind
 from craftsim.errors import InputError
 from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
-from craftsim.models.randomization import DomainRandomization, Nominal, RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.randomization import DomainRandomization, randomize
+from craftsim.models.world import Site
 
 BEARING_NM = NOMINAL.cars[0].roller_bearing_friction_nm
 
@@ -68,7 +68,7 @@ def test_the_figures_of_a_running_site_are_read_whole_and_it_goes_on_as_it_was()
     site.drive(0, [8.0] * 4)
     site.advance()
     before = site.model.dof_frictionloss.copy()
-    read = Nominal.of(site).dof_frictionloss[list(rollers(site.model).values())]
+    read = site.baseline.dof_frictionloss[list(rollers(site.model).values())]
     assert (read == BEARING_NM).all()
     assert (before[list(rollers(site.model).values())] == 0).any()
     np.testing.assert_array_equal(site.model.dof_frictionloss, before)
@@ -79,16 +79,13 @@ def test_friction_is_drawn_around_the_nominal_one_whatever_touched_before():
     site.drive(0, [8.0] * 4)
     site.advance()
     dofs = list(rollers(site.model).values())
-    varied = RandomizedSite(site)
     for seed in (0, 1):
-        varied.draw(DomainRandomization(), np.random.default_rng(seed))
-        site.show_figures()
-        drawn = site.model.dof_frictionloss[dofs] / BEARING_NM
+        randomize(site, DomainRandomization(), np.random.default_rng(seed))
+        drawn = site.baseline.dof_frictionloss[dofs] / BEARING_NM
         assert 0.5 <= drawn.min() < 0.6
         assert 1.4 < drawn.max() <= 1.5
-    varied.restore()
-    site.show_figures()
-    assert (site.model.dof_frictionloss[dofs] == BEARING_NM).all()
+    site.reset_compiled()
+    assert (site.baseline.dof_frictionloss[dofs] == BEARING_NM).all()
 
 
 @pytest.mark.parametrize("name", ["forward", "left", "turning left"])

@@ -12,7 +12,7 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL, BlockParameters, Machines, SmartcarParameters
 from craftsim.models.parts import load_part
 from craftsim.models.placement import placements
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.validation.audit.scenes import SCENES
 
 VISUAL = {"stat.meansize"}

@@ -12,7 +12,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.models.imperfection import IDEAL, Drivetrain
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.randomization import NONE
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 CAR = NOMINAL.cars[0]
 MOST_NM, TOP_RAD_S = CAR.wheel_torque_nm, CAR.wheel_speed_rad_s
@@ -113,8 +113,6 @@ def test_a_restored_site_goes_on_to_the_bit(drive):
     for restored in (site, other):
         restored.restore(saved)
         np.testing.assert_array_equal(go_on(restored), first)
-    site.show_figures()
-    site.follow()
     site.reset()
     once = go_on(site)
     site.reset()

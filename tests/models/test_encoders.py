@@ -10,7 +10,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 STEP_RAD = 2 * math.pi / 4096
 WHEELS = {

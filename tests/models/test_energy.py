@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.bearings import Bearings
 from craftsim.models.config import SimulationConfig
+from craftsim.models.effects import Bearings
 from craftsim.models.parameters import NOMINAL
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.mecanum import Mecanum
 
 GRAVITY = 9.81
@@ -20,14 +20,15 @@ ENERGY = int(mujoco.mjtEnableBit.mjENBL_ENERGY)
 NO_MOTORS = int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
 
 
-def energies(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> np.ndarray:
-    """Return the mechanical energy in joules before and after every step."""
+def energies(world, seconds: float) -> np.ndarray:
+    """Return the mechanical energy in joules of a Site or a lone car before and after every step."""
+    model, data = world.model, world.data
     mujoco.mj_forward(model, data)
-    bearings = Bearings(model)
+    bearings = Bearings(world)
     found = [data.energy.sum()]
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
-        bearings.follow(data)
+        bearings.after_step(world)
         found.append(data.energy.sum())
     return np.array(found)
 
@@ -64,7 +65,6 @@ def test_a_dropped_crowd_never_gains_energy(drop_m, timestep_s):
     in the last second, at rest, below 1 mJ, which is 4 micrometres of height of the whole crowd's 25 kg.
     """
     site = Site(crowd(), SimulationConfig(sleep=False, settle_s=0, timestep_s=timestep_s))
-    site.show_figures()
     model, data = site.model, site.data
     model.opt.enableflags |= ENERGY
     model.opt.disableflags |= NO_MOTORS
@@ -72,7 +72,7 @@ def test_a_dropped_crowd_never_gains_energy(drop_m, timestep_s):
     for body in free:
         data.qpos[body.qpos + 2] += drop_m
     data.qpos[site.slopes[1].hinge.qpos] = 1.2
-    energy = energies(model, data, 2.5)
+    energy = energies(site, 2.5)
     mass = float(model.body_mass.sum())
     assert energy.max() <= energy[0]
     assert rise(energy) < 0.1 * (mass * GRAVITY * drop_m + 1.0)
@@ -90,6 +90,6 @@ def test_a_coasting_car_only_slows_down(lone_car, twist, gear_nm):
     model.opt.disableflags |= NO_MOTORS
     data.qvel[:2], data.qvel[5] = twist[:2], twist[2]
     data.qvel[lone_car.wheels] = Mecanum(NOMINAL.cars[0]).wheel_speeds(twist)
-    energy = energies(model, data, 2.0)
+    energy = energies(lone_car, 2.0)
     assert energy[0] - energy[-1] > 1.0
     assert rise(energy) < 5e-5

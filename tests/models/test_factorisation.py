@@ -13,7 +13,7 @@ from drawn import draw
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Kind
 from craftsim.models.config import SimulationConfig
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 BLOCK = Kind.BLOCK
 STACKS = [(BLOCK, (x, y, z)) for x in range(3) for y in range(2) for z in range(1, 4)]

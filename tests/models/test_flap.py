@@ -8,8 +8,8 @@ from drawn import draw
 from craftsim.discrete.grid import Kind
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL
-from craftsim.models.randomization import DomainRandomization, RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.randomization import DomainRandomization, randomize
+from craftsim.models.world import Site
 
 GRAVITY = 9.81
 
@@ -50,9 +50,9 @@ def test_the_base_bears_what_stands_on_a_folded_flap():
 
 
 def test_randomized_friction_reaches_the_flap():
-    world = RandomizedSite(slope_at(Kind.FSLOPE))
-    world.draw(DomainRandomization(), np.random.default_rng(0))
-    model = world.site.model
+    site = slope_at(Kind.FSLOPE)
+    randomize(site, DomainRandomization(), np.random.default_rng(0))
+    model = site.model
     flap = model.geom("slope0/flap").friction[0]
     assert flap != NOMINAL.slope.friction
     assert (model.pair_friction[:, :2] == flap).all()

@@ -10,8 +10,8 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.models.imperfection import FLAT, Floor
 from craftsim.models.parameters import NOMINAL, Drive
-from craftsim.models.randomization import NONE, DomainRandomization, RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.randomization import NONE, DomainRandomization, randomize
+from craftsim.models.world import Site
 
 LIPPAGE = Floor(lippage_m=0.001)
 SMOOTH = Floor(unevenness_m=0.002)
@@ -29,16 +29,14 @@ def _grid() -> Grid:
     return grid
 
 
-def _world(floor: Floor, drive: Drive = "reduced") -> RandomizedSite:
-    return RandomizedSite(
-        Site(_grid(), machines=replace(NOMINAL, drive=drive), floor=floor, reset=False), floor
-    )
+def _world(floor: Floor, drive: Drive = "reduced") -> Site:
+    return Site(_grid(), machines=replace(NOMINAL, drive=drive), floor=floor, reset=False)
 
 
 def _drawn(floor: Floor, seed: int = 0, drive: Drive = "reduced") -> Site:
     world = _world(floor, drive)
-    world.draw(replace(NONE, floor=floor), np.random.default_rng(seed))
-    return world.site
+    randomize(world, replace(NONE, floor=floor), np.random.default_rng(seed))
+    return world
 
 
 def _height(site: Site, x: float, y: float) -> tuple[float, int]:
@@ -65,18 +63,18 @@ def test_a_flat_floor_is_the_plane():
 
 def test_tiles_are_level_until_they_are_drawn_and_differ_by_the_lippage_at_most():
     world = _world(LIPPAGE)
-    world.restore()
-    assert abs(_sampled(world.site, 300)[0]).max() < 1e-9
+    world.reset_compiled()
+    assert abs(_sampled(world, 300)[0]).max() < 1e-9
     levels = []
     for seed in range(4):
-        world.draw(replace(NONE, floor=LIPPAGE), np.random.default_rng(seed))
-        heights, tiles = _sampled(world.site)
+        randomize(world, replace(NONE, floor=LIPPAGE), np.random.default_rng(seed))
+        heights, tiles = _sampled(world)
         for tile in set(tiles.tolist()):
             assert np.ptp(heights[tiles == tile]) < 1e-9, "a tile is flat"
         assert len(set(tiles.tolist())) > 20
         assert 0.0005 < np.ptp(heights) <= 0.001
         assert abs(heights).max() <= 0.0005
-        assert world.site.lift_m >= heights.max() - 1e-9
+        assert world.lift_m >= heights.max() - 1e-9
         levels.append(heights[:5])
     assert len(np.unique(np.round(levels, 9))) > 10, "each seed has its own"
 
@@ -120,8 +118,8 @@ def test_everything_stands_still_after_a_reset(floor, drive):
 
 def test_the_tiles_are_the_ground_and_of_one_material():
     world = _world(TILED)
-    world.draw(DomainRandomization(floor=TILED), np.random.default_rng(0))
-    site = world.site
+    randomize(world, DomainRandomization(floor=TILED), np.random.default_rng(0))
+    site = world
     tiles = [i for i in range(site.model.ngeom) if site.model.geom(i).name.startswith("tile")]
     assert {site.machine_names.names[site.machine_names.of_geom[i]] for i in tiles} == {"ground"}
     ground = site.model.geom("ground").id
@@ -140,9 +138,9 @@ def test_what_is_drawn_of_the_floor_and_of_the_rest_do_not_depend_on_each_other(
         (replace(LIPPAGE, lippage_m=0.002), 0.0),
     ):
         world = _world(floor)
-        world.draw(replace(NONE, floor=floor, mass=mass), np.random.default_rng(5))
-        masses.append(world.site.model.body_mass[:7].copy())
-        floors.append(world.site.model.hfield_data.copy())
+        randomize(world, replace(NONE, floor=floor, mass=mass), np.random.default_rng(5))
+        masses.append(world.model.body_mass[:7].copy())
+        floors.append(world.model.hfield_data.copy())
     np.testing.assert_array_equal(masses[0], masses[1])
     for other in floors[2:]:
         np.testing.assert_allclose(floors[1], other, atol=1e-6, err_msg="a share of the lippage")
@@ -152,14 +150,14 @@ def test_equal_seeds_are_equal_bit_for_bit_and_a_floor_is_drawn_in_place():
     ends = []
     for _ in range(2):
         world = _world(TILED)
-        model = world.site.model
+        model = world.model
         for seed in (3, 4, 3):
-            world.draw(replace(NONE, floor=TILED), np.random.default_rng(seed))
-        assert world.site.model is model
-        world.site.drive(0, [6.0] * 4)
+            randomize(world, replace(NONE, floor=TILED), np.random.default_rng(seed))
+        assert world.model is model
+        world.drive(0, [6.0] * 4)
         for _ in range(20):
-            world.site.advance()
-        ends.append(world.site.data.qpos.copy())
+            world.advance()
+        ends.append(world.data.qpos.copy())
     np.testing.assert_array_equal(*ends)
 
 
@@ -170,12 +168,12 @@ def test_a_car_drives_on_level_tiles_as_on_the_plane_and_keeps_its_line_on_a_smo
     for floor in (FLAT, Floor(lippage_m=1e-7), Floor(unevenness_m=0.001)):
         grid = Grid.empty((5, 3, 1), 1)
         grid.cars[0, :3] = 0, 1, 1
-        world = RandomizedSite(Site(grid, machines=replace(NOMINAL, drive=drive), floor=floor, reset=False))
-        world.draw(replace(NONE, floor=floor), np.random.default_rng(0))
+        world = Site(grid, machines=replace(NOMINAL, drive=drive), floor=floor, reset=False)
+        randomize(world, replace(NONE, floor=floor), np.random.default_rng(0))
         for period in range(60):
-            world.site.drive(0, [min(15.0, 1.0 * period)] * 4)
-            world.site.advance()
-        ends.append(world.site.free_body_state(world.site.cars[0].base)[0])
+            world.drive(0, [min(15.0, 1.0 * period)] * 4)
+            world.advance()
+        ends.append(world.free_body_state(world.cars[0].base)[0])
     way = ends[0][0]
     assert way > 0.5
     assert ends[1] == pytest.approx(ends[0], abs=0.01 * way)
@@ -189,6 +187,6 @@ def test_a_floor_that_cannot_be_is_refused():
     for floor in (Floor(lippage_m=0.001, tile_m=0.01), Floor(unevenness_m=0.001, wavelength_m=0.001)):
         with pytest.raises(InputError, match="too fine"):
             Site(_grid(), floor=floor)
-    _world(FLAT).draw(replace(NONE, floor=Floor(tile_m=0.6)), np.random.default_rng(0))
+    randomize(_world(FLAT), replace(NONE, floor=Floor(tile_m=0.6)), np.random.default_rng(0))
     with pytest.raises(InputError, match="floor"):
-        _world(FLAT).draw(replace(NONE, floor=LIPPAGE), np.random.default_rng(0))
+        randomize(_world(FLAT), replace(NONE, floor=LIPPAGE), np.random.default_rng(0))

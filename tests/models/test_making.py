@@ -9,8 +9,8 @@ import pytest
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.imperfection import Making
 from craftsim.models.parameters import NOMINAL, Drive
-from craftsim.models.randomization import NONE, RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.randomization import NONE, randomize
+from craftsim.models.world import Site
 
 DRIVES: tuple[Drive, ...] = ("rollers", "reduced")
 
@@ -25,20 +25,18 @@ class Largest:
         return high if size is None else np.full(size, high)
 
 
-def _site(
-    drive: Drive, cell: tuple[int, int] = (0, 1), kind: Kind = Kind.AIR, load: Kind = Kind.AIR
-) -> RandomizedSite:
+def _site(drive: Drive, cell: tuple[int, int] = (0, 1), kind: Kind = Kind.AIR, load: Kind = Kind.AIR) -> Site:
     grid = Grid.empty((5, 3, 2), 1)
     grid.cars[0, :6] = 0, 1, 1, 0, load, 0
     if kind != Kind.AIR:
         grid.kind[*cell, 1] = kind
     grid.derive_marks()
-    return RandomizedSite(Site(grid, machines=replace(NOMINAL, drive=drive), reset=False))
+    return Site(grid, machines=replace(NOMINAL, drive=drive), reset=False)
 
 
-def _drawn(world: RandomizedSite, seed: int, **making: float) -> Site:
-    world.draw(replace(NONE, making=Making(**making)), np.random.default_rng(seed))
-    return world.site
+def _drawn(world: Site, seed: int, **making: float) -> Site:
+    randomize(world, replace(NONE, making=Making(**making)), np.random.default_rng(seed))
+    return world
 
 
 def _pose(site: Site, body) -> np.ndarray:
@@ -66,8 +64,8 @@ def test_a_car_with_larger_wheels_stands_higher_and_gets_further(drive):
     """All four larger by 1 mm, 2.0 % of their radius: 2.0 % further."""
     world, ways, heights = _site(drive), [], []
     for more in (0.0, 0.001):
-        world.draw(replace(NONE, making=Making(wheel_radius_m=max(more, 1e-12))), Largest())
-        site = world.site
+        randomize(world, replace(NONE, making=Making(wheel_radius_m=max(more, 1e-12))), Largest())
+        site = world
         start = _pose(site, site.cars[0].base)
         site.drive(0, [8.0] * 4)
         places = []
@@ -118,8 +116,8 @@ def test_a_car_with_a_longer_wheelbase_and_track_turns_less(drive):
 def test_a_board_that_is_too_high_carries_its_load_higher():
     world, heights = _site("reduced", load=Kind.BLOCK), []
     for more in (1e-12, 0.002):
-        world.draw(replace(NONE, making=Making(board_m=more)), Largest())
-        heights.append(_pose(world.site, world.site.blocks[0])[2])
+        randomize(world, replace(NONE, making=Making(board_m=more)), Largest())
+        heights.append(_pose(world, world.blocks[0])[2])
     assert heights[1] - heights[0] == pytest.approx(0.002, abs=5e-5)
 
 
@@ -140,8 +138,8 @@ def test_a_load_with_a_higher_pocket_rides_lower():
     """By up to the 1 mm that a boss leaves below the deck."""
     world, heights = _site("reduced", load=Kind.BLOCK), []
     for more in (1e-12, 0.0008):
-        world.draw(replace(NONE, making=Making(underside_m=more)), Largest())
-        heights.append(_pose(world.site, world.site.blocks[0])[2])
+        randomize(world, replace(NONE, making=Making(underside_m=more)), Largest())
+        heights.append(_pose(world, world.blocks[0])[2])
     assert heights[0] - heights[1] == pytest.approx(0.0008, abs=5e-5)
 
 
@@ -149,8 +147,8 @@ def test_a_load_sits_off_its_car_by_as_much_as_its_pocket_is_off():
     """Within the play of 0.1 mm to each side, and of board and boss alike."""
     for making, sign in ((Making(pocket_m=0.003), -1), (Making(board_place_m=0.003), 1)):
         world = _site("reduced", load=Kind.BLOCK)
-        world.draw(replace(NONE, making=making), Largest())
-        site = world.site
+        randomize(world, replace(NONE, making=making), Largest())
+        site = world
         for _ in range(50):
             site.advance()
         off = _pose(site, site.blocks[0])[:2] - _pose(site, site.cars[0].base)[:2]
@@ -164,9 +162,9 @@ def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(name, d
     grid.cars[0, :3] = 0, 1, 1
     grid.kind[2, 1, 1], grid.kind[3, 1, 1], grid.kind[4, 1, 1] = Kind.BLOCK, Kind.FSLOPE, Kind.GEAR
     grid.derive_marks()
-    world = RandomizedSite(Site(grid, machines=replace(NOMINAL, drive=drive), reset=False))
-    world.restore()
-    model = world.site.model
+    world = Site(grid, machines=replace(NOMINAL, drive=drive), reset=False)
+    world.reset_compiled()
+    model = world.model
     before = {
         n: getattr(model, n).copy()
         for n in ("geom_pos", "geom_size", "body_pos", "actuator_gear", "bvh_aabb", "geom_rbound")
@@ -175,7 +173,7 @@ def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(name, d
     assert any(
         not np.array_equal(getattr(model, n), before[n]) for n in ("geom_pos", "geom_size", "body_pos")
     )
-    world.restore()
+    world.reset_compiled()
     for n, array in before.items():
         np.testing.assert_array_equal(getattr(model, n), array, err_msg=n)
 
@@ -183,7 +181,7 @@ def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(name, d
 def test_no_shape_that_is_drawn_shares_its_frame_with_its_body():
     """MuJoCo takes the body's frame for such a shape's, whatever its place."""
     world = _site("reduced", (2, 1), Kind.BLOCK)
-    model = world.site.model
+    model = world.model
     same = mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT
     for name in ("car0/wheel_fl", "block0/foot_fl", "block0/frame_front", "block0/frame_left"):
         assert model.geom_sameframe[model.geom(name).id] == int(same)

@@ -12,7 +12,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.models.motors import Motors
 from craftsim.models.noise import SensorNoise
 from craftsim.models.randomization import NONE
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 GRID = Grid.empty((3, 1, 1), 1)
 

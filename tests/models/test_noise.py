@@ -11,7 +11,7 @@ from craftsim.errors import InputError
 from craftsim.models.noise import EXACT, NOISY, SensorNoise
 from craftsim.models.randomization_files import load_noise
 from craftsim.models.sensing import Sensors, measure, write_reading
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 PERIOD_S = 0.02
 N = 1500

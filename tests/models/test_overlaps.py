@@ -11,7 +11,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.audit.trial import Trial, try_it
 

@@ -7,7 +7,7 @@ import pytest
 
 from craftsim.discrete.grid import Kind
 from craftsim.models.config import SimulationConfig
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 
 def creep_m_s(grid, **settings) -> float:

@@ -9,8 +9,8 @@ import pytest
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
-from craftsim.models.randomization import DomainRandomization, RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.randomization import DomainRandomization, randomize
+from craftsim.models.world import Site
 
 RANDOMIZED = DomainRandomization()
 NONE = DomainRandomization(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -34,18 +34,17 @@ def _figures(model) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture
-def varied() -> RandomizedSite:
-    return RandomizedSite(Site(_grid()))
+def varied() -> Site:
+    return Site(_grid())
 
 
-def _ratios(varied: RandomizedSite, name: str, seeds=range(12), randomization=RANDOMIZED) -> np.ndarray:
+def _ratios(varied: Site, name: str, seeds=range(12), randomization=RANDOMIZED) -> np.ndarray:
     """Return (seeds, ...): the drawn figures over the nominal ones, where those are not 0."""
-    nominal = getattr(varied.site.model, name).copy()
+    nominal = getattr(varied.model, name).copy()
     drawn = []
     for seed in seeds:
-        varied.draw(randomization, np.random.default_rng(seed))
-        varied.site.show_figures()
-        drawn.append(getattr(varied.site.model, name).copy())
+        randomize(varied, randomization, np.random.default_rng(seed))
+        drawn.append(getattr(varied.baseline, name).copy())
     return np.array(drawn)[:, nominal != 0] / nominal[nominal != 0]
 
 
@@ -70,10 +69,10 @@ def test_every_kind_of_figure_stays_within_its_range_and_uses_it(varied, name, w
 
 
 def test_one_material_of_one_machine_has_one_friction_and_others_have_their_own(varied):
-    model = varied.site.model
+    model = varied.model
     nominal = model.geom_friction[:, 0].copy()
     machine = model.body_rootid[model.geom_bodyid]
-    varied.draw(RANDOMIZED, np.random.default_rng(4))
+    randomize(varied, RANDOMIZED, np.random.default_rng(4))
     factor = model.geom_friction[:, 0] / nominal
     materials = {(m, f): set() for m, f in zip(machine.tolist(), nominal.tolist(), strict=True)}
     for key, value in zip(zip(machine.tolist(), nominal.tolist(), strict=True), factor.tolist(), strict=True):
@@ -91,9 +90,9 @@ def _sliding(model) -> np.ndarray:
 
 
 def test_mass_and_inertia_of_all_parts_of_a_machine_scale_alike(varied):
-    model = varied.site.model
+    model = varied.model
     mass, inertia, whole = model.body_mass.copy(), model.body_inertia.copy(), model.body_subtreemass.copy()
-    varied.draw(RANDOMIZED, np.random.default_rng(1))
+    randomize(varied, RANDOMIZED, np.random.default_rng(1))
     heavy = mass > 0
     factor = model.body_mass[heavy] / mass[heavy]
     np.testing.assert_allclose(model.body_inertia[heavy], inertia[heavy] * factor[:, None], rtol=1e-12)
@@ -111,11 +110,11 @@ def test_mass_and_inertia_of_all_parts_of_a_machine_scale_alike(varied):
 
 
 def test_gravity_keeps_its_length_and_the_floor_tilts_by_less_than_half_a_degree_in_any_direction(varied):
-    nominal = varied.site.model.opt.gravity.copy()
+    nominal = varied.model.opt.gravity.copy()
     tilts, directions = [], []
     for seed in range(40):
-        varied.draw(RANDOMIZED, np.random.default_rng(seed))
-        gravity = varied.site.model.opt.gravity
+        randomize(varied, RANDOMIZED, np.random.default_rng(seed))
+        gravity = varied.model.opt.gravity
         assert np.linalg.norm(gravity) == pytest.approx(np.linalg.norm(nominal), rel=1e-12)
         tilts.append(math.degrees(math.atan2(np.hypot(gravity[0], gravity[1]), -gravity[2])))
         directions.append(math.atan2(gravity[1], gravity[0]) // (math.pi / 2))
@@ -124,40 +123,40 @@ def test_gravity_keeps_its_length_and_the_floor_tilts_by_less_than_half_a_degree
 
 
 def test_randomization_of_zero_width_is_the_nominal_physics(varied):
-    nominal = _figures(varied.site.model)
-    varied.draw(NONE, np.random.default_rng(0))
-    for name, value in _figures(varied.site.model).items():
+    nominal = _figures(varied.model)
+    randomize(varied, NONE, np.random.default_rng(0))
+    for name, value in _figures(varied.model).items():
         np.testing.assert_allclose(value, nominal[name], rtol=1e-12, atol=1e-15, err_msg=name)
 
 
 def test_restoring_gives_back_every_figure_of_the_model_exactly(varied):
-    site = varied.site
+    site = varied
     before, state = _figures(site.model), site.data.qpos.copy()
-    varied.draw(RANDOMIZED, np.random.default_rng(0))
+    randomize(varied, RANDOMIZED, np.random.default_rng(0))
     changed = {
         name for name, value in _figures(site.model).items() if not np.array_equal(value, before[name])
     }
     assert {"body_mass", "geom_friction", "opt.gravity", "dof_damping", "body_subtreemass"} <= changed
-    varied.restore()
+    varied.reset_compiled()
     for name, value in _figures(site.model).items():
         np.testing.assert_array_equal(value, before[name], err_msg=name)
     np.testing.assert_array_equal(site.data.qpos, state)
 
 
 def test_draws_do_not_add_up(varied):
-    model = varied.site.model
-    varied.draw(RANDOMIZED, np.random.default_rng(3))
+    model = varied.model
+    randomize(varied, RANDOMIZED, np.random.default_rng(3))
     once = _figures(model)
     for seed in (8, 9, 3):
-        varied.draw(RANDOMIZED, np.random.default_rng(seed))
+        randomize(varied, RANDOMIZED, np.random.default_rng(seed))
     for name, value in _figures(model).items():
         np.testing.assert_array_equal(value, once[name], err_msg=name)
 
 
 def _after_a_second(seed) -> np.ndarray:
-    varied = RandomizedSite(Site(_grid()))
-    site, model, data = varied.site, varied.site.model, varied.site.data
-    varied.draw(RANDOMIZED, np.random.default_rng(seed))
+    varied = Site(_grid())
+    site, model, data = varied, varied.model, varied.data
+    randomize(varied, RANDOMIZED, np.random.default_rng(seed))
     assert site.model is model
     assert site.data is data
     site.drive(0, [3.0, 3.0, 3.0, 3.0])
@@ -175,10 +174,10 @@ def test_equal_seeds_are_equal_bit_for_bit_after_a_second_and_other_seeds_are_no
 
 
 def test_after_a_draw_everything_stands_where_it_was(varied):
-    site = varied.site
+    site = varied
     nominal = site.data.qpos.copy()
     for seed in range(4):
-        varied.draw(RANDOMIZED, np.random.default_rng(seed))
+        randomize(varied, RANDOMIZED, np.random.default_rng(seed))
         assert site.time_s == pytest.approx(site.config.settle_s)
         for body in (
             *(car.base for car in site.cars),

@@ -12,9 +12,9 @@ from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.models.config import SimulationConfig
 from craftsim.models.parameters import NOMINAL
-from craftsim.models.randomization import DomainRandomization, RandomizedSite
+from craftsim.models.randomization import DomainRandomization, randomize
 from craftsim.models.sensing import measure
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.mecanum import Mecanum
 
 GRAVITY = 9.81
@@ -29,6 +29,8 @@ class Car:
     def __init__(self) -> None:
         self.site = Site(Grid.empty((12, 12, 1), 1), AWAKE, machines=REDUCED)
         self.model, self.data = self.site.model, self.site.data
+        self.baseline = self.site.baseline.copy()
+        """Of the site, once it has come to rest; for tests to change."""
         self.motors = self.site.cars[0].wheel_actuators
         self.wheels = [self.model.geom(f"car0/wheel_{w}").id for w in ("fl", "fr", "rl", "rr")]
 
@@ -37,8 +39,7 @@ class Car:
         self.model.opt.gravity[:] = s * math.cos(downhill), s * math.sin(downhill), -c
 
     def rest(self) -> None:
-        self.tilt(0)
-        self.site.take_figures()
+        self.site.set_baseline(self.baseline)
         self.site.reset()
 
     def run(self, seconds: float, speeds: object = (0, 0, 0, 0)) -> None:
@@ -49,8 +50,8 @@ class Car:
     def unpower(self, brake_nm: float = 0.0) -> None:
         """Take the motors away, and give the gears another dry friction."""
         gears = [self.model.actuator(f"car0/gear_{w}").id for w in ("fl", "fr", "rl", "rr")]
-        self.model.actuator_gainprm[self.motors] = self.model.actuator_biasprm[self.motors] = 0
-        self.model.actuator_biasprm[gears, 3:5] = max(brake_nm, 1e-6)
+        self.baseline.actuator_gainprm[self.motors] = self.baseline.actuator_biasprm[self.motors] = 0
+        self.baseline.actuator_biasprm[gears, 3:5] = max(brake_nm, 1e-6)
 
     def loads(self) -> np.ndarray:
         """Return what each wheel carries, in newtons."""
@@ -110,7 +111,7 @@ def test_speeding_up_shifts_the_load_as_statics_says_and_no_wheel_leaves_the_flo
 def test_the_wheels_spin_is_part_of_what_the_motors_speed_up(car):
     """With all motors at a torque tau: 4 tau / R = (m + 4 I / R^2) a. Band: 1 %."""
     car.unpower()
-    car.model.actuator_biasprm[car.motors, 0] = 0.3
+    car.baseline.actuator_biasprm[car.motors, 0] = 0.3
     car.rest()
     car.run(0.1)
     spin = CAR.wheel_spin_inertia_kgm2 + CAR.wheel_armature_kgm2
@@ -122,11 +123,9 @@ def test_the_wheels_spin_is_part_of_what_the_motors_speed_up(car):
 @pytest.mark.parametrize("forward", [1, -1])
 def test_below_the_statics_limit_a_car_cannot_climb(car, threshold, forward):
     """The least torque limit with which the car starts uphill. Band: 2 %, as on rollers."""
-    own = car.model.actuator_forcerange.copy()
 
     def climbs(torque: float) -> bool:
-        car.model.actuator_forcerange[:] = own
-        car.model.actuator_forcerange[car.motors] = [-torque, torque]
+        car.baseline.actuator_forcerange[car.motors] = [-torque, torque]
         car.rest()
         car.tilt(INCLINE_RAD, math.pi if forward > 0 else 0.0)
         start = car.place[0]
@@ -142,24 +141,23 @@ def test_below_the_statics_limit_a_car_cannot_climb(car, threshold, forward):
 @pytest.mark.parametrize("downhill", [0.0, math.pi, math.pi / 2])
 def test_braked_wheels_slide_where_rollers_do(car, threshold, mu, downhill):
     """atan(mu cos 45 deg): a roller holds along its axis alone, and all four together. Band: 3 %."""
-    car.model.geom_friction[car.wheels, 0] = mu
+    car.baseline.geom_friction[car.wheels, 0] = mu
 
     def slides(angle: float) -> bool:
-        car.site.reset()
         car.rest()
         car.tilt(angle, downhill)
         car.run(2.0)
         return car.speed > 0.02
 
     gears = [car.model.actuator(f"car0/gear_{w}").id for w in ("fl", "fr", "rl", "rr")]
-    car.model.actuator_biasprm[gears, 3:5] = 1.0
+    car.baseline.actuator_biasprm[gears, 3:5] = 1.0
     expected = math.atan(mu * math.cos(math.pi / 4))
     assert threshold(slides, 0.1, 0.9) == pytest.approx(expected, rel=0.03)
 
 
 def test_grip_limits_how_fast_a_car_speeds_up(car):
     """Four wheels at full torque: m a = mu m g cos 45 deg, however strong the motors. Band: 3 %."""
-    car.model.geom_friction[car.wheels, 0] = 0.3
+    car.baseline.geom_friction[car.wheels, 0] = 0.3
     car.rest()
     car.run(0.3)
     car.run(0.4, [20.0] * 4)
@@ -220,17 +218,18 @@ def test_randomization_draws_the_friction_of_gears_and_of_the_grip():
     site = Site(Grid.empty((12, 12, 1), 1), machines=REDUCED)
     gears = site.model.actuator_biastype == mujoco.mjtBias.mjBIAS_DCMOTOR
     before = site.model.actuator_biasprm[gears].copy()
-    world = RandomizedSite(site)
 
     def steepest_push(friction: float) -> float:
-        world.draw(DomainRandomization(friction=friction, mass=0, motor=0, joint_friction=0, tilt_rad=0), rng)
+        randomize(
+            site, DomainRandomization(friction=friction, mass=0, motor=0, joint_friction=0, tilt_rad=0), rng
+        )
         site.drive(0, [20.0] * 4)
         for _ in range(10):
             site.advance()
         return float(site.data.qacc[site.cars[0].base.dof])
 
     rng = np.random.default_rng(1)
-    world.draw(DomainRandomization(), rng)
+    randomize(site, DomainRandomization(), rng)
     after = site.model.actuator_biasprm[gears]
     ratios = after[:, 3] / before[:, 3]
     assert len(set(ratios.tolist())) == 4

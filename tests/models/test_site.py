@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError, StartError
 from craftsim.models.config import SimulationConfig
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 BLOCK, FSLOPE, BODY = Kind.BLOCK, Kind.FSLOPE, Kind.BODY
 

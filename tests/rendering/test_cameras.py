@@ -14,7 +14,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.framing import MARGIN, box_corners, overview, top
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.cameras import make_view, reached_m
 from craftsim.rendering.painting import label_strip_m
 from craftsim.rendering.recorder import Recorder

@@ -9,7 +9,7 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.settings import Setup
 from craftsim.checking.world import set_up
 from craftsim.models.config import SimulationConfig
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 
 def _site(size, cars, objects=(), config: SimulationConfig | None = None) -> Site:

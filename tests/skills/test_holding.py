@@ -5,7 +5,7 @@ import pytest
 from drawn import draw
 
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 
 

@@ -16,7 +16,7 @@ from craftsim.models.measuring import READING
 from craftsim.models.noise import ASSUMED, EXACT, NOISY, SensorNoise
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.sensing import CarMeasurement, Sensors, measure, measurement_of, write_reading
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.localisation import Localiser

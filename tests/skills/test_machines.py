@@ -12,7 +12,7 @@ from craftsim.errors import InputError
 from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.scene import write_scene
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 import craftsim
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 
 class Watch:

@@ -13,7 +13,7 @@ from craftsim.checking.checked_site import CheckedSite
 from craftsim.discrete.grid import Cell
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.errors import InputError, suggestion
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
 from craftsim.rendering.viewer.moment import live
 from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Controls, ViewerPage

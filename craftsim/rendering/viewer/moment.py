@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.discrete.schedule import ScheduledAction
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.trajectory import Trajectory
 
 _SAME_S = 1e-6

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.grid import Cell
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.viewer.moment import Moment
 from craftsim.rendering.viewer.scene import BrowserScene
 from craftsim.rendering.viewer.words import car_html, list_html, title_html

@@ -18,8 +18,7 @@ from craftsim.checking.world import Seed, compile_world, set_up
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, StartError
-from craftsim.models.randomization import RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.tuning.gains.knobs import Subject
 from craftsim.tuning.gains.situations import situations
 from craftsim.validation.campaign import Done, Form
@@ -114,9 +113,7 @@ def _try(job: Job, block: int, number: int) -> TriedAction | None:
 
 
 @lru_cache(maxsize=WORLDS_KEPT)
-def _world(
-    subject: Subject, number: int, seed: int, block: int, setup: Setup
-) -> tuple[RandomizedSite, Grid, Action]:
+def _world(subject: Subject, number: int, seed: int, block: int, setup: Setup) -> tuple[Site, Grid, Action]:
     """Return the compiled world of a situation, its grid, and the action; gains have no part in it."""
     from craftsim.validation.contexts.survey import make_world
 

@@ -17,7 +17,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
-from craftsim.models.randomization import RandomizedSite
+from craftsim.models.world import Site
 from craftsim.validation.audit.intended import intended
 from craftsim.validation.audit.rows import Row, Situation, action_in, distribute_trials, world_of
 from craftsim.validation.audit.scenes import Scene
@@ -72,7 +72,7 @@ def try_it(trial: Trial | None) -> Done:
     return Done(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
 
 
-def site_of(trial: Trial) -> RandomizedSite:
+def site_of(trial: Trial) -> Site:
     """Return the Site of a trial's situation, which its other trials use again."""
     return _site(trial.situation, trial.legal, trial.seed, trial.setup)
 
@@ -101,7 +101,7 @@ def _start(situation: Situation, legal: bool, seed: int, rules: RuleSet) -> tupl
 
 
 @lru_cache(maxsize=1)
-def _site(situation: Situation, legal: bool, seed: int, setup: Setup) -> RandomizedSite:
+def _site(situation: Situation, legal: bool, seed: int, setup: Setup) -> Site:
     grid, _ = _world(situation, legal, seed, setup.rules)
     return compile_world(grid, setup)
 

@@ -14,7 +14,7 @@ from craftsim.checking.world import Seed, compile_world
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
 from craftsim.models.imperfection import Floor, Making
-from craftsim.models.randomization import RandomizedSite
+from craftsim.models.world import Site
 from craftsim.validation.margins.axes import Axis
 from craftsim.validation.margins.scenarios import Scenario
 
@@ -65,7 +65,7 @@ class Rig:
 
 
 @lru_cache(maxsize=2)
-def _site(rig: Rig, floor: Floor, making: Making) -> RandomizedSite:
+def _site(rig: Rig, floor: Floor, making: Making) -> Site:
     """Return the compiled world of a rig, which all trials on the same kind of floor use again."""
     recipe = rig.recipe(0)
     drawn = replace(recipe.setup.randomization, floor=floor, making=making)

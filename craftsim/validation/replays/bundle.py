@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -18,9 +18,8 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.checked_site import CheckedSite
 from craftsim.checking.recipe import Recipe, check_recipe, do, run_up
 from craftsim.errors import InputError
-from craftsim.models.randomization import Nominal
 from craftsim.models.scene import write_scene
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.report import versions
 from craftsim.storage import limits
 from craftsim.storage.folders import directory_within
@@ -93,8 +92,7 @@ def state_of(site: Site) -> Arrays:
 
 def physics_of(site: Site) -> Arrays:
     """Return copies of the figures of a Site that randomised physics draws."""
-    nominal = Nominal.of(site)
-    return {field.name: getattr(nominal, field.name) for field in fields(Nominal)}
+    return {name: array.copy() for name, array in vars(site.baseline).items()}
 
 
 def write_bundle(

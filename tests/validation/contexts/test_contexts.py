@@ -12,7 +12,7 @@ from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.errors import CraftsimError
 from craftsim.models.sensing import read_poses
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.validation.contexts.context import DIRECTION_NAMES, Ground, Thing, Verb
 from craftsim.validation.contexts.survey import make_world, survey
 from craftsim.validation.contexts.worlds import ImpossibleError, check_car

@@ -6,28 +6,27 @@ A Site is composed from a Grid. After a reset the only thing that changes it is 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.errors import InputError
-from craftsim.models.bearings import Bearings
 from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
-from craftsim.models.drivetrain import Drivetrains
+from craftsim.models.effects import StepEffect, effects_of
 from craftsim.models.extent import check_extent
-from craftsim.models.grip import Grip
-from craftsim.models.imperfection import FLAT, Drivetrain, Floor
+from craftsim.models.imperfection import FLAT, IDEAL, Drivetrain, Floor
 from craftsim.models.overlaps import Overlap, overlaps
 from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import FreeBody
 from craftsim.models.placement import placements
-from craftsim.models.stepping import reaches
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _BROKEN = [
@@ -58,14 +57,72 @@ _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
 
 
 @dataclass(frozen=True)
+class Baseline:
+    """Parameters of a model that effects, randomization and tests change, apart from what an effect makes of them."""
+
+    geom_friction: NDArray[np.float64]
+    body_mass: NDArray[np.float64]
+    body_inertia: NDArray[np.float64]
+    actuator_forcerange: NDArray[np.float64]
+    actuator_gainprm: NDArray[np.float64]
+    actuator_biasprm: NDArray[np.float64]
+    dof_frictionloss: NDArray[np.float64]
+    dof_damping: NDArray[np.float64]
+    actuator_gear: NDArray[np.float64]
+    body_pos: NDArray[np.float64]
+    body_quat: NDArray[np.float64]
+    geom_pos: NDArray[np.float64]
+    geom_size: NDArray[np.float64]
+    hfield_data: NDArray[np.float32]
+    gravity: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> Baseline:
+        """Return copies of the parameters of a model."""
+        return cls(**{name: array.copy() for name, array in cls._arrays(model).items()})
+
+    def write(self, model: mujoco.MjModel) -> None:
+        """Put the parameters into a model."""
+        for name, array in self._arrays(model).items():
+            array[:] = getattr(self, name)
+
+    def copy(self) -> Baseline:
+        """Return a copy, to be changed."""
+        return Baseline(**{name: array.copy() for name, array in vars(self).items()})
+
+    @classmethod
+    def _arrays(cls, model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
+        """Return the model's own arrays by field name."""
+        return {f.name: getattr(model.opt if f.name == "gravity" else model, f.name) for f in fields(cls)}
+
+
+@dataclass(frozen=True)
 class SiteState:
     """A saved state. MuJoCo's state vector leaves out which trees sleep, so the whole of MjData is kept."""
 
     data: mujoco.MjData
     policies: NDArray[np.int32]
     capped_steps: int
-    played: NDArray[np.float64] | None
-    """By wheel, where its gear is in its backlash; None without."""
+    effects: tuple[NDArray[np.float64], ...]
+    """What each effect remembers."""
+
+
+@dataclass(frozen=True)
+class _Rested:
+    """A start that has come to rest with the parameters as they were compiled."""
+
+    state: SiteState
+    overlaps: tuple[Overlap, ...]
+
+
+KEPT: Final = 4
+"""Starts at rest that a process keeps, those used last: 1 MB each, and address space for more."""
+
+
+@lru_cache(maxsize=KEPT)
+def _kept(start: Hashable) -> list[_Rested]:
+    """Return where what belongs to a start is kept: an empty list, the first time."""
+    return []
 
 
 class Site:
@@ -101,7 +158,7 @@ class Site:
             goals: cells that get a marker without contact.
             reset: False leaves the first reset to the caller, who is about to change the physics.
             machines: figures of cars, blocks and slopes.
-            floor: how uneven it can be; it is level until it is drawn (:class:`RandomizedSite`).
+            floor: how uneven it can be; it is level until it is drawn (craftsim/models/randomization.py).
 
         Raises InputError for a world that is larger than physics takes, for figures of another number of cars than the
         grid has, for figures of which MuJoCo makes no world, and for a floor that is too fine.
@@ -112,7 +169,7 @@ class Site:
         self.machines = machines
         self.size = grid.size
         self.uneven = False
-        """Whether wheels may come off the ground: the reduced drive's limits then follow each step."""
+        """Whether wheels may come off the ground, as :meth:`set_baseline` says."""
         self.lift_m = 0.0
         """How high above its place everything that moves is put by a reset, to come down onto an uneven floor."""
         self.overlaps: tuple[Overlap, ...] = ()
@@ -121,6 +178,8 @@ class Site:
         """Physics steps since the reset in which the solver gave up, at ``config.solver_iterations``. MuJoCo keeps this
         figure of the first 20 islands that move at a time."""
         self._placements = placements(grid, machines)
+        standing = (array.tobytes() for array in (grid.kind, grid.yaw, grid.cars))
+        self._start = (grid.size, *standing, tuple(goals), self.config, machines, floor)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
         kinds = tuple(placed.kind for placed in self._placements)
@@ -128,15 +187,11 @@ class Site:
         parts = compiled_parts(kinds, len(goals), self.config, machines, uneven)
         self.tiles, self._heights = parts.tiles, parts.qpos[:, 2]
         self.model, self.data = parts.placed(self.size, self._placements, goals)
-        self._bearings = Bearings(self.model) if machines.drive == "rollers" else None
-        self._grip: Grip | None = None
         if machines.drive == "reduced":
             for car in parts.cars:
                 car.add_spin(self.model)
             mujoco.mj_setConst(self.model, self.data)
-            self._grip = Grip(self.model, self.data, parts.cars)
-        self._drivetrains: Drivetrains | None = None
-        self._ctrl, self._steps_per_period = self.data.ctrl, self.config.steps_per_period
+        self._ctrl, self._iterations = self.data.ctrl, self.data.solver_niter
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""
         """Which motors had a command in the last period, a byte each; empty where the policies may not fit it."""
@@ -144,12 +199,23 @@ class Site:
         self.cars, self.slopes, self.blocks, self.flags = parts.cars, parts.slopes, parts.blocks, parts.flags
         self.machine_names = parts.names
         """The machines by their geoms."""
+        self.compiled = Baseline.of(self.model)
+        """The parameters of the model as it was compiled; not to be changed."""
+        for array in vars(self.compiled).values():
+            array.flags.writeable = False
+        self.baseline = self.compiled
+        """Those that the world has: the model is the baseline with what the effects make of it. A changed copy takes
+        its place by :meth:`set_baseline`."""
+        self.drivetrain = IDEAL
+        """What wheel motors and gears lack, on top of what the baseline says of them."""
+        self.effects: Sequence[StepEffect] = effects_of(self, IDEAL)
+        """What changes the model's parameters as the world runs, in this order."""
         if reset:
             self.reset()
 
     def reset(self) -> None:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
-        self.show_figures()
+        self.baseline.write(self.model)
         mujoco.mj_resetData(self.model, self.data)
         self._set_policies(self._policies)
         self.data.qpos[self._heights] += self.lift_m
@@ -164,61 +230,62 @@ class Site:
         mujoco.mj_forward(self.model, self.data)
         self.overlaps = tuple(overlaps(self.machine_names, self.data))
         self.capped_steps = 0
-        if self._drivetrains is not None:
-            self._drivetrains.start()
-        self.follow()
-        self._step(round(self.config.settle_s / self.config.timestep_s))
+        for effect in self.effects:
+            effect.start(self)
+        self._run(round(self.config.settle_s / self.config.timestep_s))
+
+    def reset_compiled(self) -> None:
+        """Go back to the parameters as they were compiled, ideal motors and gears, and the start at rest.
+
+        All Sites of one start share what has come to rest.
+        """
+        self.drivetrain = IDEAL
+        self.set_baseline(self.compiled)
+        if self._rested:
+            self.restore(self._rested[0].state)
+            self.overlaps = self._rested[0].overlaps
+        else:
+            self.reset()
+            self._rested.append(_Rested(self.save(), self.overlaps))
+
+    @cached_property
+    def _rested(self) -> list[_Rested]:
+        return _kept(self._start)
 
     @cached_property
     def _spare(self) -> mujoco.MjData:
         return mujoco.MjData(self.model)
 
-    def show_figures(self) -> None:
-        """Put figures into the model that its drive changes as it runs: motors, gears, the rollers' friction.
+    def set_baseline(self, baseline: Baseline, uneven: bool = False, lift_m: float = 0.0) -> None:
+        """Have other parameters from now on, and what MuJoCo derives from them; the state stays as it is.
 
-        A reset, :meth:`restore` or :meth:`follow` comes next.
+        Args:
+            baseline: the parameters, not to be changed afterwards.
+            uneven: whether wheels may come off the ground: the reduced drive's limits then follow each physics step.
+            lift_m: how high above its place a reset puts everything that moves.
         """
-        if self._drivetrains is not None:
-            self._drivetrains.show()
-        if self._grip is not None:
-            self._grip.begin()
-        if self._bearings is not None:
-            self._bearings.show()
-
-    def follow(self) -> None:
-        """Let the rollers' friction follow the contacts of the state, and motors and gears what they do; the limits of
-        grip do so in :meth:`advance`.
-
-        Who steps ``model`` and ``data`` on its own calls it after each ``mj_step``.
-        """
-        if self._drivetrains is not None:
-            self._drivetrains.follow()
-        if self._bearings is not None:
-            self._bearings.follow(self.data)
-
-    def take_figures(self) -> None:
-        """Take over what somebody has changed in the model, such as motors' limits, before a reset.
-
-        The rollers' friction counts if it was changed since it was shown (:meth:`show_figures`).
-        """
-        if self._grip is not None:
-            self._grip = Grip(self.model, self.data, self.cars, self.uneven)
-        if self._bearings is not None:
-            self._bearings.take()
-        if self._drivetrains is not None:
-            self._drivetrains = self._drivetrains_of(self._drivetrains.lacks)
+        self.baseline, self.uneven, self.lift_m = baseline, uneven, lift_m
+        model = self.model
+        baseline.write(model)
+        # MuJoCo keeps a pair's friction as it was compiled; as at any contact, the rougher of the two decides.
+        sliding = model.geom_friction[:, 0]
+        rougher = np.maximum(sliding[model.pair_geom1], sliding[model.pair_geom2])
+        model.pair_friction[:, :2] = rougher[:, None]
+        mujoco.mj_setConst(model, self._spare)
+        self._begin_effects()
 
     def set_drivetrain(self, drivetrain: Drivetrain) -> None:
-        """Let the wheels' motors and gears lack this from now on, on top of what the model says of them."""
-        if self._drivetrains is None and drivetrain.ideal:
+        """Let the wheels' motors and gears lack this from now on, on top of what the baseline says of them."""
+        if drivetrain == self.drivetrain:
             return
-        self.show_figures()
-        self._drivetrains = None if drivetrain.ideal else self._drivetrains_of(drivetrain)
-        self.follow()
+        self.drivetrain = drivetrain
+        self.baseline.write(self.model)
+        self._begin_effects()
 
-    def _drivetrains_of(self, drivetrain: Drivetrain) -> Drivetrains:
-        limits = self.model.actuator_forcerange if self._grip is None else self._grip.limits
-        return Drivetrains(self.model, self.data, self.cars, drivetrain, limits)
+    def _begin_effects(self) -> None:
+        self.effects = effects_of(self, self.drivetrain)
+        for effect in self.effects:
+            effect.start(self)
 
     @property
     def diverged(self) -> bool:
@@ -244,52 +311,57 @@ class Site:
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Run one control period of physics under the commands that stand; ``observe`` is called after every step."""
-        if self._grip is not None:
-            self._grip.limit()
+        for effect in self.effects:
+            effect.before_period(self)
         before, self._commanded = self._commanded, self._ctrl.astype(bool).tobytes()
+        n_steps = self.config.steps_per_period
         if self._commanded != before and self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
             self.model.opt.enableflags &= ~_SLEEP
-            self._step(1, observe)
+            self._run(1, observe)
             self.model.opt.enableflags |= _SLEEP
-            self._step(self._steps_per_period - 1, observe)
-        else:
-            self._step(self._steps_per_period, observe)
+            n_steps -= 1
+        self._run(n_steps, observe)
 
-    def _step(self, count: int, observe: Callable[[], None] | None = None) -> None:
-        """Run physics steps one by one: within ``mj_step`` of many, the figures of all but the last are lost."""
-        model, data, cap = self.model, self.data, self.config.solver_iterations
-        iterations = data.solver_niter
-        for _ in range(count):
+    def _run(self, n_steps: int, observe: Callable[[], None] | None = None) -> None:
+        """Run physics steps one by one: within ``mj_step`` of many, the figures of all but the last are lost.
+
+        It is the one place where physics goes on.
+        """
+        model, data, effects, cap = self.model, self.data, self.effects, self.config.solver_iterations
+        for _ in range(n_steps):
             mujoco.mj_step(model, data)
-            self.follow()
-            self.capped_steps += reaches(iterations, cap)
-            if self._grip is not None and self.uneven:
-                self._grip.limit()
+            for effect in effects:
+                effect.after_step(self)
+            self.capped_steps += _reaches(self._iterations, cap)
             if observe is not None:
                 observe()
 
     def save(self) -> SiteState:
         """Return a copy of the full state: restoring it and going on gives the same numbers, bit for bit."""
-        played = None if self._drivetrains is None else self._drivetrains.played.copy()
-        return SiteState(copy.copy(self.data), self.model.tree_sleep_policy.copy(), self.capped_steps, played)
+        effects = tuple(effect.state.copy() for effect in self.effects)
+        return SiteState(
+            copy.copy(self.data), self.model.tree_sleep_policy.copy(), self.capped_steps, effects
+        )
 
     def restore(self, state: SiteState) -> None:
         """Go back to a state that this Site, or another one composed from an equal grid and config, has saved.
 
-        Where motors and gears lack something, the other's lacked the same.
+        The parameters stay as they are. Raises InputError for a state of another world, or of another kind of
+        drivetrain.
         """
         if (
             state.data.qpos.shape != self.data.qpos.shape
             or state.policies.shape != self.model.tree_sleep_policy.shape
+            or [len(saved) for saved in state.effects] != [len(effect.state) for effect in self.effects]
         ):
             raise InputError(
                 "this state was saved by a Site with other parts; restore it on one of an equal grid"
             )
         mujoco.mj_copyData(self.data, self.model, state.data)
-        if self._drivetrains is not None:
-            self._drivetrains.start(state.played)
-        self.follow()
+        for effect, saved in zip(self.effects, state.effects, strict=True):
+            effect.state = saved
+            effect.after_step(self)
         self.capped_steps = state.capped_steps
         self._set_policies(state.policies)
 
@@ -320,3 +392,12 @@ class Site:
         busy = self._tree_of_motor[self._ctrl != 0.0]
         self.model.tree_sleep_policy[busy] = _STAY_AWAKE
         return bool((self.data.tree_asleep[busy] >= 0).any())
+
+
+@compiled
+def _reaches(numbers: NDArray[np.int32], limit: int) -> bool:
+    """Return whether one of some numbers is as large as a limit."""
+    most = numbers[0]
+    for i in range(len(numbers)):
+        most = max(most, numbers[i])
+    return bool(most >= limit)

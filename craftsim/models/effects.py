@@ -1,0 +1,361 @@
+"""What changes a model's parameters while its world runs: grip of the reduced drive, rollers' bearings, drivetrains.
+
+MuJoCo has no elements for these. Each is a :class:`StepEffect`, which writes model parameters between physics steps,
+worked out from the world's baseline and its state, and never a position, a speed or a force.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.mjcf.reduced import WholeCar
+from craftsim.models.imperfection import Drivetrain
+from craftsim.models.parts import WHEELS
+
+if TYPE_CHECKING:
+    from craftsim.models.world import Site
+
+ROLLERS: Final = 2
+"""The bit by which a roller collides: its contype (craftsim/mjcf/templates/smartcar.xml)."""
+_TINY_NM: Final = 1e-9
+_SLOW_RAD_S: Final = 0.1
+"""Below this speed a gear's loss falls to 0, which it is at rest: it would otherwise turn over with the speed."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Records = NDArray[np.void]
+
+WHEEL: Final = np.dtype(
+    [
+        *((name, "i8") for name in ("motor", "gear", "tree", "dof", "body")),
+        *((name, "f8") for name in ("slowest", "fastest", "low", "high", "own_low", "own_high", "own_gain")),
+        ("own_friction", "f8", (6,)),
+        *((name, "f8") for name in ("dry_nm", "played", "nm_per_n", "load")),
+        ("inertia", "f8", (6,)),
+    ],
+    align=True,
+)
+"""A wheel, its motor and its gear: where they and their car lie in MuJoCo's arrays, and the range of commanded speeds.
+
+``low`` and ``high`` are the torques that the motor can give now; ``own_`` are figures of the baseline, the gear's
+friction among them; ``dry_nm`` is the gear's dry friction, ``played`` the angle that it has gone through its backlash,
+forwards. ``nm_per_n`` is the torque that a newton of load lets the wheel pass on, ``load`` in newtons what it carries,
+and ``inertia`` the torque that an acceleration of the car, in its own frame, takes to turn wheel and motor.
+"""
+
+
+class StepEffect:
+    """Something that changes parameters of a world's model; a new one is made for each baseline.
+
+    What an effect remembers is in :attr:`state`; all else it works out from the world.
+    """
+
+    state: Floats = np.zeros(0)
+    """What it remembers beyond the state of MuJoCo; saved and restored with it."""
+
+    def start(self, world: Site) -> None:
+        """Begin without a past: the model's parameters are the baseline's."""
+
+    def before_period(self, world: Site) -> None:
+        """Act as a control period begins."""
+
+    def after_step(self, world: Site) -> None:
+        """Act after a physics step, and after a saved state was restored."""
+
+
+def effects_of(world: Site, drivetrain: Drivetrain) -> list[StepEffect]:
+    """Return the effects of a world with its present baseline, in the order in which they act."""
+    wheels = _wheels(world)
+    found: list[StepEffect] = [] if drivetrain.ideal else [DrivetrainLosses(world, wheels, drivetrain)]
+    return [*found, Bearings(world) if world.machines.drive == "rollers" else Grip(world, wheels)]
+
+
+def _wheels(world: Site) -> Records:
+    """Return the wheels of all cars, (4 n,) of WHEEL, in the order of WHEELS."""
+    model, baseline = world.model, world.baseline
+    wheels = records(4 * len(world.cars), WHEEL)
+    for number, wheel in enumerate(wheels):
+        car = world.cars[number // 4]
+        motor = int(car.wheel_actuators[number % 4])
+        wheel["motor"], wheel["tree"] = motor, car.base.tree
+        wheel["dof"], wheel["body"] = car.base.dof, car.base.body
+        wheel["slowest"], wheel["fastest"] = model.actuator_ctrlrange[motor]
+        wheel["own_low"], wheel["own_high"] = baseline.actuator_forcerange[motor]
+        wheel["own_gain"] = baseline.actuator_gainprm[motor, 0]
+        if world.machines.drive == "rollers":
+            gear = int(car.wheel_dofs[number % 4])
+            wheel["own_friction"][0] = wheel["dry_nm"] = baseline.dof_frictionloss[gear]
+        else:
+            # The gears of the reduced drive are motors without power; what they pass on is in proportion to their gear.
+            gear = model.actuator(model.actuator(motor).name.replace("wheel", "gear")).id
+            wheel["own_friction"] = baseline.actuator_gear[gear]
+            wheel["dry_nm"] = baseline.actuator_biasprm[gear, 3]
+        wheel["gear"] = gear
+    wheels["low"], wheels["high"] = wheels["own_low"], wheels["own_high"]
+    return wheels
+
+
+class Bearings(StepEffect):
+    """The dry friction of the rollers' bearings, in force where a roller touches something or is about to.
+
+    MuJoCo solves a row for each joint with dry friction, and of a car's forty rollers four to eight touch at a time.
+    One that touches nothing has 1e-6 kg m^2 and no force to pass on: whether its bearing is dry or not, the car feels
+    nothing of it, and its grease stops it within a tenth of a second. So such a roller turns on its grease alone. The
+    friction is there before it touches: MuJoCo lists what comes within the rollers' gap of 0.2 mm as a contact without
+    force. Which rollers have it follows from the contacts of the last step, which are part of the state.
+
+    Of cars that sleep, whose contacts MuJoCo leaves out, all rollers have it.
+    """
+
+    def __init__(self, world: Site) -> None:
+        """Take the friction of the bearings from a world's baseline."""
+        model = world.model
+        geoms = np.flatnonzero(model.geom_contype == ROLLERS)
+        dofs = model.body_dofadr[model.geom_bodyid[geoms]].astype(np.intp)
+        roller = np.full(model.ngeom, -1, np.int32)
+        roller[geoms] = np.arange(len(geoms))
+        trees = model.dof_treeid[dofs].astype(np.intp)
+        # By geom its roller, counted over all cars, or -1; by roller its joint, its car and its friction in Nm.
+        self._arrays = (roller, dofs, trees, world.baseline.dof_frictionloss[dofs])
+
+    def start(self, world: Site) -> None:
+        """Go by the contacts of the start."""
+        self.after_step(world)
+
+    def after_step(self, world: Site) -> None:
+        """Let the bearings have friction whose rollers touched something in the last step, or were about to."""
+        # A copy is laid out the same way however many contacts there are.
+        geoms = np.ascontiguousarray(world.data.contact.geom)
+        _follow_contacts(geoms, world.data.tree_asleep, *self._arrays, world.model.dof_frictionloss)
+
+
+@compiled
+def _follow_contacts(
+    geoms: Ints,
+    asleep: Ints,
+    roller_of: Ints,
+    dofs: NDArray[np.intp],
+    trees: NDArray[np.intp],
+    dry: Floats,
+    friction: Floats,
+) -> None:
+    for roller in range(len(dofs)):
+        friction[dofs[roller]] = dry[roller] if asleep[trees[roller]] >= 0 else 0.0
+    for contact in range(len(geoms)):
+        for side in range(2):
+            roller = roller_of[geoms[contact, side]]
+            if roller >= 0:
+                friction[dofs[roller]] = dry[roller]
+
+
+class Grip(StepEffect):
+    """How hard the wheels of the reduced drive can push: by their grip, from the load that each of them carries.
+
+    Wheels without rollers do not touch the floor with friction; their motors push the car as if they did. A mecanum
+    wheel holds the ground along its roller's axis, at 45 degrees to its way, with a force of at most the friction
+    coefficient times its load N: no more of its motor's torque than mu N R / sqrt(2), less what the gear takes, reaches
+    the ground. The loads are those of the last physics step, and the limits hold for one control period.
+
+    Where the floor is uneven, or the wheels are not equal, they hold for one physics step, and of the four loads those
+    three parts count that equilibrium gives: their sum, and how it lies along the car and across. The fourth, how a
+    stiff car leans on one diagonal or the other, is left out: rollers, which rattle, share it out
+    (docs/imperfections.md).
+
+    The motors of cars that sleep, the loads of which MuJoCo leaves out, have no such limits, which so depend on the
+    state alone.
+    """
+
+    def __init__(self, world: Site, wheels: Records) -> None:
+        """Work out what a newton of load and an acceleration of the car mean for each wheel."""
+        model, baseline = world.model, world.baseline
+        names = [model.actuator(int(motor)).name for motor in wheels["motor"]]
+        geoms = np.array([model.geom(name).id for name in names], np.int32)
+        self._wheel_of = np.full(model.ngeom, -1, np.int32)
+        """By geom: its wheel, counted over all cars, or -1."""
+        self._wheel_of[geoms] = np.arange(len(geoms))
+        radii = np.repeat([car.parameters.wheel_radius_m for car in world.cars], len(WHEELS))
+        spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in world.cars], len(WHEELS))
+        wheels["nm_per_n"] = baseline.geom_friction[geoms, 0] * radii / math.sqrt(2)
+        wheels["inertia"] = spin[:, None] * baseline.actuator_gear[wheels["motor"]]
+        self._wheels = wheels
+
+    def before_period(self, world: Site) -> None:
+        """Limit all motors for what their wheels carry now."""
+        data = world.data
+        # Copies are laid out the same way however many contacts there are.
+        contact = data.contact
+        geoms, addresses = np.ascontiguousarray(contact.geom), np.ascontiguousarray(contact.efc_address)
+        _weigh(geoms, addresses, data.efc_force, self._wheel_of, world.uneven, self._wheels)
+        _limit(
+            *(data.actuator_force, data.tree_asleep, data.qacc, data.xmat, self._wheels),
+            world.model.actuator_forcerange,
+        )
+
+    def after_step(self, world: Site) -> None:
+        """Do so again where wheels may come off the ground."""
+        if world.uneven:
+            self.before_period(world)
+
+
+@compiled
+def _weigh(
+    geoms: Ints, addresses: Ints, forces: Floats, wheel_of: Ints, uneven: bool, wheels: Records
+) -> None:
+    """Find what each wheel carries."""
+    for wheel in range(len(wheels)):
+        wheels[wheel].load = 0.0
+    for contact in range(len(geoms)):
+        if addresses[contact] < 0:
+            continue
+        for side in range(2):
+            wheel = wheel_of[geoms[contact, side]]
+            if wheel >= 0:
+                wheels[wheel].load += forces[addresses[contact]]
+    for first in range(0, len(wheels) if uneven else 0, 4):
+        twist = wheels[first].load - wheels[first + 1].load - wheels[first + 2].load + wheels[first + 3].load
+        for wheel, sign in ((first, -1), (first + 1, 1), (first + 2, 1), (first + 3, -1)):
+            wheels[wheel].load = max(0.0, wheels[wheel].load + sign * (twist / 4))
+
+
+@compiled
+def _limit(
+    motor_forces: Floats, asleep: Ints, qacc: Floats, xmat: Floats, wheels: Records, forcerange: Floats
+) -> None:
+    """Limit the motors of all wheels."""
+    for number in range(len(wheels)):
+        wheel = wheels[number]
+        motor, most, low, high = wheel.motor, wheel.load * wheel.nm_per_n, wheel.low, wheel.high
+        if asleep[wheel.tree] >= 0:
+            forcerange[motor] = low, high
+            continue
+        friction, spin = motor_forces[wheel.gear], 0.0
+        for axis in range(2):
+            for world in range(3):
+                spin += wheel.inertia[axis] * xmat[wheel.body, 3 * world + axis] * qacc[wheel.dof + world]
+        spin += wheel.inertia[5] * qacc[wheel.dof + 5]
+        forcerange[motor, 0] = min(max(-most - friction + min(spin, 0.0), low), high)
+        forcerange[motor, 1] = min(max(most - friction + max(spin, 0.0), low), high)
+
+
+_LOSSES: Final = np.dtype(
+    [
+        *((name, "f8") for name in ("torque_slope", "gear_loss", "backlash_rad", "sag", "elapsed_s")),
+        ("reduced", "i8"),
+    ],
+    align=True,
+)
+"""Figures of a Drivetrain, the time since they were last taken into account, and whether it is a reduced drive's."""
+
+
+class DrivetrainLosses(StepEffect):
+    """What wheel motors, gears and batteries lack.
+
+    - The most torque of a motor that drives falls in proportion to its speed, by ``torque_slope`` at its top speed (the
+      torque-speed line of a DC motor); a motor that brakes has all of its torque.
+    - A battery sags in proportion to the torque that the four motors of its car drive with: that line falls, all of it.
+    - Of a motor's torque its gear takes ``gear_loss`` while the motor drives, and adds as much while it brakes. At rest
+      the gear's dry friction alone holds.
+    - In its backlash a gear passes nothing on, friction neither. Its motor then turns as commanded, less what the
+      gear's friction makes of that, and takes up the play.
+
+    Torques and speeds are those as the last physics step began; grip, of the reduced drive, takes up what a motor has
+    left once in a control period. Of the backlash is left out that the rotor turns by itself: its inertia stays with
+    the wheel, so teeth meet without an impact, and a play ends with a physics step. MuJoCo's DC motor has a
+    torque-speed line of its own, but takes a voltage; the wheels' servos take a speed.
+    """
+
+    def __init__(self, world: Site, wheels: Records, drivetrain: Drivetrain) -> None:
+        """Take motors and gears from the world's baseline."""
+        model, data, reduced = world.model, world.data, world.machines.drive == "reduced"
+        losses = records(1, _LOSSES)
+        for name in ("torque_slope", "gear_loss", "backlash_rad", "sag"):
+            losses[name] = getattr(drivetrain, name)
+        losses["reduced"] = reduced
+        self._losses, self._wheels, self._last_s = losses, wheels, 0.0
+        self._arrays = (
+            *(data.ctrl, data.actuator_force, data.actuator_velocity, data.tree_asleep, losses, wheels),
+            *(model.actuator_forcerange, model.actuator_gainprm, model.actuator_biasprm),
+            model.actuator_gear if reduced else model.dof_frictionloss.reshape(-1, 1),
+        )
+
+    @property
+    def state(self) -> Floats:
+        """(n + 1,): by wheel where its gear is in its backlash, and when that was."""
+        return np.append(self._wheels["played"], self._last_s)
+
+    @state.setter
+    def state(self, saved: Floats) -> None:
+        self._wheels["played"], self._last_s = saved[:-1], float(saved[-1])
+
+    def start(self, world: Site) -> None:
+        """Begin with all gears in the middle of their backlash."""
+        self._wheels["played"], self._last_s = self._losses["backlash_rad"] / 2, world.data.time
+        self.after_step(world)
+
+    def after_step(self, world: Site) -> None:
+        """Let motors and gears be as the state leaves them; plays go on for the time since the last call."""
+        self._losses["elapsed_s"], self._last_s = world.data.time - self._last_s, world.data.time
+        _lose(*self._arrays)
+
+
+@compiled
+def _lose(
+    ctrl: Floats,
+    forces: Floats,
+    speeds: Floats,
+    asleep: Ints,
+    losses: Records,
+    wheels: Records,
+    limits: Floats,
+    gains: Floats,
+    biases: Floats,
+    friction: Floats,
+) -> None:
+    lost = losses[0]
+    voltage = 1.0
+    for number in range(len(wheels)):
+        wheel = wheels[number]
+        motor, awake = wheel.motor, asleep[wheel.tree] < 0
+        if number % 4 == 0:
+            voltage = 1.0
+            for other in range(number, number + 4):
+                torque = forces[wheels[other].motor] if awake else 0.0
+                drives = torque * speeds[wheels[other].motor] >= 0.0
+                share = abs(torque) / max(wheels[other].own_high, _TINY_NM)
+                voltage -= lost.sag / 4 * min(share, 1.0) if drives else 0.0
+        speed = speeds[motor] if awake else 0.0
+        low = wheel.own_low * max(voltage - lost.torque_slope * max(speed / wheel.slowest, 0.0), 0.0)
+        high = wheel.own_high * max(voltage - lost.torque_slope * max(speed / wheel.fastest, 0.0), 0.0)
+        taken = lost.gear_loss * min(max(speed / _SLOW_RAD_S, -1.0), 1.0)
+        commanded = min(max(ctrl[motor], wheel.slowest), wheel.fastest)
+        gain, engaged = wheel.own_gain, True
+        if lost.backlash_rad > 0.0:
+            passed = forces[motor] + forces[wheel.gear] if lost.reduced else 0.0
+            engaged = _engages(wheel, lost, speed, commanded, passed)
+        gain *= (1 - taken if commanded > speed else 1 + taken) if engaged else 0.0
+        gains[motor, 0], biases[motor, 2] = gain, -gain
+        wheel.low, wheel.high = low * (1 + taken), high * (1 - taken)
+        if not lost.reduced:
+            limits[motor, 0], limits[motor, 1] = wheel.low, wheel.high
+        for k in range(friction.shape[1]):
+            friction[wheel.gear, k] = wheel.own_friction[k] if engaged else 0.0
+
+
+@compiled
+def _engages(wheel: Record, lost: Record, speed: float, commanded: float, passed: float) -> bool:
+    """Let a gear go on through its backlash; return whether it is at an end of it."""
+    # In the play the gear's friction alone is before the servo.
+    turns = math.copysign(max(abs(commanded) - wheel.dry_nm / wheel.own_gain, 0.0), commanded)
+    # By how far the motor turns more than the wheel.
+    way = lost.elapsed_s * (turns - speed)
+    # One that stands, and whose friction is still strained by what the wheel has passed to it, does not let go.
+    strained_ahead = wheel.played == lost.backlash_rad and way < 0.0 and passed > 0.0 and turns >= 0.0
+    strained_back = wheel.played == 0.0 and way > 0.0 and passed < 0.0 and turns <= 0.0
+    if not (strained_ahead or strained_back):
+        wheel.played = min(max(wheel.played + way, 0.0), lost.backlash_rad)
+    return bool(wheel.played == 0.0 or wheel.played == lost.backlash_rad)

@@ -154,10 +154,12 @@ class _Compiled(CPUDispatcher):
 
     @cached_property
     def content(self) -> str:
-        """A digest of all that its compiled code depends on: its own code, and the compiled functions and the constants
-        that it refers to, and so on. Comments, docstrings and whatever else is in these files do not count."""
+        """A digest of all that its compiled code depends on: its module and code, and the compiled functions and the
+        constants that it refers to, and so on. Comments, docstrings and whatever else is in these files do not count.
+
+        What is kept in the cache imports the modules of all functions in it: one that moved must not be found there."""
         code = _text(self.py_func.__code__.replace(co_consts=self._constants()))
-        parts = (_OPTIONS, self.targetoptions, code, *map(_text, self._refers_to()))
+        parts = (_OPTIONS, self.targetoptions, self.py_func.__module__, code, *map(_text, self._refers_to()))
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
     def _constants(self) -> tuple[Any, ...]:

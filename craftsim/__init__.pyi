@@ -22,13 +22,13 @@ from .envs import parallel_env as parallel_env
 from .envs import vector_env as vector_env
 from .envs.viewing import view as view
 from .models.config import SimulationConfig as SimulationConfig
-from .models.noise import SensorNoise as SensorNoise
 from .models.parameter_files import load_machines as load_machines
 from .models.parameters import BlockParameters as BlockParameters
 from .models.parameters import Machines as Machines
 from .models.parameters import SlopeParameters as SlopeParameters
 from .models.parameters import SmartcarParameters as SmartcarParameters
 from .models.randomization import DomainRandomization as DomainRandomization
+from .models.sensing import SensorNoise as SensorNoise
 from .models.sensing import Sensors as Sensors
 from .models.world import Site as Site
 from .planning.planned import Planned as Planned

@@ -30,8 +30,8 @@ from craftsim.discrete.readback import (
 )
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
+from craftsim.models.measuring import PoseReader
 from craftsim.models.placement import lift_m
-from craftsim.models.sensing import PoseReader
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain

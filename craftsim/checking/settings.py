@@ -14,11 +14,11 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, suggestion
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Drivetrain, Floor, Making
-from craftsim.models.noise import ASSUMED, MILD, NOISY, SensorNoise
 from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, Drive, Machines
 from craftsim.models.randomization import NONE, DomainRandomization
 from craftsim.models.randomization_files import load_noise, load_randomization
+from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.planted import Disturbance
 
@@ -230,7 +230,7 @@ def setup_of(
         machines: their parameters, or a file of them; the nominal ones unless given.
         noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
         assume: what the cars take that noise to be before they find out: none, mild, strong, noise, or a file of it;
-            ASSUMED of :mod:`craftsim.models.noise` unless given, whatever ``randomize`` and ``noise`` say.
+            ASSUMED of :mod:`craftsim.models.sensing` unless given, whatever ``randomize`` and ``noise`` say.
         drive: rollers or reduced; that of the machines unless given.
 
     Raises InputError for what no file should say.

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.readback import Poses
-from craftsim.models.measuring import Floats
-from craftsim.models.sensing import PoseReader
+from craftsim.models.measuring import Floats, PoseReader
 from craftsim.models.world import Site
 
 Numbers = NDArray[np.integer]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from craftsim.models.sensing import PoseReader
+from craftsim.models.measuring import PoseReader
 from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 

@@ -13,7 +13,7 @@ from craftsim.checking.settings import Setup
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError, StartError
-from craftsim.models.motors import Motors
+from craftsim.models.measuring import Motors
 from craftsim.models.overlaps import ALLOWED_M
 from craftsim.models.randomization import randomize
 from craftsim.models.sensing import Sensors

@@ -10,7 +10,7 @@ from craftsim.checking.settings import Setup
 from craftsim.checking.world import Seed, SetUp, judge_on
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
-from craftsim.models.noise import NOISY
+from craftsim.models.sensing import NOISY
 from craftsim.models.world import Site
 from craftsim.robots.extra import need_network
 

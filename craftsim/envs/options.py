@@ -19,9 +19,9 @@ from craftsim.errors import InputError, suggestion
 
 if TYPE_CHECKING:
     from craftsim.models.config import SimulationConfig
-    from craftsim.models.noise import SensorNoise
     from craftsim.models.parameters import Drive, Machines
     from craftsim.models.randomization import DomainRandomization
+    from craftsim.models.sensing import SensorNoise
     from craftsim.models.world import Site
     from craftsim.skills.gains import Gains
 
@@ -32,8 +32,8 @@ RENDER_FPS: Final = 2
 """Pictures a second in films of one picture a tick, which is about what a move takes."""
 
 _PHYSICS_KINDS: Final = {
-    "noise": ("craftsim.models.noise", "SensorNoise"),
-    "assumed": ("craftsim.models.noise", "SensorNoise"),
+    "noise": ("craftsim.models.sensing", "SensorNoise"),
+    "assumed": ("craftsim.models.sensing", "SensorNoise"),
     "randomization": ("craftsim.models.randomization", "DomainRandomization"),
     "config": ("craftsim.models.config", "SimulationConfig"),
     "gains": ("craftsim.skills.gains", "Gains"),
@@ -155,9 +155,9 @@ class Options:
         from craftsim.envs.pictures import Pictures
         from craftsim.envs.records import EpisodeRecords
         from craftsim.models.config import SimulationConfig
-        from craftsim.models.noise import ASSUMED
         from craftsim.models.parameters import NOMINAL
         from craftsim.models.randomization import NONE
+        from craftsim.models.sensing import ASSUMED
         from craftsim.rendering.images import CameraImages
 
         for name, (module, kind) in _PHYSICS_KINDS.items():

@@ -1,15 +1,21 @@
-"""Measuring all cars of a Site in one compiled call: poses, wheels, boards, and the slopes that they stand under."""
+"""What a robot can measure, and how it is commanded: its pose, its joints, the slope that it stands under, its motors.
+
+All cars of a Site are measured in one compiled call. Skills see the world through records of :data:`READING` or, one of
+them at a time, :class:`CarMeasurement`.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.jit import compiled, records
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.rotation import body_axes
+from craftsim.discrete.readback import Poses
 from craftsim.models.world import Site
 
 Floats = NDArray[np.float64]
@@ -31,7 +37,7 @@ READING: Final = np.dtype(
     ],
     align=True,
 )
-"""A :class:`~craftsim.models.sensing.CarMeasurement` as a record; without a slope, -1 and an angle of 0."""
+"""A :class:`CarMeasurement` as a record; without a slope, -1 and an angle of 0."""
 
 WIRING: Final = np.dtype(
     [
@@ -55,6 +61,65 @@ LINE_SENSORS: Final = np.dtype([("along_m", "f8"), ("across_m", "f8"), ("reach_m
 
 CROSS_M: Final = 0.15
 """How far the two lines of a cross reach from its middle: assumed, to the legs of a block."""
+
+PerWheel = tuple[float, float, float, float]
+"""A number for each wheel, in the order of WHEELS."""
+
+
+class CarMeasurement(NamedTuple):
+    """One car's view of itself at one instant; world frame, metres and radians."""
+
+    time_s: float
+    x: float
+    y: float
+    z: float
+    """Height of the point on the floor between the wheels."""
+    heading: float
+    pitch: float
+    """Nose up positive."""
+    roll: float
+    """Left side up positive."""
+    wheel_speeds: PerWheel
+    """In rad/s."""
+    board_m: float
+    """Height of the board above its lower stop."""
+    board_force_n: float
+    """Force of the board's motor, up positive: the weight of board and load when it is at rest."""
+    slope: int | None
+    """The slope whose plug the car is docked to, if any."""
+    hinge_rad: float | None
+    """Hinge angle of that slope."""
+    position_std_m: float = 0.0
+    """How unsure the car is of its position: one standard deviation of x and of y."""
+    heading_std_rad: float = 0.0
+    """How unsure the car is of its heading."""
+    fresh: bool = True
+    """Whether a localisation has arrived since the last reading; else x, y, z and heading are as they were."""
+    lines: PerWheel = (math.inf, math.inf, math.inf, math.inf)
+    """Where the sensors before, behind, left and right in the board see a line above: how far to the left those before
+    and behind, how far forward the others; inf where one sees none."""
+
+
+_WHEELS, _SLOPE, _HINGE, _FRESH, _LINES = map(
+    CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad", "fresh", "lines")
+)
+
+
+def measurement_of(reading: np.void) -> CarMeasurement:
+    """Return a reading, a record of READING, as a measurement."""
+    values: list[Any] = list(reading.tolist())
+    values[_WHEELS] = tuple(values[_WHEELS].tolist())
+    values[_LINES] = tuple(values[_LINES].tolist())
+    values[_FRESH] = bool(values[_FRESH])
+    if values[_SLOPE] < 0:
+        values[_SLOPE] = values[_HINGE] = None
+    return CarMeasurement(*values)
+
+
+def write_reading(now: CarMeasurement, reading: Records) -> None:
+    """Write a measurement into a record, shape (1,) of READING."""
+    docked = now.slope is not None and now.hinge_rad is not None
+    reading[0] = tuple(now if docked else now._replace(slope=-1, hinge_rad=0.0))
 
 
 class Wiring:
@@ -183,3 +248,67 @@ def _read_cars(
                     from_middle = off_second + seen * to_second
                 if abs(seen) < lines[i].reach_m and abs(from_middle) < CROSS_M:
                     now.lines[k] = seen
+
+
+class Motors:
+    """The wheel motors of all cars of a Site, with the lag of a SensorNoise; a stopped drive brakes at once."""
+
+    def __init__(self, site: Site, lag_s: float = 0.0) -> None:
+        """Take commands once a control period; ``lag_s`` is the time constant with which they reach the servos."""
+        self._site = site
+        self._wiring = Wiring(site)
+        self.share = 1 - math.exp(-site.config.control_period_s / lag_s) if lag_s else 1.0
+        """By what share a servo's command approaches a new one in a control period."""
+        self.speeds = np.zeros((len(site.cars), 4))
+        """(n, 4) rad/s: the servos' commands."""
+
+    def drive(self, car: int, wheels: PerWheel) -> None:
+        """Command the wheels of a car, in rad/s."""
+        told = np.array(wheels, dtype=float)
+        drive_wheels(told, self.speeds[car], self.share, self._wiring.cars[car], self._site.data.ctrl)
+
+
+@compiled
+def drive_wheels(wheels: Floats, speeds: Floats, share: float, car: Record, ctrl: Floats) -> None:
+    """Command the wheels of a car whose servos have been told ``speeds``."""
+    stopped = wheels[0] == 0.0 and wheels[1] == 0.0 and wheels[2] == 0.0 and wheels[3] == 0.0
+    for wheel in range(4):
+        if stopped or share == 1.0:
+            speeds[wheel] = wheels[wheel]
+        else:
+            speeds[wheel] += share * (wheels[wheel] - speeds[wheel])
+        ctrl[car.wheel_motors[wheel]] = speeds[wheel]
+
+
+class PoseReader:
+    """Reads the true poses of everything that moves on a Site: cars by id; then blocks, flags and slopes."""
+
+    def __init__(self, site: Site) -> None:
+        """Look up where they are."""
+        loose = [*site.blocks, *site.flags, *(slope.base for slope in site.slopes)]
+        n_still = len(site.blocks) + len(site.flags)
+        self._kinds = (Kind.BLOCK,) * len(site.blocks) + (Kind.FLAG,) * len(site.flags)
+        self._kinds += (Kind.FSLOPE,) * len(site.slopes)
+        self._n_cars, self._qpos = len(site.cars), site.data.qpos
+        starts = [*(car.base.qpos for car in site.cars), *(body.qpos for body in loose)]
+        self.places = np.array(starts, np.intp)[:, None] + np.arange(7)
+        """(n, 7): of each one's pose in qpos."""
+        self._hinges = np.array([slope.hinge.qpos for slope in site.slopes], np.intp)
+        self._without_hinge = np.full(n_still, math.nan)
+
+    def read(self) -> Poses:
+        """Return the poses of this moment."""
+        poses, n = self._qpos[self.places], self._n_cars
+        return Poses(
+            car_positions=poses[:n, :3],
+            car_quaternions=poses[:n, 3:],
+            kinds=self._kinds,
+            positions=poses[n:, :3],
+            quaternions=poses[n:, 3:],
+            hinges=np.concatenate((self._without_hinge, self._qpos[self._hinges])),
+        )
+
+
+def read_poses(site: Site) -> Poses:
+    """Return the true poses of everything that moves on a Site now."""
+    return PoseReader(site).read()

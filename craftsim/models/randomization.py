@@ -14,7 +14,7 @@ from craftsim.errors import InputError
 from craftsim.models.floor import lay, tiles_body
 from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
 from craftsim.models.making import make
-from craftsim.models.noise import EXACT, SensorNoise
+from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.world import Baseline, Site
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from craftsim.errors import InputError
-from craftsim.models.noise import EXACT, SensorNoise
 from craftsim.models.parameter_files import number, numbers, read_keys
 from craftsim.models.randomization import DomainRandomization
+from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.storage.yaml import unknown_words
 
 

@@ -1,82 +1,171 @@
-"""What a robot can measure: its own pose, its joints, and the slope that it stands under.
+"""The sensors of all cars: exact, or with the noise, delay and lag of a SensorNoise.
 
-Skills see the world through :class:`CarMeasurement` alone: exact, or with the noise, delay and lag of a SensorNoise.
+The noise is declared, seeded, and off unless asked for.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from dataclasses import astuple, dataclass, fields
+from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.grid import Kind
-from craftsim.discrete.kernel.jit import records
-from craftsim.discrete.readback import Poses
-from craftsim.models.disturbing import Disturber
-from craftsim.models.encoders import Encoders
-from craftsim.models.measuring import READING, Records, Wiring, read_cars
-from craftsim.models.noise import EXACT, SensorNoise
+from craftsim.discrete.kernel.jit import compiled, records
+from craftsim.discrete.kernel.rotation import body_axes, wrap
+from craftsim.errors import InputError
+from craftsim.models.imperfection import check_shares
+from craftsim.models.measuring import (
+    READING,
+    CarMeasurement,
+    Floats,
+    Records,
+    Wiring,
+    measurement_of,
+    read_cars,
+)
 from craftsim.models.world import Site
 
-PerWheel = tuple[float, float, float, float]
-"""A number for each wheel, in the order of WHEELS."""
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """What one car's sensors and motors lack; hashable. Raises InputError for a negative figure, or one of 1 or more.
+
+    All sensors are read at the control rate of 50 Hz, and localisations arrive as often unless a period is given. All
+    noise is drawn for each car; standard deviations are those of white noise, but of a drift and of jitter.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.SensorNoise(position_m=0.001, heading_rad=0.003).silent
+        False
+    """
+
+    position_m: float = 0.0
+    """Standard deviation of each position coordinate of one localisation, white."""
+    heading_rad: float = 0.0
+    """Standard deviation of the heading of one localisation, white."""
+    position_bias_m: float = 0.0
+    """By so much each car is localised beside its place, in a horizontal direction of the world that is drawn once."""
+    heading_bias_rad: float = 0.0
+    """By so much each car's heading is localised off, to a side that is drawn once."""
+    position_drift_m: float = 0.0
+    """Standard deviation of what the bias of x and that of y walk in a second: sqrt(t) as much in t seconds."""
+    heading_drift_rad: float = 0.0
+    """Standard deviation of what the heading's bias walks in a second."""
+    min_delay_s: float = 0.0
+    """Least age of a localisation; each car's own delay is drawn once, uniformly up to ``max_delay_s``."""
+    max_delay_s: float = 0.0
+    jitter_s: float = 0.0
+    """Standard deviation of the age of single localisations; none comes before it was taken."""
+    localisation_period_s: float = 0.0
+    """Time between two localisations, as of a camera; a car reads the last one until then. Each car has its own phase.
+    0: the control period."""
+    lost_share: float = 0.0
+    """Share of the localisations that do not arrive: the car reads the one before."""
+    outlier_share: float = 0.0
+    """Share of the localisations that are wrong..."""
+    outlier_m: float = 0.0
+    """...and by how much, in a horizontal direction that is drawn each time."""
+    encoder_lag_s: float = 0.0
+    """Time constant of the wheel speeds' low-pass filter."""
+    encoder_step_rad: float = 0.0
+    """Angle of one count of a wheel's encoder; speeds are differences of counts over a control period. 0: the speed of
+    the moment."""
+    motor_lag_s: float = 0.0
+    """Time constant with which a wheel's commanded speed reaches its servo."""
+    tilt_rad: float = 0.0
+    """Standard deviation of pitch and of roll."""
+    tilt_bias_rad: float = 0.0
+    """By so much pitch and roll are off, up or down, drawn once each."""
+    board_m: float = 0.0
+    """Standard deviation of the board's height."""
+    board_bias_m: float = 0.0
+    """By so much the board's height is off, up or down, drawn once."""
+    board_force_n: float = 0.0
+    """Standard deviation of the force of the board's motor."""
+    board_force_bias_n: float = 0.0
+    """By so much that force is off, drawn once."""
+    hinge_rad: float = 0.0
+    """Standard deviation of the hinge angle of a docked slope."""
+    hinge_bias_rad: float = 0.0
+    """By so much that angle is off, drawn once."""
+    line_m: float = 0.0
+    """Standard deviation of where a line sensor sees a line."""
+    undocked_share: float = 0.0
+    """Share of the readings in which the plug of a docked slope has no contact: the car feels no slope, and its command
+    does not reach the hinge."""
+
+    def __post_init__(self) -> None:
+        check_shares(self)
+        if self.max_delay_s < self.min_delay_s:
+            raise InputError("SensorNoise.max_delay_s must not be below min_delay_s")
+
+    @property
+    def exact_pose(self) -> bool:
+        """Whether localisations are exact and in time."""
+        return not any(getattr(self, name) for name in _OF_LOCALISATIONS)
+
+    @property
+    def silent(self) -> bool:
+        """Whether a car measures all that it measures exactly and at once."""
+        return not any(getattr(self, f.name) for f in fields(self) if f.name != "motor_lag_s")
 
 
-class CarMeasurement(NamedTuple):
-    """One car's view of itself at one instant; world frame, metres and radians."""
-
-    time_s: float
-    x: float
-    y: float
-    z: float
-    """Height of the point on the floor between the wheels."""
-    heading: float
-    pitch: float
-    """Nose up positive."""
-    roll: float
-    """Left side up positive."""
-    wheel_speeds: PerWheel
-    """In rad/s."""
-    board_m: float
-    """Height of the board above its lower stop."""
-    board_force_n: float
-    """Force of the board's motor, up positive: the weight of board and load when it is at rest."""
-    slope: int | None
-    """The slope whose plug the car is docked to, if any."""
-    hinge_rad: float | None
-    """Hinge angle of that slope."""
-    position_std_m: float = 0.0
-    """How unsure the car is of its position: one standard deviation of x and of y."""
-    heading_std_rad: float = 0.0
-    """How unsure the car is of its heading."""
-    fresh: bool = True
-    """Whether a localisation has arrived since the last reading; else x, y, z and heading are as they were."""
-    lines: PerWheel = (math.inf, math.inf, math.inf, math.inf)
-    """Where the sensors before, behind, left and right in the board see a line above: how far to the left those before
-    and behind, how far forward the others; inf where one sees none."""
-
-
-_WHEELS, _SLOPE, _HINGE, _FRESH, _LINES = map(
-    CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad", "fresh", "lines")
+_OF_LOCALISATIONS: Final = (
+    *(
+        "position_m",
+        "heading_rad",
+        "position_bias_m",
+        "heading_bias_rad",
+        "position_drift_m",
+        "heading_drift_rad",
+    ),
+    *("max_delay_s", "jitter_s", "localisation_period_s", "lost_share", "outlier_share"),
 )
 
+EXACT = SensorNoise()
+"""No noise, no delay, no lag."""
 
-def measurement_of(reading: np.void) -> CarMeasurement:
-    """Return a reading, a record of READING, as a measurement."""
-    values: list[Any] = list(reading.tolist())
-    values[_WHEELS] = tuple(values[_WHEELS].tolist())
-    values[_LINES] = tuple(values[_LINES].tolist())
-    values[_FRESH] = bool(values[_FRESH])
-    if values[_SLOPE] < 0:
-        values[_SLOPE] = values[_HINGE] = None
-    return CarMeasurement(*values)
+NOISY = SensorNoise(
+    position_m=0.001,
+    heading_rad=0.003,
+    min_delay_s=0.02,
+    max_delay_s=0.04,
+    encoder_lag_s=0.01,
+    motor_lag_s=0.01,
+    # An accelerometer of 400 ug/sqrt(Hz) (data sheet of the InvenSense MPU-6050) over the 25 Hz that 50 readings a
+    # second can hold: 2 mg, which is the tilt in mrad.
+    tilt_rad=0.002,
+    # Assumed: the lead screw is counted at its motor, a few micrometres a count.
+    board_m=0.000005,
+    # Assumed: felt by the current of the board's motor, 5 % of what it lifts with a block.
+    board_force_n=0.3,
+    # A magnetic encoder of 12 bits (ams AS5600, 0.015 degrees RMS in its slow filter mode).
+    hinge_rad=0.00026,
+    # Assumed: a row of reflex sensors 8 mm apart, interpolated.
+    line_m=0.0004,
+    # Assumed: spring contacts that chatter.
+    undocked_share=0.001,
+)
+"""The noise under which skills are validated."""
 
+ASSUMED = SensorNoise(
+    position_m=0.001,
+    heading_rad=0.003,
+    position_bias_m=0.005,
+    heading_bias_rad=0.01,
+    # A bias that is learnt is not kept for ever: 1 mm and 2 mrad in a minute and a half.
+    position_drift_m=0.0001,
+    heading_drift_rad=0.0002,
+    max_delay_s=0.15,
+    jitter_s=0.01,
+    line_m=0.0004,
+)
+"""What cars take the noise of their sensors to be unless told otherwise, whatever it is: where they start from before
+they find out. Only what the pose estimate uses is in it."""
 
-def write_reading(now: CarMeasurement, reading: Records) -> None:
-    """Write a measurement into a record, shape (1,) of READING."""
-    docked = now.slope is not None and now.hinge_rad is not None
-    reading[0] = tuple(now if docked else now._replace(slope=-1, hinge_rad=0.0))
+MILD = SensorNoise(**{field.name: getattr(NOISY, field.name) / 2 for field in fields(SensorNoise)})
+"""Half of it."""
 
 
 def measure(site: Site, car: int) -> CarMeasurement:
@@ -102,26 +191,19 @@ class Sensors:
         """Measure on a Site with this noise; ``rng`` draws it and is needed only where there is some."""
         self.site, self.noise = site, noise
         self.wiring = Wiring(site)
-        n = len(site.cars)
-        self._true = records(n, READING)
-        self._disturber: Disturber | None = None
-        self._encoders: Encoders | None = None
+        self._true = records(len(site.cars), READING)
+        self._disturber: _Disturber | None = None
         if noise.silent:
             return
         if rng is None:
             raise ValueError("noisy sensors need a random generator")
-        self._disturber = Disturber(noise, n, site.config.control_period_s, rng)
-        if noise.encoder_step_rad:
-            self._encoders = Encoders(site, self.wiring, noise.encoder_step_rad, *rng.spawn(1))
+        self._disturber = _Disturber(noise, site, self.wiring, rng)
         self.observe()
 
     def observe(self) -> None:
         """Take the readings of this moment; call it once after each control period."""
         if self._disturber is not None:
-            true = self._read()
-            if self._encoders is not None:
-                self._encoders.read(true)
-            self._disturber.disturb(true)
+            self._disturber.disturb(self._read())
 
     def read(self) -> Records:
         """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""
@@ -137,35 +219,254 @@ class Sensors:
         return self._true
 
 
-class PoseReader:
-    """Reads the true poses of everything that moves on a Site: cars by id; then blocks, flags and slopes."""
+_JITTER_CUT: Final = 4.0
+"""Jitter is cut off at so many deviations."""
+_N_NORMALS: Final = 9
+"""White normal numbers for each reading of a car: x, y, z, heading, pitch, roll, board, its force, hinge."""
+_BIASES: Final = {
+    "pitch": "tilt_bias_rad",
+    "roll": "tilt_bias_rad",
+    "board_m": "board_bias_m",
+    "board_force_n": "board_force_bias_n",
+    "hinge_rad": "hinge_bias_rad",
+}
+"""Readings whose bias has a sign that is drawn, and the figures of that bias."""
+_WANDERING: Final = ("position_drift_m", "heading_drift_rad", "jitter_s", "lost_share", "outlier_share")
+"""Figures for which numbers are drawn each period, beside those of the white noise."""
 
-    def __init__(self, site: Site) -> None:
-        """Look up where they are."""
-        loose = [*site.blocks, *site.flags, *(slope.base for slope in site.slopes)]
-        n_still = len(site.blocks) + len(site.flags)
-        self._kinds = (Kind.BLOCK,) * len(site.blocks) + (Kind.FLAG,) * len(site.flags)
-        self._kinds += (Kind.FSLOPE,) * len(site.slopes)
-        self._n_cars, self._qpos = len(site.cars), site.data.qpos
-        starts = [*(car.base.qpos for car in site.cars), *(body.qpos for body in loose)]
-        self.places = np.array(starts, np.intp)[:, None] + np.arange(7)
-        """(n, 7): of each one's pose in qpos."""
-        self._hinges = np.array([slope.hinge.qpos for slope in site.slopes], np.intp)
-        self._without_hinge = np.full(n_still, math.nan)
+_NOISE: Final = np.dtype(
+    [*((f.name, "f8") for f in fields(SensorNoise)), ("encoder_share", "f8")], align=True
+)
+"""A SensorNoise with times in control periods, drifts as what walks in one, and the share by which a filtered speed
+approaches a new one in a period."""
 
-    def read(self) -> Poses:
-        """Return the poses of this moment."""
-        poses, n = self._qpos[self.places], self._n_cars
-        return Poses(
-            car_positions=poses[:n, :3],
-            car_quaternions=poses[:n, 3:],
-            kinds=self._kinds,
-            positions=poses[n:, :3],
-            quaternions=poses[n:, 3:],
-            hinges=np.concatenate((self._without_hinge, self._qpos[self._hinges])),
+_OWN: Final = np.dtype(
+    [
+        *((name, "f8") for name in ("delay", "phase", "off_x", "off_y", "off_heading", *_BIASES)),
+        ("last", "i8"),
+    ],
+    align=True,
+)
+"""A car's: delay and phase of its localisations in periods, their bias as it has drifted, the biases of its other
+readings, and the number of its last localisation."""
+
+_ENCODERS: Final = np.dtype(
+    [
+        *(("joints", "i8", (4,)), ("pose", "f8", (7,))),
+        *((name, "f8", (4,)) for name in ("before", "angles", "counts")),
+    ],
+    align=True,
+)
+"""A car's: where its wheels' angles lie in MjData.qpos, -1 for none; its pose a period ago; by wheel the angle before
+the first count, the angle, and its counts."""
+
+
+class _Disturber:
+    """The noisy, late readings of all cars: :attr:`readings`, shape (n,) of READING."""
+
+    def __init__(self, noise: SensorNoise, site: Site, wiring: Wiring, rng: np.random.Generator) -> None:
+        """Draw what each car's sensors have of their own: delays from ``rng``, all else from generators apart.
+
+        Whatever there is of that, the white noise is then the same.
+        """
+        self._site, self._wiring, self._rng = site, wiring, rng
+        n_cars, period_s = len(site.cars), site.config.control_period_s
+        more, self._of_lines = rng.spawn(2)
+        self.readings = records(n_cars, READING)
+        self._noise = _in_periods(noise, period_s)
+        self._own = own = records(n_cars, _OWN)
+        own["delay"] = rng.uniform(noise.min_delay_s, noise.max_delay_s, n_cars) / period_s
+        towards = more.uniform(0, math.tau, n_cars)
+        own["off_x"] = noise.position_bias_m * np.cos(towards)
+        own["off_y"] = noise.position_bias_m * np.sin(towards)
+        own["off_heading"] = noise.heading_bias_rad * more.choice((-1.0, 1.0), n_cars)
+        own["phase"] = more.uniform(0, 1, n_cars) * self._noise["localisation_period_s"]
+        for reading, figure in _BIASES.items():
+            own[reading] = getattr(noise, figure) * more.choice((-1.0, 1.0), n_cars)
+        late = noise.max_delay_s + _JITTER_CUT * noise.jitter_s
+        depth = math.ceil(late / period_s) + bool(noise.localisation_period_s) + 2
+        self._past = np.zeros((n_cars, depth, 4))
+        """x, y, z and heading in the last periods, the newest first."""
+        self._n_periods = 0
+        self._white, self._contacts = np.zeros((n_cars, _N_NORMALS)), np.zeros(n_cars)
+        """Of a period, by car: of the white noise; of whether a docked slope's plug has contact."""
+        self._more = more if any(getattr(noise, name) for name in _WANDERING) else None
+        self._normals, self._uniforms = np.zeros((n_cars, 4)), np.zeros((n_cars, 3))
+        """Likewise: of jitter and of the drifts of x, y and heading; of loss, of outliers, of their way."""
+        self._line_m, self._line_normals = noise.line_m, np.zeros((n_cars, 4))
+        self._encoders: Records | None = None
+        if noise.encoder_step_rad:
+            self._encoders = _encoders(site, wiring, noise.encoder_step_rad, *rng.spawn(1))
+
+    def disturb(self, true: Records) -> None:
+        """Take in the exact readings of a control period; those of the wheels' speeds are replaced by counted ones."""
+        site, out = self._site, self.readings
+        if self._encoders is not None:
+            gear, period_s = site.model.actuator_gear, site.config.control_period_s
+            step_rad = float(self._noise["encoder_step_rad"][0])
+            _count(site.data.qpos, gear, self._wiring.cars, self._encoders, step_rad, period_s, true)
+        for car, normals in enumerate(self._white):
+            self._rng.standard_normal(out=normals)
+            self._contacts[car] = self._rng.random()
+        if self._more is not None:
+            self._more.standard_normal(out=self._normals)
+            self._more.random(out=self._uniforms)
+        _localise(
+            *(true, self._own, self._past, self._n_periods, self._noise),
+            *(self._white, self._normals, self._uniforms, out),
         )
+        self._n_periods += 1
+        _disturb(true, self._noise, self._own, self._white, self._contacts, out)
+        out["lines"] = true["lines"]
+        if self._line_m:
+            self._of_lines.standard_normal(out=self._line_normals)
+            out["lines"] += self._line_m * self._line_normals
 
 
-def read_poses(site: Site) -> Poses:
-    """Return the true poses of everything that moves on a Site now."""
-    return PoseReader(site).read()
+def _in_periods(noise: SensorNoise, period_s: float) -> Records:
+    """Return the noise as a record, shape (1,) of _NOISE."""
+    record = records(1, _NOISE)
+    share = 1.0 if not noise.encoder_lag_s else 1 - math.exp(-period_s / noise.encoder_lag_s)
+    record[0] = (*astuple(noise), share)
+    for name in ("jitter_s", "localisation_period_s"):
+        record[name] /= period_s
+    for name in ("position_drift_m", "heading_drift_rad"):
+        record[name] *= math.sqrt(period_s)
+    return record
+
+
+@compiled
+def _localise(
+    true: Records,
+    own: Records,
+    past: Floats,
+    n_periods: int,
+    levels: Records,
+    white: Floats,
+    normals: Floats,
+    uniforms: Floats,
+    out: Records,
+) -> None:
+    """Take in the exact poses of a period; where nothing arrives the pose stays, and is not fresh."""
+    noise = levels[0]
+    oldest = min(n_periods, past.shape[1] - 1)
+    for i in range(len(true)):
+        car, now = own[i], out[i]
+        real = true[i]
+        for row in range(past.shape[1] - 1, 0, -1):
+            for k in range(4):
+                past[i, row, k] = past[i, row - 1, k]
+        past[i, 0, 0], past[i, 0, 1], past[i, 0, 2], past[i, 0, 3] = real.x, real.y, real.z, real.heading
+        if n_periods:
+            car.off_x += noise.position_drift_m * normals[i, 1]
+            car.off_y += noise.position_drift_m * normals[i, 2]
+            car.off_heading += noise.heading_drift_rad * normals[i, 3]
+        since, arrives = 0.0, True
+        if noise.localisation_period_s > 0.0:
+            number = math.floor((n_periods - car.phase) / noise.localisation_period_s)
+            arrives = number != car.last
+            car.last = number
+            if n_periods:
+                since = n_periods - car.phase - number * noise.localisation_period_s
+        # There is always a first one.
+        now.fresh = 1 if n_periods == 0 or (arrives and uniforms[i, 0] >= noise.lost_share) else 0
+        if now.fresh:
+            # The pose of so many periods ago.
+            back = min(max(car.delay + since + noise.jitter_s * normals[i, 0], 0.0), float(oldest))
+            newer, older = math.floor(back), math.ceil(back)
+            share = back - newer
+            a, b = past[i, newer], past[i, older]
+            now.x = a[0] + share * (b[0] - a[0]) + noise.position_m * white[i, 0]
+            now.y = a[1] + share * (b[1] - a[1]) + noise.position_m * white[i, 1]
+            now.z = a[2] + share * (b[2] - a[2]) + noise.position_m * white[i, 2]
+            heading = a[3] + share * wrap(b[3] - a[3]) + noise.heading_rad * white[i, 3]
+            # That lies beside the car's place.
+            now.x += car.off_x
+            now.y += car.off_y
+            now.heading = wrap(heading + car.off_heading)
+            if uniforms[i, 1] < noise.outlier_share:
+                now.x += noise.outlier_m * math.cos(2 * math.pi * uniforms[i, 2])
+                now.y += noise.outlier_m * math.sin(2 * math.pi * uniforms[i, 2])
+
+
+@compiled
+def _disturb(
+    true: Records, levels: Records, own: Records, normals: Floats, uniforms: Floats, out: Records
+) -> None:
+    """Take in all other readings."""
+    noise = levels[0]
+    for i in range(len(true)):
+        real, now, bias = true[i], out[i], own[i]
+        now.time_s = real.time_s
+        for wheel in range(4):
+            old = now.wheel_speeds[wheel]
+            now.wheel_speeds[wheel] = real.wheel_speeds[wheel]
+            if noise.encoder_share < 1.0:
+                now.wheel_speeds[wheel] = old + noise.encoder_share * (real.wheel_speeds[wheel] - old)
+        now.pitch = real.pitch + noise.tilt_rad * normals[i, 4] + bias.pitch
+        now.roll = real.roll + noise.tilt_rad * normals[i, 5] + bias.roll
+        now.board_m = real.board_m + noise.board_m * normals[i, 6] + bias.board_m
+        now.board_force_n = real.board_force_n + noise.board_force_n * normals[i, 7] + bias.board_force_n
+        docked = real.slope >= 0 and uniforms[i] >= noise.undocked_share
+        now.slope = real.slope if docked else -1
+        now.hinge_rad = real.hinge_rad + noise.hinge_rad * normals[i, 8] + bias.hinge_rad if docked else 0.0
+        now.position_std_m = now.heading_std_rad = 0.0
+
+
+def _encoders(site: Site, wiring: Wiring, step_rad: float, rng: np.random.Generator) -> Records:
+    """Return the wheels' encoders, (n,) of _ENCODERS, where the cars stand.
+
+    They count by how far each wheel has turned, and a speed is a difference of counts. A wheel on an axle turns by its
+    joint. The wheels of the reduced drive have none and roll without slip: they turn by the car's way over the period,
+    in its own frame, times the gears of its motors.
+
+    ``rng`` draws how far each wheel is from its next count of ``step_rad``.
+    """
+    model, data = site.model, site.data
+    encoders = records(len(site.cars), _ENCODERS)
+    encoders["joints"] = -1
+    encoders["before"] = step_rad * rng.uniform(0, 1, (len(site.cars), 4))
+    for row, car in zip(encoders, site.cars, strict=True):
+        row["pose"] = np.concatenate(site.free_body_state(car.base))
+        row["angles"] = row["before"]
+        if wiring.on_axles:
+            row["joints"] = model.jnt_qposadr[model.dof_jntid[car.wheel_dofs]]
+            row["angles"] += data.qpos[row["joints"]]
+    encoders["counts"] = np.floor(encoders["angles"] / step_rad)
+    return encoders
+
+
+@compiled
+def _count(
+    qpos: Floats,
+    gear: Floats,
+    cars: Records,
+    encoders: Records,
+    step_rad: float,
+    period_s: float,
+    out: Records,
+) -> None:
+    """Replace the speeds in exact readings of all cars by those of a control period's counts."""
+    for i in range(len(cars)):
+        own, was, at = encoders[i], encoders[i].pose, cars[i].pose
+        # How a car has moved since, along the mean of its axes then and now: by that its wheels turn without joints.
+        x, y, z = qpos[at] - was[0], qpos[at + 1] - was[1], qpos[at + 2] - was[2]
+        ahead, aside, _ = body_axes(was[3], was[4], was[5], was[6])
+        forward, left, _ = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
+        along = (x * (ahead[0] + forward[0]) + y * (ahead[1] + forward[1]) + z * (ahead[2] + forward[2])) / 2
+        across = (x * (aside[0] + left[0]) + y * (aside[1] + left[1]) + z * (aside[2] + left[2])) / 2
+        turn = math.atan2(
+            forward[0] * aside[0] + forward[1] * aside[1] + forward[2] * aside[2],
+            forward[0] * ahead[0] + forward[1] * ahead[1] + forward[2] * ahead[2],
+        )
+        for k in range(7):
+            was[k] = qpos[at + k]
+        for wheel in range(4):
+            if own.joints[wheel] >= 0:
+                own.angles[wheel] = own.before[wheel] + qpos[own.joints[wheel]]
+            else:
+                gears = gear[cars[i].wheel_motors[wheel]]
+                own.angles[wheel] += gears[0] * along + gears[1] * across + gears[5] * turn
+            counts = math.floor(own.angles[wheel] / step_rad)
+            out[i].wheel_speeds[wheel] = (counts - own.counts[wheel]) * step_rad / period_s
+            own.counts[wheel] = counts

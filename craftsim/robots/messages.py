@@ -20,7 +20,7 @@ from pydantic import (
 from pydantic_core.core_schema import no_info_after_validator_function
 
 from craftsim.errors import CraftsimError
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.measuring import CarMeasurement
 from craftsim.skills.skill import Command
 from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS
 

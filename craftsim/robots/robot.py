@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.measuring import CarMeasurement
 from craftsim.skills.skill import Command
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from craftsim.models.sensing import CarMeasurement, PoseReader
+from craftsim.models.measuring import CarMeasurement, PoseReader
 from craftsim.models.world import Site
 from craftsim.robots.channel import Channel, Network
 from craftsim.robots.messages import Measurements, TruePoses

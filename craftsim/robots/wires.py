@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from craftsim.discrete.kernel.jit import records
-from craftsim.models.measuring import PLUG, READING, WIRING, Records
-from craftsim.models.sensing import CarMeasurement, write_reading
+from craftsim.models.measuring import PLUG, READING, WIRING, CarMeasurement, Records, write_reading
 from craftsim.skills.fleet import Wires
 from craftsim.skills.skill import Command
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.models.measuring import Floats, Records
-from craftsim.models.motors import drive_wheels
+from craftsim.models.measuring import Floats, Records, drive_wheels
 from craftsim.skills.driving_law import drive_law
 from craftsim.skills.folding import hinge_law
 from craftsim.skills.ground import feel_ground

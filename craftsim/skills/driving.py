@@ -13,7 +13,7 @@ import numpy as np
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
 from craftsim.discrete.readback import nearest_yaw
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.measuring import CarMeasurement
 from craftsim.skills.driving_law import drive_law
 from craftsim.skills.mecanum import Triple
 from craftsim.skills.profile import Profile

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
-from craftsim.models.measuring import Records
-from craftsim.models.motors import Motors
-from craftsim.models.noise import EXACT, SensorNoise
-from craftsim.models.sensing import CarMeasurement, Sensors, measurement_of
+from craftsim.models.measuring import CarMeasurement, Motors, Records, measurement_of
+from craftsim.models.sensing import EXACT, SensorNoise, Sensors
 from craftsim.models.world import Site
 from craftsim.skills.control import step_cars
 from craftsim.skills.fleet import Fleet, SiteFleet

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from craftsim.models.measuring import Floats, Records
-from craftsim.models.motors import Motors
+from craftsim.models.measuring import Floats, Motors, Records
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import Site
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.models.measuring import Floats, Records
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.measuring import CarMeasurement, Floats, Records
 from craftsim.skills.health import end
 from craftsim.skills.skill import CompiledSkill, SkillSetup
 from craftsim.skills.state import HINGE, HINGE_SHORT, SUCCEEDED, UNDOCKED

@@ -25,8 +25,8 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import READING, Floats, Records
-from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import SmartcarParameters
+from craftsim.models.sensing import SensorNoise
 from craftsim.skills.ages import WINDOW, assume_age, likeliest_age
 from craftsim.skills.filtering import FILTER, correct
 from craftsim.skills.gains import LocalisationGains

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from craftsim.discrete.kernel.jit import compiled
+from craftsim.models.measuring import PerWheel
 from craftsim.models.parameters import SmartcarParameters
-from craftsim.models.sensing import PerWheel
 
 Triple = tuple[float, float, float]
 """(x, y, heading) or (vx, vy, omega): a pose, a way or a speed."""

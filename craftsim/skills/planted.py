@@ -16,9 +16,9 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell, Grid, Kind, beside
 from craftsim.discrete.readback import Reading, read_grid
 from craftsim.errors import InputError
-from craftsim.models.motors import Motors
+from craftsim.models.measuring import Motors, PoseReader
 from craftsim.models.parts import FreeBody
-from craftsim.models.sensing import PoseReader, Sensors
+from craftsim.models.sensing import Sensors
 from craftsim.models.world import Site
 from craftsim.skills.fleet import SiteFleet
 

@@ -13,7 +13,7 @@ from typing import Final
 
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.readback import nearest_yaw
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.measuring import CarMeasurement
 from craftsim.skills.driving import Move, cell_middle
 from craftsim.skills.library import make_skill
 from craftsim.skills.mecanum import Triple

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from craftsim.discrete.kernel.jit import records
-from craftsim.models.measuring import READING, Floats, Records
+from craftsim.models.measuring import READING, CarMeasurement, Floats, PerWheel, Records, write_reading
 from craftsim.models.parameters import Machines, SmartcarParameters
-from craftsim.models.sensing import CarMeasurement, PerWheel, write_reading
 from craftsim.skills.gains import Gains, careful
 from craftsim.skills.health import check_health
 from craftsim.skills.outcome import Outcome, Reason

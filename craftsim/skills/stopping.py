@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.measuring import CarMeasurement
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command, Skill
 

@@ -15,8 +15,8 @@ from craftsim.checking.settings import Randomize, setup_of
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
-from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import Drive, Machines
+from craftsim.models.sensing import SensorNoise
 from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains
@@ -165,7 +165,7 @@ def validate(
         machines: parameters of the machines, or a file of them, which may hold gains, too.
         noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
         assume: what the cars take that noise to be before they find out, whatever it is: none, mild, strong, noise, or
-            a file of it; ASSUMED of :mod:`craftsim.models.noise` unless given.
+            a file of it; ASSUMED of :mod:`craftsim.models.sensing` unless given.
         drive: rollers or reduced; that of the machines unless given.
         order: how plans are carried out.
         trials: how many runs of each; under ``randomize="none"`` in a fixed world all are alike.

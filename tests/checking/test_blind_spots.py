@@ -17,8 +17,8 @@ from craftsim.checking.settings import Setup, Thresholds, setup_of
 from craftsim.checking.world import set_up
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.models.noise import SensorNoise
 from craftsim.models.randomization import NONE
+from craftsim.models.sensing import SensorNoise
 
 LEFT, RIGHT = Action.ROTATE_LEFT, Action.MOVE_RIGHT
 

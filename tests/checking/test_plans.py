@@ -14,7 +14,7 @@ from craftsim.checking.unexpected import under
 from craftsim.checking.world import set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.models.noise import EXACT
+from craftsim.models.sensing import EXACT
 from craftsim.validation.runs.steps import steps_of
 
 RIGHT = Action.MOVE_RIGHT

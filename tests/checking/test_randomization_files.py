@@ -7,8 +7,8 @@ import pytest
 from craftsim.checking.settings import RANDOMIZE, Thresholds, setup_of, widened
 from craftsim.errors import InputError
 from craftsim.models.imperfection import Floor
-from craftsim.models.noise import ASSUMED, MILD, SensorNoise
 from craftsim.models.randomization import NONE
+from craftsim.models.sensing import ASSUMED, MILD, SensorNoise
 
 
 def _setup(tmp_path, text):

@@ -19,8 +19,8 @@ from craftsim.envs.central import CentralConstruction
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import CraftsimError, InputError
-from craftsim.models.noise import NOISY
 from craftsim.models.randomization import DomainRandomization
+from craftsim.models.sensing import NOISY
 
 SHORT = make_task("strip", max_steps=0)
 """Two ticks an episode."""

@@ -12,7 +12,7 @@ from craftsim.logs.files import read_log, read_logs
 from craftsim.logs.log import GROUPS, Log
 from craftsim.logs.recorder import LogRecorder
 from craftsim.logs.tables import COLUMNS, write_commands, write_table
-from craftsim.models.motors import Motors
+from craftsim.models.measuring import Motors
 
 
 def make_log(n=60, period_s=0.02, seed=0):

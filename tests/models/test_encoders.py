@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.grid import Grid
-from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import NOMINAL
-from craftsim.models.sensing import Sensors
+from craftsim.models.sensing import SensorNoise, Sensors
 from craftsim.models.world import Site
 
 STEP_RAD = 2 * math.pi / 4096

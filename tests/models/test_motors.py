@@ -9,9 +9,9 @@ from craftsim.checking.settings import Setup
 from craftsim.checking.world import set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.models.motors import Motors
-from craftsim.models.noise import SensorNoise
+from craftsim.models.measuring import Motors
 from craftsim.models.randomization import NONE
+from craftsim.models.sensing import SensorNoise
 from craftsim.models.world import Site
 
 GRID = Grid.empty((3, 1, 1), 1)

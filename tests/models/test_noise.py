@@ -8,9 +8,9 @@ import pytest
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
-from craftsim.models.noise import EXACT, NOISY, SensorNoise
+from craftsim.models.measuring import write_reading
 from craftsim.models.randomization_files import load_noise
-from craftsim.models.sensing import Sensors, measure, write_reading
+from craftsim.models.sensing import EXACT, NOISY, SensorNoise, Sensors, measure
 from craftsim.models.world import Site
 
 PERIOD_S = 0.02

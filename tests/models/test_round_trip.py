@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, beside
 from craftsim.discrete.readback import read_grid
-from craftsim.models.sensing import read_poses
+from craftsim.models.measuring import read_poses
 from craftsim.models.world import Site
 
 AIR, BLOCK, FLAG, WALL, FSLOPE, BODY = (Kind[n] for n in ("AIR", "BLOCK", "FLAG", "WALL", "FSLOPE", "BODY"))

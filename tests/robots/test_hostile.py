@@ -17,7 +17,7 @@ from craftsim.checking.world import set_up
 from craftsim.cli import main
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.measuring import CarMeasurement
 from craftsim.robots.channel import Channel, Network
 from craftsim.robots.link import Link
 from craftsim.robots.messages import Ack, Bye, Commands, Follow, Hello, Measurements, Welcome, pack, unpack

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from craftsim.discrete.kinds import Action
-from craftsim.models.sensing import CarMeasurement
+from craftsim.models.measuring import CarMeasurement
 from craftsim.robots.messages import (
     VERSION,
     Ack,

@@ -11,7 +11,8 @@ import pytest
 import craftsim
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.models.sensing import measure, measurement_of, write_reading
+from craftsim.models.measuring import measurement_of, write_reading
+from craftsim.models.sensing import measure
 from craftsim.skills import library
 from craftsim.skills.driving import Move, Rotate
 from craftsim.skills.executor import Executor

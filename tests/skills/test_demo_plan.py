@@ -15,7 +15,7 @@ from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.readback import Poses, Reading
 from craftsim.models.config import SimulationConfig
-from craftsim.models.sensing import read_poses
+from craftsim.models.measuring import read_poses
 
 NAME = "simple_two_story"
 

@@ -13,9 +13,9 @@ from craftsim.discrete.kinds import Action
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Floor
 from craftsim.models.measuring import READING
-from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.randomization import NONE
+from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import load_gains
 from craftsim.skills.ground import GROUND, feel_ground
 from craftsim.skills.skill import Terrain

@@ -12,7 +12,9 @@ from craftsim.skills.executor import Executor
 def _moved_m(grid: Grid, gear_friction: float, held: bool = True) -> float:
     """Return how far the first car moves in 10 s with its gears' friction scaled, with or without an executor."""
     site = Site(grid, reset=False)
-    site.model.dof_frictionloss[site.cars[0].wheel_dofs] *= gear_friction
+    smooth = site.baseline.copy()
+    smooth.dof_frictionloss[site.cars[0].wheel_dofs] *= gear_friction
+    site.set_baseline(smooth)
     site.reset()
     start, _ = site.free_body_state(site.cars[0].base)
     advance = Executor(site).advance if held else site.advance

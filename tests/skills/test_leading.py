@@ -9,8 +9,8 @@ from craftsim.checking.settings import setup_of
 from craftsim.checking.world import set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import NOMINAL
+from craftsim.models.sensing import SensorNoise
 from craftsim.skills.ages import likeliest_age
 from craftsim.skills.gains import load_gains
 from craftsim.skills.leading import lead_wheels, leads

@@ -12,10 +12,9 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
-from craftsim.models.measuring import READING
-from craftsim.models.noise import ASSUMED, EXACT, NOISY, SensorNoise
+from craftsim.models.measuring import READING, CarMeasurement, measurement_of, write_reading
 from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.models.sensing import CarMeasurement, Sensors, measure, measurement_of, write_reading
+from craftsim.models.sensing import ASSUMED, EXACT, NOISY, SensorNoise, Sensors, measure
 from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains

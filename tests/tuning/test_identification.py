@@ -7,7 +7,7 @@ import pytest
 from tuning_cars import HIDDEN, NOMINAL, log_of
 
 from craftsim.errors import InputError
-from craftsim.models.noise import EXACT
+from craftsim.models.sensing import EXACT
 from craftsim.tuning.identifiability import untold_directions
 from craftsim.tuning.identification import identify
 from craftsim.tuning.prediction import Predictor

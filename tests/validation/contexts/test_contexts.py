@@ -11,7 +11,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.errors import CraftsimError
-from craftsim.models.sensing import read_poses
+from craftsim.models.measuring import read_poses
 from craftsim.models.world import Site
 from craftsim.validation.contexts.context import DIRECTION_NAMES, Ground, Thing, Verb
 from craftsim.validation.contexts.survey import make_world, survey

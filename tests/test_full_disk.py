@@ -107,7 +107,7 @@ ELSEWHERE = {
     "validation/replays/bundle.py",
     "rendering/trajectory.py",
     # Examples in docstrings.
-    "models/randomization_files.py",
+    "models/randomization.py",
     "models/parameter_files.py",
     "skills/gains.py",
 }

@@ -9,7 +9,7 @@ import pytest
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.models.measuring import write_reading
-from craftsim.models.randomization_files import load_noise
+from craftsim.models.randomization import load_noise
 from craftsim.models.sensing import EXACT, NOISY, SensorNoise, Sensors, measure
 from craftsim.models.world import Site
 

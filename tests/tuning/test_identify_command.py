@@ -8,7 +8,7 @@ from tuning_cars import HIDDEN
 from craftsim import cli, load_machines
 from craftsim.logs.files import read_log
 from craftsim.logs.tables import write_table
-from craftsim.models.randomization_files import load_noise
+from craftsim.models.randomization import load_noise
 from craftsim.tuning import identification
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from craftsim.errors import InputError
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.floor import lay, tiles_body
 from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
+from craftsim.models.overlaps import GROUND
 from craftsim.models.parts import WHEELS, Car
 from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.world import Baseline, Site
@@ -72,6 +74,25 @@ NONE: Final = DomainRandomization(0.0, 0.0, 0.0, 0.0, 0.0)
 """The nominal physics, exact sensors and ideal motors."""
 
 
+Draw = Callable[[str, str], np.random.Generator]
+"""Gives the generator of one figure of one machine, by the names of both."""
+
+
+def by_name(rng: np.random.Generator) -> Draw:
+    """Return generators for figures of machines, such as ``("car0", "mass")``.
+
+    The seed that ``rng`` draws and the two names decide alone what one of them gives. So nothing that is added to a
+    world, or taken out of it, changes what is drawn of the rest, and both drives have the same masses and friction.
+    """
+    seed = rng.integers(0, 2**32, 4).tolist()
+
+    def draw(machine: str, figure: str) -> np.random.Generator:
+        name = hashlib.sha256(f"{machine}: {figure}".encode()).digest()
+        return np.random.default_rng([*seed, int.from_bytes(name[:16], "big")])
+
+    return draw
+
+
 def randomize(site: Site, randomization: DomainRandomization, rng: np.random.Generator) -> None:
     """Draw new physics around that of a Site as it was compiled, and reset it; equal generators give equal physics.
 
@@ -82,86 +103,112 @@ def randomize(site: Site, randomization: DomainRandomization, rng: np.random.Gen
     model, tiles = site.model, site.tiles
     if (tiles.floor if tiles else None) != (None if randomization.floor.flat else randomization.floor):
         raise InputError("the floor that is drawn must be that of the Site: Site(..., floor=...)")
+    draw = by_name(rng)
     site.compiled.write(model)
-
-    def factors(width: float, count: int) -> NDArray[np.float64]:
-        return rng.uniform(1 - width, 1 + width, count)
-
-    tree = np.where(model.body_rootid > 0, model.body_rootid, 0)
-    mass = factors(randomization.mass, model.nbody)[tree]
-    model.body_mass[:] *= mass
-    model.body_inertia[:] *= mass[:, None]
-    model.geom_friction[:, 0] *= factors(randomization.friction, model.ngeom)[_materials(site)]
-    motor = factors(randomization.motor, model.nu)
-    model.actuator_forcerange[:] *= motor[:, None]
-    model.actuator_gainprm[:, 0] *= motor
-    gears = model.actuator_biastype == mujoco.mjtBias.mjBIAS_DCMOTOR
-    model.actuator_biasprm[~gears, 1:] *= motor[~gears, None]
-    friction = factors(randomization.joint_friction, model.nv)
-    model.dof_frictionloss[:] *= friction
-    model.dof_damping[:] *= friction
-    # Coulomb and static friction of the reduced drive's gears.
-    model.actuator_biasprm[gears, 3:5] *= factors(randomization.joint_friction, int(gears.sum()))[:, None]
-    tilt, towards = randomization.tilt_rad * math.sqrt(rng.uniform()), rng.uniform(0, math.tau)
-    down = np.array([math.sin(tilt) * math.cos(towards), math.sin(tilt) * math.sin(towards), -math.cos(tilt)])
-    model.opt.gravity[:] = float(np.linalg.norm(model.opt.gravity)) * down
-    lift_m = 0.0
-    if tiles or not randomization.making.exact:
-        # Generators of their own: what is drawn of one does not depend on what else is drawn.
-        surface, workshop = rng.spawn(2)
-        lift_m = lay(model, tiles, surface) if tiles else 0.0
-        _make(site, randomization.making, workshop)
+    _vary_bodies(model, randomization, draw)
+    _vary_motors_and_joints(model, randomization, draw)
+    tilt = draw(GROUND, "tilt")
+    angle, towards = randomization.tilt_rad * math.sqrt(tilt.uniform()), tilt.uniform(0, math.tau)
+    down = (math.sin(angle) * math.cos(towards), math.sin(angle) * math.sin(towards), -math.cos(angle))
+    model.opt.gravity[:] = float(np.linalg.norm(model.opt.gravity)) * np.array(down)
+    lift_m = lay(model, tiles, draw(GROUND, "floor")) if tiles else 0.0
+    if not randomization.making.exact:
+        _make(site, randomization.making, draw)
+    uneven = tiles is not None or randomization.making.wheel_radius_m > 0
     site.drivetrain = IDEAL
-    site.set_baseline(
-        Baseline.of(model), tiles is not None or randomization.making.wheel_radius_m > 0, lift_m
-    )
+    site.set_baseline(Baseline.of(model), uneven, lift_m)
     site.reset()
 
 
-def _materials(site: Site) -> NDArray[np.intp]:
-    """Return (n,): for each geom the first one of its material, which one machine and one friction make."""
-    model = site.model
-    root = model.body_rootid[model.geom_bodyid]
-    root = np.where(root == tiles_body(model), 0, root)
-    surfaces = np.column_stack([root, site.compiled.geom_friction[:, 0]])
-    _, first, material = np.unique(surfaces, axis=0, return_index=True, return_inverse=True)
-    found: NDArray[np.intp] = first[material.reshape(-1)]
-    return found
+def _factors(width: float, names: Iterable[tuple[str, str]], draw: Draw) -> NDArray[np.float64]:
+    """Return (n,): a factor about 1 for each figure of a machine."""
+    found = [
+        draw(machine, figure).uniform(1 - width, 1 + width) if width else 1.0 for machine, figure in names
+    ]
+    return np.array(found)
 
 
-def _make(site: Site, making: Making, rng: np.random.Generator) -> None:
+def _vary_bodies(model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw) -> None:
+    """Draw the mass of each machine, and the sliding friction of each of its materials."""
+    roots = np.where(model.body_rootid == tiles_body(model), 0, model.body_rootid)
+    present = np.unique(roots)
+    machines = {
+        root: _machine_and_part(model.body(root).name)[0] if root else GROUND for root in present.tolist()
+    }
+    mass = _factors(randomization.mass, ((name, "mass") for name in machines.values()), draw)
+    by_body = mass[np.searchsorted(present, roots)]
+    model.body_mass[:] *= by_body
+    model.body_inertia[:] *= by_body[:, None]
+    # What has one coefficient is one material.
+    surfaces = np.column_stack([roots[model.geom_bodyid], model.geom_friction[:, 0]])
+    materials, material = np.unique(surfaces, axis=0, return_inverse=True)
+    names = ((machines[int(root)], f"friction where it is {value:g}") for root, value in materials.tolist())
+    model.geom_friction[:, 0] *= _factors(randomization.friction, names, draw)[material.reshape(-1)]
+
+
+def _vary_motors_and_joints(model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw) -> None:
+    """Draw the strength of each motor, and the friction of each joint."""
+    names = [_machine_and_part(model.actuator(i).name) for i in range(model.nu)]
+    motor = _factors(randomization.motor, ((machine, f"motor {part}") for machine, part in names), draw)
+    model.actuator_forcerange[:] *= motor[:, None]
+    model.actuator_gainprm[:, 0] *= motor
+    gears = np.flatnonzero(model.actuator_biastype == mujoco.mjtBias.mjBIAS_DCMOTOR)
+    drives = np.delete(np.arange(model.nu), gears)
+    model.actuator_biasprm[drives, 1:] *= motor[drives, None]
+    joints = [_machine_and_part(model.joint(i).name) for i in range(model.njnt)]
+    # The wheels of the reduced drive have no joints: Coulomb and static friction are those of their gears.
+    wheels = [(machine, part.replace("gear", "wheel")) for machine, part in map(names.__getitem__, gears)]
+    rubbing = ((machine, f"joint {part}") for machine, part in (*joints, *wheels))
+    friction = _factors(randomization.joint_friction, rubbing, draw)
+    model.dof_frictionloss[:] *= friction[model.dof_jntid]
+    model.dof_damping[:] *= friction[model.dof_jntid]
+    model.actuator_biasprm[gears, 3:5] *= friction[model.njnt :, None]
+
+
+def _make(site: Site, making: Making, draw: Draw) -> None:
     """Draw machines as they are made, each a little off its drawing, in a Site's model.
 
     What the skills know of a machine stays nominal. Masses, and what is only to be seen, stay as they are.
     """
     model = site.model
+
+    def drawn(machine: str, figure: str, *shape: int) -> NDArray[np.float64]:
+        width: float = getattr(making, figure)
+        return np.array(width * draw(machine, figure).uniform(-1, 1, shape))
+
+    def off(machine: str) -> NDArray[np.float64]:
+        """Return (3,) metres: by how much a pocket or pads are off, forward, sideways and up."""
+        return np.append(drawn(machine, "pocket_m", 2), drawn(machine, "underside_m"))
+
     for car in site.cars:
-        _make_car(model, car, making, rng)
+        machine, _ = _machine_and_part(car.base.name)
+        _resize_wheels(model, car, drawn(machine, "wheel_radius_m", 4), drawn(machine, "wheel_place_m", 4, 2))
+        (board,) = model.jnt_bodyid[model.dof_jntid[[car.board.dof]]]
+        model.body_pos[board] += np.append(drawn(machine, "board_place_m", 2), drawn(machine, "board_m"))
     for table in (*site.blocks, *site.flags):
-        prefix = _prefix(model, table.body)
-        feet, pocket = _geoms(model, prefix, _FEET), _geoms(model, prefix, _POCKET)
-        model.geom_pos[feet, 2] -= making.foot_m * rng.uniform(-1, 1, len(feet))
-        model.geom_pos[pocket] += _off(making, rng)
+        machine, _ = _machine_and_part(table.name)
+        model.geom_pos[_geoms(model, machine, _FEET), 2] -= drawn(machine, "foot_m", len(_FEET))
+        model.geom_pos[_geoms(model, machine, _POCKET)] += off(machine)
     for slope in site.slopes:
-        model.geom_pos[_geoms(model, _prefix(model, slope.base.body), _PADS)] += _off(making, rng)
+        machine, _ = _machine_and_part(slope.base.name)
+        model.geom_pos[_geoms(model, machine, _PADS)] += off(machine)
 
 
-def _make_car(model: mujoco.MjModel, car: Car, making: Making, rng: np.random.Generator) -> None:
-    prefix = _prefix(model, car.base.body)
-    larger = making.wheel_radius_m * rng.uniform(-1, 1, len(WHEELS))
-    moved = making.wheel_place_m * rng.uniform(-1, 1, (len(WHEELS), 2))
-    (board,) = model.jnt_bodyid[model.dof_jntid[[car.board.dof]]]
-    model.body_pos[board, 2] += making.board_m * rng.uniform(-1, 1)
-    model.body_pos[board, :2] += making.board_place_m * rng.uniform(-1, 1, 2)
+def _resize_wheels(
+    model: mujoco.MjModel, car: Car, larger: NDArray[np.float64], moved: NDArray[np.float64]
+) -> None:
+    """Let wheels be larger by so much, (4,) metres, and stand elsewhere by so much, (4, 2)."""
     if len(car.wheel_dofs):
-        for wheel, more, by in zip(_wheel_bodies(model, car), larger, moved, strict=True):
+        for dof, more, by in zip(car.wheel_dofs, larger, moved, strict=True):
+            wheel = model.dof_bodyid[dof]
             model.body_pos[wheel, :2] += by
             # Rollers stand further out on their hub.
             rollers = np.flatnonzero(model.body_parentid == wheel)
             out = np.linalg.norm(model.body_pos[rollers], axis=1, keepdims=True)
             model.body_pos[rollers] *= 1 + more / out
         return
-    wheels = _geoms(model, prefix, WHEELS)
+    machine, _ = _machine_and_part(car.base.name)
+    wheels = _geoms(model, machine, WHEELS)
     model.geom_size[wheels, 0] += larger
     model.geom_pos[wheels, :2] += moved
     # A wheel's speed is (vx - y vy - z l omega) / R, l being its distance from the middle, forward plus sideways.
@@ -170,26 +217,19 @@ def _make_car(model: mujoco.MjModel, car: Car, making: Making, rng: np.random.Ge
     lever = car.parameters.turn_radius_m + (middle * moved).sum(axis=1)
     scale = np.ones((len(WHEELS), 6)) * (radius / (radius + larger))[:, None]
     scale[:, 5] *= lever / car.parameters.turn_radius_m
-    motors = [model.actuator(prefix + wheel.replace("wheel", "gear")).id for wheel in WHEELS]
-    for wheel_motors in (car.wheel_actuators, motors):
-        model.actuator_gear[wheel_motors] = np.array(nominal.gears) * scale
+    gears = [model.actuator(f"{machine}/{wheel.replace('wheel', 'gear')}").id for wheel in WHEELS]
+    for motors in (car.wheel_actuators, gears):
+        model.actuator_gear[motors] = np.array(nominal.gears) * scale
 
 
-def _wheel_bodies(model: mujoco.MjModel, car: Car) -> Iterator[int]:
-    return (int(model.dof_bodyid[dof]) for dof in car.wheel_dofs)
+def _machine_and_part(name: str) -> tuple[str, str]:
+    """Return the two words of a name in a model, such as ``car0`` and ``wheel_fl``."""
+    machine, _, part = name.partition("/")
+    return machine, part
 
 
-def _off(making: Making, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return (3,) metres: by how much a pocket or pads are off, forward, sideways and up."""
-    return np.array([making.pocket_m, making.pocket_m, making.underside_m]) * rng.uniform(-1, 1, 3)
-
-
-def _prefix(model: mujoco.MjModel, body: int) -> str:
-    return str(model.body(body).name.rpartition("/")[0] + "/")
-
-
-def _geoms(model: mujoco.MjModel, prefix: str, names: tuple[str, ...]) -> list[int]:
-    return [model.geom(prefix + name).id for name in names]
+def _geoms(model: mujoco.MjModel, machine: str, parts: tuple[str, ...]) -> list[int]:
+    return [model.geom(f"{machine}/{part}").id for part in parts]
 
 
 def load_noise(path: Path | str, nominal: SensorNoise = EXACT) -> SensorNoise:

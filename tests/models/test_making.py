@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.models import randomization
 from craftsim.models.imperfection import Making
 from craftsim.models.parameters import NOMINAL, Drive
 from craftsim.models.randomization import NONE, randomize
@@ -18,11 +19,14 @@ DRIVES: tuple[Drive, ...] = ("rollers", "reduced")
 class Largest:
     """Draws the upper end of everything."""
 
-    def spawn(self, count: int) -> list["Largest"]:
-        return [self] * count
-
     def uniform(self, low: float = 0.0, high: float = 1.0, size: object = None) -> object:
         return high if size is None else np.full(size, high)
+
+
+@pytest.fixture
+def largest(monkeypatch):
+    """Let every figure be drawn at the upper end."""
+    monkeypatch.setattr(randomization, "by_name", lambda rng: lambda machine, figure: Largest())
 
 
 def _site(drive: Drive, cell: tuple[int, int] = (0, 1), kind: Kind = Kind.AIR, load: Kind = Kind.AIR) -> Site:
@@ -60,11 +64,13 @@ def _radii(site: Site) -> np.ndarray:
 
 
 @pytest.mark.parametrize("drive", DRIVES)
-def test_a_car_with_larger_wheels_stands_higher_and_gets_further(drive):
+def test_a_car_with_larger_wheels_stands_higher_and_gets_further(drive, largest):
     """All four larger by 1 mm, 2.0 % of their radius: 2.0 % further."""
     world, ways, heights = _site(drive), [], []
     for more in (0.0, 0.001):
-        randomize(world, replace(NONE, making=Making(wheel_radius_m=max(more, 1e-12))), Largest())
+        randomize(
+            world, replace(NONE, making=Making(wheel_radius_m=max(more, 1e-12))), np.random.default_rng()
+        )
         site = world
         start = _pose(site, site.cars[0].base)
         site.drive(0, [8.0] * 4)
@@ -113,10 +119,10 @@ def test_a_car_with_a_longer_wheelbase_and_track_turns_less(drive):
     np.testing.assert_allclose(np.array(turned) * levers, np.mean(turned) * np.mean(levers), rtol=0.01)
 
 
-def test_a_board_that_is_too_high_carries_its_load_higher():
+def test_a_board_that_is_too_high_carries_its_load_higher(largest):
     world, heights = _site("reduced", load=Kind.BLOCK), []
     for more in (1e-12, 0.002):
-        randomize(world, replace(NONE, making=Making(board_m=more)), Largest())
+        randomize(world, replace(NONE, making=Making(board_m=more)), np.random.default_rng())
         heights.append(_pose(world, world.blocks[0])[2])
     assert heights[1] - heights[0] == pytest.approx(0.002, abs=5e-5)
 
@@ -134,20 +140,20 @@ def test_a_block_with_uneven_feet_leans():
     assert 1e-3 < max(leans) < 0.01
 
 
-def test_a_load_with_a_higher_pocket_rides_lower():
+def test_a_load_with_a_higher_pocket_rides_lower(largest):
     """By up to the 1 mm that a boss leaves below the deck."""
     world, heights = _site("reduced", load=Kind.BLOCK), []
     for more in (1e-12, 0.0008):
-        randomize(world, replace(NONE, making=Making(underside_m=more)), Largest())
+        randomize(world, replace(NONE, making=Making(underside_m=more)), np.random.default_rng())
         heights.append(_pose(world, world.blocks[0])[2])
     assert heights[0] - heights[1] == pytest.approx(0.0008, abs=5e-5)
 
 
-def test_a_load_sits_off_its_car_by_as_much_as_its_pocket_is_off():
+def test_a_load_sits_off_its_car_by_as_much_as_its_pocket_is_off(largest):
     """Within the play of 0.1 mm to each side, and of board and boss alike."""
     for making, sign in ((Making(pocket_m=0.003), -1), (Making(board_place_m=0.003), 1)):
         world = _site("reduced", load=Kind.BLOCK)
-        randomize(world, replace(NONE, making=making), Largest())
+        randomize(world, replace(NONE, making=making), np.random.default_rng())
         site = world
         for _ in range(50):
             site.advance()

@@ -28,7 +28,7 @@ from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.schema import Schema
 from craftsim.storage.writing import write_whole
 
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 """Raised whenever something in a bundle changes its meaning or goes away."""
 
 TEXT: Final = "bundle.json"

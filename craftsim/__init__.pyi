@@ -39,6 +39,10 @@ from .rendering.viewer.live import LiveView as LiveView
 from .skills.executor import Executor as Executor
 from .skills.gains import Gains as Gains
 from .skills.gains import load_gains as load_gains
+from .skills.mecanum import Mecanum as Mecanum
+from .skills.outcome import Reason as Reason
+from .skills.skill import Command as Command
+from .skills.skill import Skill as Skill
 from .training.policy import load_policy as load_policy
 from .validation.validation import Validation as Validation
 from .validation.validation import validate as validate

@@ -2,27 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
-from craftsim.models.measuring import CarMeasurement, Motors, Records, measurement_of
-from craftsim.models.sensing import EXACT, SensorNoise, Sensors
-from craftsim.models.world import Site
-from craftsim.skills.control import step_cars
+from craftsim.discrete.readback import nearest_yaw
+from craftsim.models.measuring import READING, Records
+from craftsim.models.motors import Motors
+from craftsim.models.noise import EXACT, SensorNoise
+from craftsim.models.sensing import Sensors, measurement_of
+from craftsim.models.site import Site
+from craftsim.skills.estimator import PoseEstimator, assume_delay
 from craftsim.skills.fleet import Fleet, SiteFleet
 from craftsim.skills.gains import Gains, load_gains
-from craftsim.skills.ground import GROUND
-from craftsim.skills.holding import on_incline
-from craftsim.skills.leading import leads
-from craftsim.skills.localisation import Localiser
+from craftsim.skills.laws import LAG_STEP_S, step_cars
+from craftsim.skills.library import Performer, SkillChoice, Tries, begin_of, own_skills, performers
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.recovery import Tries
-from craftsim.skills.skill import CompiledSkill, Skill, SkillSetup, Terrain, n_past
-from craftsim.skills.state import COMMAND, CONSTANTS, HOLD, IDLE, NO_TASK, OWN, TASK
+from craftsim.skills.skill import (
+    Skill,
+    SkillSetup,
+    Terrain,
+    begin_task,
+    cell_middle,
+    n_angles,
+    start_own,
+    step_own,
+)
+from craftsim.skills.state import CAR, COMMAND, HOLD, IDLE, N_LAGS, NO_TASK, OWN, outcome_of
+
+_ASSUMED_LAG: Final = (1.0, 3.0)
+"""Mean and standard deviation of a motor's lag before it has moved, in steps between candidates."""
 
 Observer = Callable[[Site], None]
 Guard = Callable[[], bool]
@@ -49,6 +63,7 @@ class Executor:
         motors: Motors | None = None,
         assumed: SensorNoise = EXACT,
         fleet: Fleet | None = None,
+        skills: SkillChoice | None = None,
     ) -> None:
         """Run on a Site with these gains, sensors and motors (exact and prompt ones unless given).
 
@@ -59,6 +74,11 @@ class Executor:
 
         ``fleet`` are robots that are driven in place of the Site's cars: the Site then says what they and their world
         are like, and it is theirs to change.
+
+        ``skills`` are of your own, in place of built-in ones: ``{Action.LIFT: MyLift}`` with a subclass of
+        :class:`~craftsim.skills.skill.Skill`, or ``{0: {Action.LIFT: MyLift}}`` for one car.
+
+        Raises InputError for a skill that is none.
         """
         self.site = site
         self.gains = gains or load_gains()
@@ -68,35 +88,32 @@ class Executor:
         self.guard: Guard | None = None
         """Asked after every control period: a yes stops all cars, and ends their actions."""
         self.fleet: Fleet = fleet or SiteFleet(site, sensors, motors)
-        period = site.config.control_period_s
-        self._setups = [SkillSetup(car.parameters, site.machines, self.gains, period) for car in site.cars]
-        self._localiser = (
+        n, period = len(site.cars), site.config.control_period_s
+        self._performers = performers(own_skills(skills), n)
+        machines = [car.parameters for car in site.cars]
+        self._setups = [SkillSetup(machine, site.machines, self.gains, period) for machine in machines]
+        self._estimator = (
             None
             if assumed.exact_pose
-            else Localiser(
-                assumed, period, [car.parameters for car in site.cars], self.gains.localisation, site.size
-            )
+            else PoseEstimator(assumed, period, machines, self.gains.localisation, site.size)
         )
-        n = len(site.cars)
-        self._constants = records(n, CONSTANTS)
-        for car, setup in enumerate(self._setups):
-            self._constants[car] = setup.constants[0]
-        self._tasks, self._commands = records(n, TASK), records(n, COMMAND)
-        self._past = np.zeros((n, n_past(self.gains, period)))
-        self._grounds = records(n, GROUND)
-        self._docked = np.full(n, -1)
-        """The slope that each car commands, -1 for none."""
-        wires = self.fleet.wires
-        self._arrays = (
-            *(self._tasks, self._past, self._constants, self._commands, wires.cars, wires.plugs),
-            *(self._docked, leads(n, period), self._grounds, wires.speeds, wires.share, wires.ctrl),
-        )
-        """What the compiled laws work on."""
-        self._skills: dict[int, Skill] = {}
+        self._cars = records(n, CAR)
+        self._cars["docked"] = -1
+        for car, setup in zip(self._cars, self._setups, strict=True):
+            car["known"] = setup.constants[0]
+            assume_delay(car["lag"]["mismatches"], *_ASSUMED_LAG)
+            shares = (1 - math.exp(-period / (k * LAG_STEP_S)) for k in range(1, N_LAGS))
+            car["lag"]["shares"] = [1.0, *shares]
+        assert CAR.fields is not None
+        offset = CAR.fields["now"][1]
+        self._now = self._cars.view(np.uint8).reshape(n, -1)[:, offset : offset + READING.itemsize]
+        """The bytes of what the cars believe to measure."""
+        self._angles = np.zeros((n, n_angles(self.gains, period)))
         self._tries: dict[int, Tries] = {}
-        self._own: list[int] = []
-        """The cars whose skills are in Python."""
-        self._look()
+        """By car, where its action has not ended."""
+        self._own: dict[int, Skill] = {}
+        """By car, where its skill is in Python."""
+        self._estimate()
         for car in range(n):
             self._park(car, self.readings())
 
@@ -117,59 +134,64 @@ class Executor:
     @property
     def busy(self) -> frozenset[int]:
         """The cars whose actions have not ended."""
-        return frozenset(self._skills)
+        return frozenset(self._tries)
 
     def readings(self) -> Records:
         """Return what the cars believe to measure, shape (n,) of READING; the array is used again by the next ones."""
-        return self.fleet.read() if self._localiser is None else self._localiser.readings
+        return self.fleet.read() if self._estimator is None else self._estimator.readings
 
     @property
     def commands(self) -> Records:
-        """What the cars were told last, shape (n,) of COMMAND; the array is used again by the next ones."""
-        return self._commands
+        """What the cars commanded last, shape (n,) of COMMAND; the array is used again by the next ones."""
+        commands: Records = self._cars["command"]
+        return commands
 
     @property
     def floor_is_uneven(self) -> bool:
         """Whether a car has felt that the floor, which is that of all, is uneven; no floor becomes even again."""
-        return bool(self._grounds["uneven"].any())
+        return bool(self._cars["floor"]["uneven"].any())
 
     def paths(self) -> NDArray[np.float64]:
         """Return where on its path each car should be now, (n, 3): x and y in metres, and heading in radians; nan
         for those not driving."""
-        path: NDArray[np.float64] = self._tasks["drive"]["path"]
+        path: NDArray[np.float64] = self._cars["task"]["drive"]["path"]
         return path.copy()
 
     def begin(self, car: int, action: Action, terrain: Terrain | None = None) -> None:
-        """Let an idle car start an action; it runs as :meth:`advance` is called."""
-        assert car not in self._skills, f"car {car} is busy"
-        if not self._skills:
+        """Let an idle car start an action; it runs as :meth:`advance` is called.
+
+        Raises InputError for an action that no skill performs.
+        """
+        assert car not in self._tries, f"car {car} is busy"
+        if not self._tries:
             self.fleet.attend()
             self._feel()
         setup = self._setups[car].carefully() if self.floor_is_uneven else self._setups[car]
         setup = setup if terrain is None else setup.on(terrain)
-        self._tries[car], skill = Tries.begin(action, setup, self._view(car))
-        self._start(car, skill)
+        performers, now = self._performers[car], measurement_of(self.readings()[car])
+        performer = performers.get(action) or begin_of(action)
+        self._start(car, performer, setup)
+        self._tries[car] = Tries(action, setup, performers, cell_middle(now, nearest_yaw(now.heading)[0]))
 
     def _feel(self) -> None:
         """Let the cars rest as long as they lean and are not sure of it."""
-        uneven = self.gains.uneven
+        uneven, floors = self.gains.uneven, self._cars["floor"]
         for _ in range(round(uneven.tilt_time / self.site.config.control_period_s)):
-            readings, grounds = self.readings(), self._grounds
+            readings = self.readings()
             lean = np.hypot(readings["pitch"], readings["roll"])
-            leaning = (grounds["n_read"] == 0) & (uneven.tilt < lean) & (lean < self.gains.hold.level)
-            if self.floor_is_uneven or self.fleet.lost or not (leaning | (grounds["doubtful"] > 0)).any():
+            leaning = (floors["n_read"] == 0) & (uneven.tilt < lean) & (lean < self.gains.hold.level)
+            if self.floor_is_uneven or self.fleet.lost or not (leaning | (floors["suspected"] > 0)).any():
                 return
             self.advance()
 
-    def _start(self, car: int, skill: Skill) -> None:
-        skill.start(self._view(car))
-        self._skills[car] = skill
-        self._constants[car] = skill.setup.constants[0]
-        if isinstance(skill, CompiledSkill) and skill.runs_compiled:
-            skill.move_to(self._tasks[car : car + 1], self._past[car : car + 1])
+    def _start(self, car: int, performer: Performer, setup: SkillSetup) -> None:
+        record, now = self._cars[car], measurement_of(self.readings()[car])
+        self._angles[car] = 0.0
+        record["known"], record["task"] = setup.constants[0], NO_TASK
+        if isinstance(performer, type):
+            self._own[car], record["task"]["law"] = start_own(performer, setup, now), OWN
         else:
-            self._tasks[car]["law"] = OWN
-            self._own.append(car)
+            begin_task(performer, setup, now, record["task"])
 
     def advance(self) -> dict[int, Outcome]:
         """Step every running skill, let one control period pass, and return the outcomes of those that have ended.
@@ -177,59 +199,62 @@ class Executor:
         Cars that stand on an incline are held.
         """
         readings = self.readings()
-        for car in self._own:
-            command = self._skills[car].step(measurement_of(readings[car]))
-            self._commands[car] = (command.wheels, command.board, command.hinge)
-        n_ended = step_cars(readings, *self._arrays)
+        # Byte by byte, for NumPy takes ten times as long to copy records.
+        self._now[:] = readings.view(np.uint8).reshape(self._now.shape)
+        for car, skill in self._own.items():
+            command = step_own(skill, measurement_of(readings[car]))
+            self._cars["command"][car] = (command.wheels, command.board, command.hinge)
+        n_ended = step_cars(self._cars, self._angles, *self.fleet.wires)
         ended = self._end(readings) if self._own or n_ended else {}
         self.fleet.advance(self.step_observer)
-        self._look()
+        self._estimate()
         for observer in self.observers:
             observer(self.site)
-        if self._skills and self.fleet.lost:
+        if self._tries and self.fleet.lost:
             ended |= self._stop_all(Reason.DISCONNECTED, self.fleet.lost)
-        if self._skills and self.guard is not None and self.guard():
+        if self._tries and self.guard is not None and self.guard():
             ended |= self._stop_all(Reason.STOPPED)
         return ended
 
     def _end(self, readings: Records) -> dict[int, Outcome]:
-        """Let go of the skills that have ended, and return their outcomes."""
+        """Let go of what has ended, and return the outcomes of actions that are over."""
         ended = {}
-        for car, skill in list(self._skills.items()):
-            if car not in self._own:
-                skill.conclude()
-            if skill.outcome is None:
+        for car, tries in list(self._tries.items()):
+            own = self._own.get(car)
+            outcome = outcome_of(self._cars[car]["task"]) if own is None else own.outcome
+            if outcome is None:
                 continue
-            following = self._tries[car].next(skill.outcome)
-            del self._skills[car]
+            following = tries.next(outcome)
             self._park(car, readings)
             if following is None:
-                ended[car] = self._tries.pop(car).outcome(skill.outcome)
+                ended[car] = self._tries.pop(car).outcome(outcome)
             else:
-                self._start(car, following)
+                self._tries[car] = self._tries.pop(car)
+                self._start(car, *following)
         return ended
 
     def _stop_all(self, reason: Reason, detail: str = "") -> dict[int, Outcome]:
-        stopped = {car: Outcome(reason, skill.elapsed_s, detail) for car, skill in self._skills.items()}
-        self._skills.clear()
+        stopped = {}
+        for car in self._tries:
+            own = self._own.get(car)
+            elapsed_s = float(self._cars[car]["task"]["elapsed_s"]) if own is None else own.elapsed_s
+            stopped[car] = Outcome(reason, elapsed_s, detail)
         self._tries.clear()
         for car in stopped:
-            self._commands[car] = np.zeros((), COMMAND)
-            self.fleet.stop(car, self._docked[car])
+            record = self._cars[car]
+            record["command"] = np.zeros((), COMMAND)
+            self.fleet.stop(car, int(record["docked"]))
             self._park(car, self.readings())
         return stopped
 
     def _park(self, car: int, readings: Records) -> None:
         """Leave a car alone, or hold it where it stands on an incline."""
-        if car in self._own:
-            self._own.remove(car)
-        now = readings[car]
-        self._tasks[car] = NO_TASK
-        self._tasks[car]["law"] = HOLD if on_incline(now["pitch"], now["roll"], self.gains.hold) else IDLE
+        self._own.pop(car, None)
+        now, task, hold = readings[car], self._cars[car]["task"], self.gains.hold
+        self._cars[car]["task"] = NO_TASK
+        inclined = hold.level < max(abs(now["pitch"]), abs(now["roll"])) < hold.tipped
+        task["law"] = HOLD if inclined else IDLE
 
-    def _look(self) -> None:
-        if self._localiser is not None:
-            self._localiser.update(self.fleet.read())
-
-    def _view(self, car: int) -> CarMeasurement:
-        return measurement_of(self.readings()[car])
+    def _estimate(self) -> None:
+        if self._estimator is not None:
+            self._estimator.update(self.fleet.read())

@@ -67,7 +67,7 @@ class DriveGains:
     shake_speed: float
     """m/s: ...to and fro with this amplitude of its speed..."""
     shake_rate: float
-    """Hz: ...and so often (:mod:`craftsim.skills.driving_law`)."""
+    """Hz: ...and so often (:func:`craftsim.skills.laws.shake`)."""
     blocked_error: float
     """m: falling this far behind the path, for longer than ``blocked_time``, means that something is in the way."""
     blocked_time: float
@@ -91,7 +91,7 @@ class DriveGains:
 
 @dataclass(frozen=True)
 class UnevenGains:
-    """Driving where cars feel that their floor is uneven (:mod:`craftsim.skills.ground`): limits besides those of
+    """Driving where cars feel that their floor is uneven (:func:`craftsim.skills.estimator.update_floor`): limits besides those of
     :class:`DriveGains`. A car without springs hops there, and its lowered board clears by a millimetre what it passes
     under."""
 

@@ -4,26 +4,49 @@ With wheel radius R and lever l = half wheelbase + half track (rollers at 45 deg
 (vx, vy, omega) needs the wheel speeds R w = (vx - vy - l omega, vx + vy + l omega, vx + vy - l omega,
 vx - vy + l omega) at front left, front right, rear left and rear right.
 
-The compiled functions take lever and radius as a record of a car's figures (:mod:`craftsim.skills.state`) has them.
+The compiled functions take lever and radius as a record of a car's parameters (:mod:`craftsim.skills.state`) has them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.measuring import PerWheel
 from craftsim.models.parameters import SmartcarParameters
+from craftsim.models.sensing import CarMeasurement, PerWheel
+from craftsim.skills.state import GRAVITY
 
 Triple = tuple[float, float, float]
 """(x, y, heading) or (vx, vy, omega): a pose, a way or a speed."""
 
 
+class FeltForces(NamedTuple):
+    """What a car feels of its contacts by its motors; all zero within the noise for one that stands free."""
+
+    wheels_n: PerWheel
+    """With what force each wheel pushes the ground back, forward positive, so that the car is pushed ahead."""
+    wrench: Triple
+    """(N, N, Nm) in the car's frame: of the wheels together, beyond what the car's own weight takes on an incline."""
+    board_n: float
+    """What presses on the board from above, beyond its own weight; 0 while it stands on its stop."""
+
+
 class Mecanum:
-    """The kinematics of one car's four wheels."""
+    """The kinematics of one car's four wheels, and what forces it feels by them.
+
+    Example:
+        >>> import craftsim
+        >>> mecanum = craftsim.Mecanum(craftsim.Machines().cars[0])
+        >>> [round(number, 6) for number in mecanum.body_twist(mecanum.wheel_speeds((0.2, 0.0, 0.5)))]
+        [0.2, 0.0, 0.5]
+    """
 
     def __init__(self, car: SmartcarParameters) -> None:
-        """Take wheel radius and lever from a car's figures."""
+        """Take wheel radius and lever from a car's parameters."""
+        self._car = car
         self.lever_m = car.turn_radius_m
         self.radius_m = car.wheel_radius_m
 
@@ -44,6 +67,23 @@ class Mecanum:
     def wrench(self, torques: Iterable[float]) -> Triple:
         """Return the wrench (fx, fy, mz) in N, N and Nm with which four wheel torques in Nm push the body."""
         return wrench_of(self.lever_m, self.radius_m, *map(float, torques))
+
+    def felt_forces(self, now: CarMeasurement, commanded: PerWheel) -> FeltForces:
+        """Return what a car feels of its contacts, of its measurement and of the wheel speeds that it commanded last.
+
+        By how much a velocity servo lags behind its command says its torque; gears take their friction of it.
+        """
+        car, torques = self._car, []
+        for speed, wanted in zip(now.wheel_speeds, commanded, strict=True):
+            torque = car.wheel_gain_nms_rad * (wanted - speed)
+            torque = max(-car.wheel_torque_nm, min(car.wheel_torque_nm, torque))
+            torques.append(math.copysign(max(0.0, abs(torque) - car.gear_friction_nm), torque))
+        load_n = max(0.0, now.board_force_n - car.board_mass_kg * GRAVITY)
+        weight_n = car.mass_kg * GRAVITY + load_n
+        x, y, turn = self.wrench(torques)
+        x, y = x - weight_n * math.sin(now.pitch), y - weight_n * math.sin(now.roll)
+        fl, fr, rl, rr = (torque / self.radius_m for torque in torques)
+        return FeltForces((fl, fr, rl, rr), (x, y, turn), load_n)
 
     def body_twist(self, speeds: Iterable[float]) -> Triple:
         """Return the body twist (vx, vy, omega) that fits four wheel speeds in rad/s best, by least squares."""

@@ -38,7 +38,7 @@ class Outcome:
     duration_s: float
     detail: str = ""
     tries: int = 1
-    """How often the car tried (:mod:`craftsim.skills.recovery`)."""
+    """How often the car tried (:class:`craftsim.skills.library.Tries`)."""
 
     @property
     def succeeded(self) -> bool:

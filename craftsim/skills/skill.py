@@ -1,24 +1,43 @@
-"""What every skill is: a resumable controller with a start, steps, and a typed outcome."""
+"""Skills: what controls a car while it performs an action.
+
+Built in are functions that set a task up from what the car measures (``begin_...``); the laws of
+:mod:`craftsim.skills.laws` then control all cars at once. A skill of one's own is a subclass of :class:`Skill`, stepped
+in Python. Which performs which action says :mod:`craftsim.skills.library`.
+"""
 
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
+from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
 from craftsim.discrete.kernel.jit import records
-from craftsim.models.measuring import READING, CarMeasurement, Floats, PerWheel, Records, write_reading
+from craftsim.discrete.readback import nearest_yaw
+from craftsim.errors import InputError
+from craftsim.models.measuring import Records
 from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.skills.gains import Gains, careful
-from craftsim.skills.health import check_health
+from craftsim.skills.laws import Profile, feels_load, health_of, step_task
+from craftsim.skills.mecanum import Triple
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.state import COMMAND, NO_TASK, OWN, TASK, constants_of, outcome_of
-
-Law = Callable[[Records, Records, Floats, Records, Records, int], None]
-"""A compiled controller: (readings, tasks, past, constants, commands, car); it reads and writes what is the car's."""
+from craftsim.skills.state import (
+    BOARD,
+    CAR,
+    DRIVE,
+    GRAVITY,
+    HINGE,
+    NO_TASK,
+    RUNNING,
+    STOP,
+    constants_of,
+    outcome_of,
+)
 
 
 @dataclass(frozen=True)
@@ -41,16 +60,16 @@ class SkillSetup:
     """What a skill is given of the car that it controls, of its world and of its tuning."""
 
     machine: SmartcarParameters
-    """The car's own figures."""
+    """The car's own parameters."""
     machines: Machines
-    """The figures of what it handles."""
+    """Those of what it handles."""
     gains: Gains
     period_s: float
     """Control period."""
     terrain: Terrain = Terrain()
     """The ground of a move."""
     constants: Records = field(init=False, repr=False, compare=False)
-    """(1,) CONSTANTS of :mod:`craftsim.skills.state`, not to be written to: all of these for compiled controllers."""
+    """(1,) KNOWN of :mod:`craftsim.skills.state`, not to be written to: all of these for compiled laws."""
 
     def __post_init__(self) -> None:
         constants = constants_of(self.machine, self.machines, self.gains, self.period_s)
@@ -81,124 +100,262 @@ class Command:
     """rad/s of the docked slope's hinge, folding positive."""
 
 
-class Skill(ABC):
-    """A controller of one action of one car.
+Begin = Callable[[SkillSetup, CarMeasurement, np.void], None]
+"""Sets up the task of a compiled law, a record of TASK, from what the car measures."""
 
-    Call :meth:`start` once, then :meth:`step` each control period and apply the command, until :attr:`outcome` is not
-    None. Time is counted in steps, so a skill that is not stepped for a while goes on where it was.
+
+def cell_middle(now: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 0) -> Triple:
+    """Return the middle of the cell so many away from the one that a car is in, and the heading of a yaw."""
+    x, y = math.floor(now.x / CELL_PITCH_M) + along_x, math.floor(now.y / CELL_PITCH_M) + along_y
+    return (x + 0.5) * CELL_PITCH_M, (y + 0.5) * CELL_PITCH_M, yaw_angle(yaw)
+
+
+def begin_move(
+    setup: SkillSetup, now: CarMeasurement, task: np.void, direction: int, target: Triple | None = None
+) -> None:
+    """Drive in a grid direction 0..3 (+x, +y, -x, -y), keeping the heading; to the neighbour cell unless to a pose."""
+    gains, terrain = setup.gains.drive, setup.terrain
+    yaw, _ = nearest_yaw(now.heading)
+    target = target or cell_middle(now, yaw, *DIRECTIONS[direction].tolist())
+    loaded, load_kg = _load(setup, now)
+    speed, acceleration = gains.max_speed, gains.max_acceleration
+    if terrain.sloping:
+        speed, acceleration = gains.max_slope_speed, gains.max_slope_acceleration
+    if terrain.tight:
+        speed = min(speed, gains.max_tight_speed)
+        acceleration = min(acceleration, gains.max_tight_acceleration)
+        if terrain.sloping and loaded:
+            acceleration = min(acceleration, gains.max_tight_slope_acceleration)
+    top_speed, force = _motor_limits(setup, load_kg, max(abs(terrain.start_rad), abs(terrain.end_rad)))
+    known = setup.constants[0]["car"]
+    most = force / (float(known["mass_kg"]) + load_kg + float(known["spin_mass_kg"]))
+    if now.z > 0:
+        most = min(most, gains.rocking / now.z**2)
+    factor = gains.load_factor if loaded else 1.0
+    begin_path(setup, now, task, target, (min(speed * factor, top_speed), min(acceleration * factor, most)))
+    drive = task["drive"]
+    drive["step_x"], drive["step_y"] = DIRECTIONS[direction]
+    drive["sloping"], drive["start_rad"], drive["end_rad"] = (
+        *(terrain.sloping, terrain.start_rad, terrain.end_rad),
+    )
+
+
+def begin_turn(setup: SkillSetup, now: CarMeasurement, task: np.void, quarter: int) -> None:
+    """Turn on the spot by a quarter: +1 is left, counter-clockwise, -1 is right."""
+    gains, known = setup.gains.drive, setup.constants[0]["car"]
+    loaded, load_kg = _load(setup, now)
+    lever_m, inertia = float(known["lever_m"]), float(known["turn_inertia_kgm2"])
+    top_speed, force = _motor_limits(setup, load_kg, 0.0)
+    factor = gains.load_factor if loaded else 1.0
+    speed = min(gains.max_turn_speed * factor, top_speed / lever_m)
+    acceleration = min(gains.max_turn_acceleration * factor, force * lever_m / inertia)
+    yaw, _ = nearest_yaw(now.heading)
+    begin_path(setup, now, task, cell_middle(now, yaw + quarter), (speed, acceleration), turning=True)
+
+
+def begin_path(
+    setup: SkillSetup,
+    now: CarMeasurement,
+    task: np.void,
+    target: Triple,
+    limits: tuple[float, float],
+    turning: bool = False,
+) -> None:
+    """Follow a smooth path from the measured pose to a target pose, and come to rest on it.
+
+    ``limits`` are of speed and acceleration along the path, in metres, or of a path that is ``turning`` in radians.
     """
+    loaded, load_kg = _load(setup, now)
+    x, y, heading = target
+    delta = (x - now.x, y - now.y, math.remainder(heading - now.heading, math.tau))
+    length = abs(float(delta[2])) if turning else float(np.hypot(delta[0], delta[1]))
+    profile = Profile.within(length, *limits)
+    travel = profile.distance(profile.duration_s)
+    task["law"], drive = DRIVE, task["drive"]
+    drive["origin"] = now.x, now.y, now.heading
+    drive["delta"] = delta
+    drive["direction"] = tuple(d / travel for d in delta) if travel else (0.0, 0.0, 0.0)
+    drive["profile"] = profile.cruise_speed, profile.ramp_s, profile.duration_s
+    drive["path"] = now.x, now.y, now.heading
+    drive["load_kg"], drive["loaded"] = load_kg, loaded
+    drive["before"], drive["wheels_before"] = drive["origin"], now.wheel_speeds
+
+
+def begin_board(
+    setup: SkillSetup, now: CarMeasurement, task: np.void, target_m: float, needs_load: bool = False
+) -> None:
+    """Bring the board to so much above its lower stop; with ``needs_load`` it must feel a load there."""
+    task["law"], board = BOARD, task["board"]
+    board["target_m"], board["last_m"], board["needs_load"] = target_m, now.board_m, needs_load
+    travel = abs(target_m - now.board_m)
+    board["deadline_s"] = travel / setup.machine.board_speed_m_s + setup.gains.board.allowance
+
+
+def begin_lift(setup: SkillSetup, now: CarMeasurement, task: np.void) -> None:
+    """Raise the board to its upper stop, where it must feel a load."""
+    begin_board(setup, now, task, setup.machine.board_travel_m, needs_load=True)
+
+
+def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: np.void, folds: bool) -> None:
+    """Bring the hinge of the docked slope to one end of its range: of the slope that a reading first shows."""
+    task["law"], hinge = HINGE, task["hinge"]
+    hinge["target_rad"], hinge["slope"] = setup.machines.slope.hinge_range_rad if folds else 0.0, -1
+
+
+def begin_stop(setup: SkillSetup, now: CarMeasurement, task: np.void) -> None:
+    """Command all motors to zero until the wheels rest."""
+    task["law"] = STOP
+
+
+def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: np.void) -> None:
+    """Set up a task; that of a car in no state to act has ended already."""
+    status = _health(setup, now)
+    if status == RUNNING:
+        begin(setup, now, task)
+    else:
+        begin_stop(setup, now, task)
+        task["status"], task["detail"], task["second_detail"] = status, now.pitch, now.roll
+
+
+def _health(setup: SkillSetup, now: CarMeasurement) -> int:
+    return health_of(now._replace(hinge_rad=0.0) if now.hinge_rad is None else now, setup.gains.health)
+
+
+def _load(setup: SkillSetup, now: CarMeasurement) -> tuple[bool, float]:
+    """Return whether a car feels a load, and of how many kg."""
+    loaded = feels_load(now, setup.gains.health, float(setup.constants[0]["car"]["felt_load_n"]))
+    return loaded, max(0.0, now.board_force_n) / GRAVITY if loaded else 0.0
+
+
+def _motor_limits(setup: SkillSetup, load_kg: float, incline_rad: float) -> tuple[float, float]:
+    """Return the speed (m/s) and the force (N) that the wheels can give, less a reserve and what gears take."""
+    car, share = setup.machine, setup.gains.drive.motor_share
+    torque = share * car.wheel_torque_nm - car.gear_friction_nm
+    weight = (float(setup.constants[0]["car"]["mass_kg"]) + load_kg) * GRAVITY
+    force = 4 * torque / car.wheel_radius_m - weight * math.sin(abs(incline_rad))
+    return share * car.wheel_speed_rad_s * car.wheel_radius_m, max(force, 1.0)
+
+
+class Skill(ABC):
+    """A controller of one action of one car, in Python; subclass it for one of your own.
+
+    It is made with what is known of the car (:class:`SkillSetup`), started with a measurement, and stepped with a
+    measurement each control period until its outcome is set. It sees what the car could see, and nothing else. A car
+    whose readings are not finite or that has tipped ends it, as it does every skill.
+    """
+
+    time_limit_s: ClassVar[float] = 60.0
+    """Simulated time after which it has failed."""
 
     def __init__(self, setup: SkillSetup) -> None:
         """Prepare for this car, world and tuning."""
         self.setup = setup
-        self.period_s = setup.period_s
         self.outcome: Outcome | None = None
-        self.task = records(1, TASK)
-        """(1,) TASK: what the skill remembers."""
-        self.task[0] = NO_TASK
-        self.task[0]["law"] = OWN
-        self._reading = records(1, READING)
-        self._read: CarMeasurement | None = None
-        """What ``_reading`` holds."""
-
-    @property
-    def elapsed_s(self) -> float:
+        """How it has ended; None before. What it commands from then on does not count."""
+        self.elapsed_s = 0.0
         """Simulated time in which it was stepped."""
-        return float(self.task[0]["elapsed_s"])
 
     def start(self, now: CarMeasurement) -> None:
-        """Derive the goal from what the car measures now; a car in no state to act ends the skill at once."""
-        self._check_health(now)
-        if self.outcome is None:
-            self._begin(now)
+        """Derive the goal from what the car measures; nothing unless overridden."""
+        return
 
     @abstractmethod
-    def _begin(self, now: CarMeasurement) -> None:
-        """Derive the goal from plausible measurements."""
-
     def step(self, now: CarMeasurement) -> Command:
-        """Return the command for the next control period; sets :attr:`outcome` when the skill has ended."""
-        if self.outcome is None:
-            self._check_health(now)
-        if self.outcome is None:
-            command = self._control(now)
-            self.task[0]["elapsed_s"] += self.period_s
-            if self.outcome is None:
-                return command
-        return Command()
+        """Return the command for the next control period; :meth:`succeed` or :meth:`fail` where it is the last."""
 
-    @abstractmethod
-    def _control(self, now: CarMeasurement) -> Command:
-        """Return the next command, or end the skill by :meth:`_succeed` or :meth:`_fail`."""
-
-    def feels_load(self, now: CarMeasurement) -> bool:
-        """Return whether the raised board feels a good share of the lightest load's weight beyond its own."""
-        self._take(now)
-        check_health(self._reading, self.task, self.setup.constants, 0)
-        return bool(self.task[0]["feels_load"])
-
-    def _take(self, now: CarMeasurement) -> None:
-        """Write a measurement into the record that compiled code reads, if it is not there yet."""
-        if now is not self._read:
-            write_reading(now, self._reading)
-            self._read = now
-
-    def _succeed(self) -> None:
+    def succeed(self) -> None:
+        """End: the goal is reached."""
         self.outcome = Outcome(None, self.elapsed_s)
 
-    def _fail(self, reason: Reason, detail: str) -> None:
+    def fail(self, reason: Reason, detail: str = "") -> None:
+        """End: it is not."""
         self.outcome = Outcome(reason, self.elapsed_s, detail)
 
-    def _check_health(self, now: CarMeasurement) -> None:
-        self._take(now)
-        check_health(self._reading, self.task, self.setup.constants, 0)
-        self.conclude()
 
-    def conclude(self) -> None:
-        """Take over the outcome of a task that compiled code has ended."""
-        self.outcome = outcome_of(self.task[0]) or self.outcome
+class LawSkill(Skill):
+    """A compiled law that is stepped in Python, a part of a skill of one's own: ``LawSkill(setup, begin_lift)``."""
 
-
-class CompiledSkill(Skill):
-    """A skill whose controller is compiled: an executor runs it for all cars at once, without this object."""
-
-    def __init__(self, setup: SkillSetup, law: Law, number: int) -> None:
-        """Prepare for this car, world and tuning.
-
-        Args:
-            setup: what it is given.
-            law: its controller.
-            number: by which the executor's compiled loop knows the law (:mod:`craftsim.skills.control`).
-        """
+    def __init__(self, setup: SkillSetup, begin: Begin) -> None:
+        """Prepare for the task that a function sets up."""
         super().__init__(setup)
-        self._law = law
-        self.task[0]["law"] = number
-        self.past = np.zeros((1, n_past(setup.gains, setup.period_s)))
-        """(1, :func:`n_past`): what the law remembers of the last periods."""
-        self._command = records(1, COMMAND)
+        self._begin = begin
+        self._cars, self._angles = records(1, CAR), np.zeros((1, n_angles(setup.gains, setup.period_s)))
+        self._cars["known"] = setup.constants
+        self._cars["task"] = NO_TASK
 
-    def _control(self, now: CarMeasurement) -> Command:
-        self._take(now)
-        self._command[0] = ((0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
-        self._law(self._reading, self.task, self.past, self.setup.constants, self._command, 0)
-        self.conclude()
-        command = self._command[0]
+    @property
+    def task(self) -> np.void:
+        """What it remembers, a record of TASK."""
+        task: np.void = self._cars[0]["task"]
+        return task
+
+    def start(self, now: CarMeasurement) -> None:
+        """Set the task up from what the car measures now; a car in no state to act ends it at once."""
+        begin_task(self._begin, self.setup, now, self.task)
+        self.outcome = outcome_of(self.task)
+
+    def step(self, now: CarMeasurement) -> Command:
+        """Return the command for the next control period; sets the outcome when the task has ended."""
+        if self.outcome is not None:
+            return Command()
+        write_reading(now, self._cars["now"])
+        step_task(self._cars[0], self._angles[0])
+        self.elapsed_s = float(self.task["elapsed_s"])
+        self.outcome, command = outcome_of(self.task), self._cars[0]["command"]
         fl, fr, rl, rr = command["wheels"].tolist()
         return Command((fl, fr, rl, rr), float(command["board"]), float(command["hinge"]))
 
-    @property
-    def runs_compiled(self) -> bool:
-        """Whether nothing of its steps is a subclass's own."""
-        own = type(self)
-        return own._control is CompiledSkill._control and own.step is Skill.step
 
-    def move_to(self, tasks: Records, past: Floats) -> None:
-        """Remember in other arrays of the same shapes from now on."""
-        # Copying an array of records as a whole would take NumPy ten times as long.
-        tasks[0], past[0] = self.task[0], self.past[0]
-        self.task, self.past = tasks, past
-
-
-def n_past(gains: Gains, period_s: float) -> int:
-    """Return over how many control periods laws remember a number: over the time in which a hinge must be still."""
+def n_angles(gains: Gains, period_s: float) -> int:
+    """Return over how many control periods hinge angles are remembered: over which a hinge must be still."""
     return round(gains.hinge.still_time / period_s) + 1
+
+
+def start_own(kind: type[Skill], setup: SkillSetup, now: CarMeasurement) -> Skill:
+    """Return a skill of one's own that is started. Raises InputError for one that is not made as it should be."""
+    skill = kind(setup)
+    if not hasattr(skill, "outcome") or not hasattr(skill, "elapsed_s"):
+        raise InputError(f"the skill {kind.__name__}: __init__ must call super().__init__(setup)")
+    _check_own(skill, now)
+    if skill.outcome is None:
+        skill.start(now)
+    return skill
+
+
+def step_own(skill: Skill, now: CarMeasurement) -> Command:
+    """Return what a skill of one's own commands, zeros where it has ended; it ends at its time limit at the latest.
+
+    Raises InputError for one that returns no Command, or sets an outcome that is none.
+    """
+    name = type(skill).__name__
+    if skill.outcome is None:
+        _check_own(skill, now)
+    if skill.outcome is not None:
+        return Command()
+    command = skill.step(now)
+    if not isinstance(command, Command):
+        raise InputError(f"the skill {name}: step() returned {command!r}; it must return a Command")
+    if not isinstance(skill.outcome, Outcome | None):
+        raise InputError(f"the skill {name}: its outcome is {skill.outcome!r}; allowed: None or an Outcome")
+    try:
+        numbers = [float(number) for number in (*command.wheels, command.board, command.hinge)]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != 6:
+        raise InputError(f"the skill {name}: {command!r} must hold four wheel speeds and two numbers")
+    if not all(map(math.isfinite, numbers)):
+        skill.fail(Reason.DIVERGED, f"the skill {name} commands what is not finite")
+    skill.elapsed_s += skill.setup.period_s
+    if skill.outcome is None and skill.elapsed_s >= skill.time_limit_s:
+        skill.fail(Reason.TIMEOUT, f"the skill {name} did not end within {skill.time_limit_s:g} s")
+    return Command() if skill.outcome is not None else command
+
+
+def _check_own(skill: Skill, now: CarMeasurement) -> None:
+    """End the skill of a car in no state to act."""
+    task = records(1, NO_TASK.dtype)[0]
+    status = _health(skill.setup, now)
+    task["status"], task["ended_s"], task["detail"], task["second_detail"] = (
+        *(status, skill.elapsed_s, now.pitch, now.roll),
+    )
+    skill.outcome = outcome_of(task)

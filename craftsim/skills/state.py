@@ -1,4 +1,4 @@
-"""What compiled controllers work on: records of a car's constants, of its task and of its command."""
+"""What compiled controllers work on: one record a car, with its constants, its reading, its task and its command."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.kernel.jit import records
-from craftsim.models.measuring import Records
+from craftsim.models.measuring import READING, Records
 from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.skills.gains import SECTIONS, Gains
 from craftsim.skills.outcome import Outcome, Reason
 
 GRAVITY: Final = 9.81
 
-IDLE, HOLD, OWN, DRIVE, BOARD, HINGE = range(6)
-"""What a car is controlled by: nothing, the hold of a parked car, a skill in Python, or one of the compiled laws."""
+IDLE, HOLD, OWN, DRIVE, BOARD, HINGE, STOP = range(7)
+"""What controls a car: nothing, the hold of a parked car, a skill in Python, or one of the compiled laws."""
 
 (
     RUNNING,
@@ -33,7 +33,8 @@ IDLE, HOLD, OWN, DRIVE, BOARD, HINGE = range(6)
     NO_LOAD,
     UNDOCKED,
     HINGE_SHORT,
-) = range(13)
+    WHEELS_TURN,
+) = range(14)
 """The status of a task."""
 
 _ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
@@ -49,6 +50,7 @@ _ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
     NO_LOAD: (Reason.LOAD_LOST, "the board is up and feels {:.1f} N"),
     UNDOCKED: (Reason.MISALIGNED, "the car is not docked to a slope"),
     HINGE_SHORT: (Reason.TIMEOUT, "the hinge is {:+.2f} rad from its end"),
+    WHEELS_TURN: (Reason.TIMEOUT, "the wheels still turn"),
 }
 """Of each status that ends a task: why it failed, and how its message gives the task's two details."""
 
@@ -63,7 +65,7 @@ _CAR: Final = _floats(
     *("board_speed_m_s", "hinge_speed_rad_s", "felt_load_n"),
 )
 
-CONSTANTS: Final = np.dtype(
+KNOWN: Final = np.dtype(
     [
         ("period_s", "f8"),
         ("car", np.dtype(_CAR)),
@@ -71,7 +73,7 @@ CONSTANTS: Final = np.dtype(
     ],
     align=True,
 )
-"""A car's figures, those of the hinge that it may turn, and the gains by section."""
+"""A car's parameters, those of the hinge that it may turn, and the gains by section."""
 
 _POSE: Final = np.dtype(_floats("x", "y", "heading"))
 _PROFILE: Final = np.dtype(_floats("cruise_speed", "ramp_s", "duration_s"))
@@ -127,9 +129,39 @@ COMMAND: Final = np.dtype([("wheels", "f8", (4,)), ("board", "f8"), ("hinge", "f
 """A :class:`~craftsim.skills.skill.Command` as a record."""
 
 
+N_LAGS: Final = 13
+LAG: Final = np.dtype(
+    [
+        ("mismatches", "f8", (N_LAGS,)),
+        ("servos", "f8", (N_LAGS, 4)),
+        ("shares", "f8", (N_LAGS,)),
+        ("sent", "f8", (4,)),
+    ],
+    align=True,
+)
+"""What a car knows of its motors' lag: the mismatch of each candidate time constant, the speeds that its servos would
+have, and by what shares these approach a command in a control period; then the command sent last."""
+
+FLOOR: Final = np.dtype(
+    [*_floats("pitch", "roll", "variance"), *((name, "i8") for name in ("n_read", "suspected", "uneven"))],
+    align=True,
+)
+"""What a car feels of its floor: mean pitch and roll in radians and the variance of both together, of how many
+readings; whether the mean is too large, but may be noise; whether it ever was too large beyond doubt."""
+
+CAR: Final = np.dtype(
+    [
+        *(("known", KNOWN), ("now", READING), ("task", TASK), ("command", COMMAND)),
+        *(("lag", LAG), ("floor", FLOOR), ("docked", "i8")),
+    ],
+    align=True,
+)
+"""All of one car. ``now`` is what it believes to measure, ``docked`` the slope that it commands, -1 for none."""
+
+
 @lru_cache(maxsize=64)
 def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, period_s: float) -> Records:
-    """Return the constants of a car, shape (1,) of CONSTANTS; not to be written to."""
+    """Return the constants of a car, shape (1,) of KNOWN; not to be written to."""
     # What the spin of the four wheels and their motors adds to the car's inertia, as a mass.
     wheel_inertia_kgm2 = car.wheel_spin_inertia_kgm2 + car.wheel_armature_kgm2
     spin_mass_kg = 4 * wheel_inertia_kgm2 / car.wheel_radius_m**2
@@ -140,14 +172,14 @@ def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, peri
         + spin_mass_kg * car.turn_radius_m**2
     )
     felt_load_n = (car.board_mass_kg + machines.lightest_load_kg * gains.health.load_share) * GRAVITY
-    figures = (
+    parameters = (
         *(car.turn_radius_m, car.wheel_radius_m, car.mass_kg, spin_mass_kg, turn_inertia_kgm2),
         *(wheel_inertia_kgm2, car.wheel_x_m, car.wheel_gain_nms_rad, car.gear_friction_nm),
         *(car.wheel_speed_rad_s, car.wheel_torque_nm, car.board_speed_m_s),
         *(machines.slope.hinge_speed_rad_s, felt_load_n),
     )
-    constants = records(1, CONSTANTS)
-    constants[0] = (period_s, figures, *(astuple(getattr(gains, name)) for name in SECTIONS))
+    constants = records(1, KNOWN)
+    constants[0] = (period_s, parameters, *(astuple(getattr(gains, name)) for name in SECTIONS))
     return constants
 
 

@@ -39,7 +39,7 @@ ALLOWED = {
 }
 """Site.awake_copy writes a copy, and leaves the Site as it is (tests/checking/test_contact_log.py); what is posed
 has data of its own, to be drawn; a mirror shows robots elsewhere, and is never stepped."""
-DECLARED = {"craftsim/skills/planted.py": {"_Shove.push", "_Shove.over"}}
+DECLARED = {"craftsim/skills/disturbances.py": {"_Shove.push", "_Shove.over"}}
 """Where a force is applied that somebody asked for as a disturbance (``craftsim build --disturb shove``)."""
 
 

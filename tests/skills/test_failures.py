@@ -16,10 +16,10 @@ from craftsim.models.parameters import NOMINAL
 from craftsim.models.sensing import measure
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
-from craftsim.skills.library import make_skill
+from craftsim.skills.laws import Profile
+from craftsim.skills.library import begin_of
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.profile import Profile
-from craftsim.skills.skill import Command, SkillSetup, Terrain
+from craftsim.skills.skill import Command, LawSkill, SkillSetup, Terrain
 
 PERIOD_S = 0.02
 FAST = load_gains("fast")
@@ -36,7 +36,7 @@ def _run(site, action, terrain=None, observer=None, gains=None) -> Outcome:
 
 
 def _skill(action):
-    return make_skill(action, SkillSetup(NOMINAL.cars[0], NOMINAL, load_gains(), PERIOD_S))
+    return LawSkill(SkillSetup(NOMINAL.cars[0], NOMINAL, load_gains(), PERIOD_S), begin_of(action))
 
 
 def _limit_force(site, actuator, newtons):
@@ -161,7 +161,7 @@ def test_a_car_that_is_close_enough_brakes_while_two_wheels_slip_on_the_spot():
     slipping = CALM._replace(wheel_speeds=(0.08, 0.0, 0.0, 0.08))
     drives = True
     while drives and skill.outcome is None:
-        way = Profile(*skill.task[0]["drive"]["profile"].tolist()).distance(skill.elapsed_s)
+        way = Profile(*skill.task["drive"]["profile"].tolist()).distance(skill.elapsed_s)
         now = slipping._replace(x=CALM.x + way - 0.0002)
         drives = any(skill.step(now).wheels)
     assert skill.outcome is None

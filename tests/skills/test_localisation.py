@@ -14,13 +14,13 @@ from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.models.measuring import READING, CarMeasurement, measurement_of, write_reading
 from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.models.sensing import ASSUMED, EXACT, NOISY, SensorNoise, Sensors, measure
-from craftsim.models.world import Site
+from craftsim.models.sensing import CarMeasurement, Sensors, measure, measurement_of, write_reading
+from craftsim.models.site import Site
+from craftsim.skills.estimator import PoseEstimator
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
-from craftsim.skills.localisation import Localiser
+from craftsim.skills.laws import Profile
 from craftsim.skills.mecanum import Mecanum
-from craftsim.skills.profile import Profile
 
 PERIOD_S = 0.02
 KINEMATICS = Mecanum(NOMINAL.cars[0])
@@ -31,15 +31,15 @@ SIDEWAYS = np.array([0.0, 1.0, 0.0]), Profile.within(0.3225, 0.8, 3.0)
 TURN = np.array([0.0, 0.0, 1.0]), Profile.within(math.pi / 2, 5.0, 22.0)
 
 
-def _localiser(noise: SensorNoise) -> Localiser:
-    return Localiser(noise, PERIOD_S, NOMINAL.cars, load_gains().localisation, (3, 3, 2))
+def _estimator(noise: SensorNoise) -> PoseEstimator:
+    return PoseEstimator(noise, PERIOD_S, NOMINAL.cars, load_gains().localisation, (3, 3, 2))
 
 
-def _update(localiser: Localiser, now: CarMeasurement) -> CarMeasurement:
-    """Feed one measurement to a Localiser, and return the view."""
+def _update(estimator: PoseEstimator, now: CarMeasurement) -> CarMeasurement:
+    """Feed one measurement to an estimator, and return the view."""
     reading = records(1, READING)
     write_reading(now, reading)
-    return measurement_of(localiser.update(reading)[0])
+    return measurement_of(estimator.update(reading)[0])
 
 
 def _truth(direction, profile, rest_s, heading=0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -53,8 +53,8 @@ def _truth(direction, profile, rest_s, heading=0.0) -> tuple[np.ndarray, np.ndar
 
 
 def _feed(noise, poses, twists, rng, slip=0.02) -> tuple[np.ndarray, np.ndarray]:
-    """Feed a synthetic motion to a Localiser; return its errors (n, 3) and standard deviations (n, 2)."""
-    localiser = _localiser(noise)
+    """Feed a synthetic motion to an estimator; return its errors (n, 3) and standard deviations (n, 2)."""
+    estimator = _estimator(noise)
     delay = rng.uniform(noise.min_delay_s, noise.max_delay_s) / PERIOD_S
     sigma = np.array([noise.position_m, noise.position_m, noise.heading_rad])
     errors, stds = [], []
@@ -68,7 +68,7 @@ def _feed(noise, poses, twists, rng, slip=0.02) -> tuple[np.ndarray, np.ndarray]
             heading=math.remainder(located[2], math.tau),
             wheel_speeds=KINEMATICS.wheel_speeds((1 + slip) * twist),
         )
-        view = _update(localiser, now)
+        view = _update(estimator, now)
         error = np.array([view.x, view.y, view.heading]) - pose
         error[2] = math.remainder(error[2], math.tau)
         errors.append(error)
@@ -115,10 +115,10 @@ def test_at_rest_the_error_falls_as_one_over_the_root_of_the_number_of_localisat
 
 
 def test_at_rest_every_localisation_counts_once_however_late_it_comes():
-    localiser = _localiser(SensorNoise(0.001, 0.003, min_delay_s=0.04, max_delay_s=0.04))
+    estimator = _estimator(SensorNoise(0.001, 0.003, min_delay_s=0.04, max_delay_s=0.04))
     located = 0.001 * np.random.default_rng(0).normal(size=16)
     for n, x in enumerate(located, 1):
-        view = _update(localiser, STILL._replace(x=x))
+        view = _update(estimator, STILL._replace(x=x))
         # The mean, of which the filter's unrest and what it finds of the noise make a little less.
         assert abs(view.x - located[:n].mean()) < 0.4 * 0.001 / math.sqrt(n)
 
@@ -168,7 +168,7 @@ def test_with_exact_sensors_the_executor_takes_measurements_as_they_are():
     executor.begin(0, Action.MOVE_RIGHT)
     for _ in range(10):
         executor.advance()
-        view, true = executor._view(0), measure(site, 0)
+        view, true = measurement_of(executor.readings()[0]), measure(site, 0)
         assert (view.x, view.y, view.heading) == (true.x, true.y, true.heading)
         assert view.position_std_m == view.heading_std_rad == 0.0
 
@@ -176,18 +176,18 @@ def test_with_exact_sensors_the_executor_takes_measurements_as_they_are():
 def test_with_noisy_sensors_skills_see_the_estimate_and_not_the_truth():
     site = Site(_yard())
     executor = Executor(site, sensors=Sensors(site, NOISY, np.random.default_rng(0)), assumed=NOISY)
-    view, true = executor._view(0), measure(site, 0)
+    view, true = measurement_of(executor.readings()[0]), measure(site, 0)
     assert view.x != true.x
     assert view.position_std_m > 0.0
 
 
 def _parameters(executor: Executor) -> list:
     """Return all that the estimates of an executor know before they have measured anything, to the last bit."""
-    if executor._localiser is None:
+    if executor._estimator is None:
         return []
-    estimates, ages = executor._localiser._estimates, executor._localiser._ages
-    names = ("noise", "drifts", "age", "age_std", "jitter", "slip", "cross")
-    return [a.tobytes() for a in (ages, *(estimates[name] for name in names))]
+    estimates, delays = executor._estimator._estimates, executor._estimator._delays
+    names = ("noise", "drifts", "delay", "delay_std", "jitter", "slip", "marker")
+    return [a.tobytes() for a in (delays, *(estimates[name] for name in names))]
 
 
 @pytest.mark.parametrize("world", [EXACT, SensorNoise(0.005, 0.02, min_delay_s=0.06, max_delay_s=0.08)])
@@ -214,37 +214,37 @@ def test_cars_that_take_each_pose_as_it_is_fail_with_late_ones_and_those_that_fi
 def test_a_car_that_has_moved_knows_how_late_its_localisations_are(delay_s):
     world = SensorNoise(0.001, 0.003, min_delay_s=delay_s, max_delay_s=delay_s)
     checked = set_up(_yard(), setup_of("none", noise=world))
-    estimate = checked.executor._localiser._estimates[0]
-    before_s = PERIOD_S * estimate["age_std"]
+    estimate = checked.executor._estimator._estimates[0]
+    before_s = PERIOD_S * estimate["delay_std"]
     checked.perform(0, Action.MOVE_RIGHT)
     assert before_s > 0.04
     # Wheels are read at the end of a period over which the speed is taken to be the same: half of it.
-    assert PERIOD_S * estimate["age"] == pytest.approx(delay_s, abs=0.012)
-    assert PERIOD_S * estimate["age_std"] < 0.006
+    assert PERIOD_S * estimate["delay"] == pytest.approx(delay_s, abs=0.012)
+    assert PERIOD_S * estimate["delay_std"] < 0.006
 
 
 @pytest.mark.parametrize("noise", [(0.0, 0.0), (0.003, 0.01)], ids=["exact", "three times as noisy"])
 def test_at_rest_a_car_finds_out_how_noisy_its_localisations_are(noise):
-    localiser, rng = _localiser(SensorNoise(0.001, 0.003)), np.random.default_rng(0)
+    estimator, rng = _estimator(SensorNoise(0.001, 0.003)), np.random.default_rng(0)
     for _ in range(400):
         x, y, heading = rng.normal(size=3) * (noise[0], noise[0], noise[1])
-        view = _update(localiser, STILL._replace(x=x, y=y, heading=heading))
-    found = np.sqrt(localiser._estimates[0]["noise"])
+        view = _update(estimator, STILL._replace(x=x, y=y, heading=heading))
+    found = np.sqrt(estimator._estimates[0]["noise"])
     np.testing.assert_allclose(found, (noise[0], noise[0], noise[1]), rtol=0.15, atol=0.0005)
     assert (view.position_std_m < 0.0001) is (noise[0] == 0.0)
 
 
 def test_a_wrong_localisation_moves_a_sure_car_by_less_than_the_noise():
-    localiser = _localiser(SensorNoise(0.001, 0.003))
+    estimator = _estimator(SensorNoise(0.001, 0.003))
     for _ in range(50):
-        _update(localiser, STILL)
-    view = _update(localiser, STILL._replace(x=0.3))
+        _update(estimator, STILL)
+    view = _update(estimator, STILL._replace(x=0.3))
     assert abs(view.x) < 0.001
 
 
 def test_a_reading_that_is_not_fresh_says_nothing_new():
-    localiser = _localiser(SensorNoise(0.001, 0.003))
-    sure = [_update(localiser, STILL._replace(fresh=k == 0)).position_std_m for k in range(20)]
+    estimator = _estimator(SensorNoise(0.001, 0.003))
+    sure = [_update(estimator, STILL._replace(fresh=k == 0)).position_std_m for k in range(20)]
     assert sure[-1] >= sure[0]
 
 
@@ -269,28 +269,28 @@ AT_REST = STILL._replace(x=MIDDLE_M, y=MIDDLE_M)
 NONE_SEEN = (math.inf,) * 4
 
 
-def _look(localiser: Localiser, beside_m: float, n: int, **now) -> CarMeasurement:
+def _look(estimator: PoseEstimator, beside_m: float, n: int, **now) -> CarMeasurement:
     """Look so long from below at a cross that is beside its cell's middle, to the car's left."""
     for _ in range(n):
-        view = _update(localiser, AT_REST._replace(lines=(beside_m, beside_m, 0.0, 0.0), **now))
+        view = _update(estimator, AT_REST._replace(lines=(beside_m, beside_m, 0.0, 0.0), **now))
     return view
 
 
 def test_however_long_a_car_looks_at_one_cross_the_next_one_says_as_much():
-    localiser = _localiser(ASSUMED)
-    first = _look(localiser, 0.001, 500)
+    estimator = _estimator(ASSUMED)
+    first = _look(estimator, 0.001, 500)
     # The car takes the cross for the middle, and what its localisations say instead for their bias.
     assert first.y - MIDDLE_M == pytest.approx(-0.001, abs=1e-4)
-    _update(localiser, AT_REST._replace(lines=NONE_SEEN))
-    second = _look(localiser, -0.001, 50)
+    _update(estimator, AT_REST._replace(lines=NONE_SEEN))
+    second = _look(estimator, -0.001, 50)
     assert second.y == pytest.approx(MIDDLE_M, abs=2e-4)
-    assert math.sqrt(localiser._estimates[0]["known"]["covariance"][1, 1]) > 5e-4
+    assert math.sqrt(estimator._estimates[0]["known"]["covariance"][1, 1]) > 5e-4
 
 
 CYCLES = 500
 
 
-def _set_down(localiser: Localiser, setter: int, looker: int, off_rad: float) -> None:
+def _set_down(estimator: PoseEstimator, setter: int, looker: int, off_rad: float) -> None:
     """Let one of two cars set down a block that is turned by an angle against the other, which then looks at it."""
     front, side = off_rad * NOMINAL.cars[0].board_length_m / 2, off_rad * NOMINAL.cars[0].board_width_m / 2
     free = AT_REST._replace(lines=NONE_SEEN)
@@ -300,26 +300,26 @@ def _set_down(localiser: Localiser, setter: int, looker: int, off_rad: float) ->
         for k in range(2):
             write_reading(now if k == car else free, reading[k : k + 1])
         for _ in range(n):
-            localiser.update(reading)
+            estimator.update(reading)
 
 
 @pytest.mark.parametrize("take_turns", [False, True], ids=["alone", "two cars in turn"])
 def test_a_block_that_cars_set_down_does_not_lead_their_headings_astray(take_turns):
     cars = NOMINAL.cars * 2
-    localiser = Localiser(ASSUMED, PERIOD_S, cars, load_gains().localisation, (3, 3, 2))
+    estimator = PoseEstimator(ASSUMED, PERIOD_S, cars, load_gains().localisation, (3, 3, 2))
     for cycle in range(CYCLES):
         setter = cycle % 2 if take_turns else 0
-        _set_down(localiser, setter, 1 - setter if take_turns else 0, 0.001)
+        _set_down(estimator, setter, 1 - setter if take_turns else 0, 0.001)
     # Localisations are exact here, and only what is set down is turned by a milliradian each time.
-    assert np.abs([row["known"]["state"][5] for row in localiser._estimates]).max() < 5e-4
+    assert np.abs([row["known"]["state"][5] for row in estimator._estimates]).max() < 5e-4
 
 
 def test_wheels_that_turn_on_the_spot_are_not_taken_for_a_bias_of_localisations():
-    localiser = _localiser(ASSUMED)
-    _look(localiser, 0.0, 100)
+    estimator = _estimator(ASSUMED)
+    _look(estimator, 0.0, 100)
     # Two millimetres to the left within half a second, by the wheels alone.
-    view = _look(localiser, 0.0, 25, wheel_speeds=KINEMATICS.wheel_speeds([0.0, 0.004, 0.0]))
-    assert np.abs(localiser._estimates[0]["known"]["state"][3:5]).max() < 1e-4
+    view = _look(estimator, 0.0, 25, wheel_speeds=KINEMATICS.wheel_speeds([0.0, 0.004, 0.0]))
+    assert np.abs(estimator._estimates[0]["known"]["state"][3:5]).max() < 1e-4
     assert abs(view.y - MIDDLE_M) < 4e-4
 
 

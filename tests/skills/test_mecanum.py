@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from craftsim.discrete.grid import Kind
 from craftsim.models.parameters import NOMINAL, SmartcarParameters
+from craftsim.models.sensing import measure
 from craftsim.skills.mecanum import Mecanum
 
 SMARTCAR = NOMINAL.cars[0]
@@ -53,3 +55,19 @@ def test_smaller_wheels_turn_faster_and_a_wider_car_turns_its_wheels_further():
 def test_the_lever_and_the_radius_are_those_of_the_car():
     assert SMARTCAR.turn_radius_m == pytest.approx(LEVER)
     assert SMARTCAR.wheel_radius_m == pytest.approx(R)
+
+
+def test_a_car_feels_by_its_motors_what_pushes_against_it_and_what_it_carries(make_site):
+    free = measure(make_site((1, 1, 1), [(0, 0, 1, 0)]), 0)
+    felt = CAR.felt_forces(free, (0.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose([*felt.wheels_n, *felt.wrench, felt.board_n], 0.0, atol=0.05)
+    site = make_site((1, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
+    for _ in range(50):
+        site.advance()
+    assert CAR.felt_forces(measure(site, 0), (0.0,) * 4).board_n == pytest.approx(
+        NOMINAL.block.mass_kg * 9.81, rel=0.01
+    )
+    # Held at a wall, while its wheels are commanded to turn: as much as the motors give, less what gears take.
+    pushing = CAR.felt_forces(free._replace(wheel_speeds=(0.0,) * 4), (50.0,) * 4)
+    most = 4 * (SMARTCAR.wheel_torque_nm - SMARTCAR.gear_friction_nm) / R
+    np.testing.assert_allclose(pushing.wrench, (most, 0.0, 0.0), atol=0.05)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from craftsim.skills.profile import Profile
+from craftsim.skills.laws import Profile
 
 DISTANCES = st.floats(1e-4, 10.0)
 LIMITS = st.floats(0.01, 20.0)

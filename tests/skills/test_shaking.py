@@ -5,8 +5,8 @@ import pytest
 
 from craftsim.discrete.kernel.jit import records
 from craftsim.models.parameters import NOMINAL
-from craftsim.skills.driving_law import _shake
 from craftsim.skills.gains import careful, load_gains
+from craftsim.skills.laws import shake
 from craftsim.skills.state import DRIVE_TASK, constants_of
 
 ERROR = (0.003, 0.004, 0.0)
@@ -20,7 +20,7 @@ def _shaken(times_s, gains=CAREFUL, error=ERROR):
     drive = records(1, DRIVE_TASK)
     drive[0]["profile"]["duration_s"] = DURATION_S
     known = constants_of(NOMINAL.cars[0], NOMINAL, gains, 0.02)
-    return np.array([_shake(drive[0], known[0]["drive"], error, DURATION_S + t) for t in times_s])
+    return np.array([shake(drive[0], known[0]["drive"], error, DURATION_S + t) for t in times_s])
 
 
 @pytest.fixture

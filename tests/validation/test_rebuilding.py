@@ -20,7 +20,7 @@ from craftsim.discrete.tasks import make_task
 from craftsim.envs import parallel_env
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import InputError
-from craftsim.skills.planted import Disturbance
+from craftsim.skills.disturbances import Disturbance
 from craftsim.validation import builds
 from craftsim.validation.runs.obstacles import Without
 

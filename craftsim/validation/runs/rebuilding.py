@@ -22,8 +22,8 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks import Task
 from craftsim.planning import NoPlanError, Planned, plan_building
+from craftsim.skills.disturbances import Disturbance, DisturbedFleet
 from craftsim.skills.executor import Observer
-from craftsim.skills.planted import Disturbance, DisturbedFleet
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 from craftsim.validation.runs.obstacles import Without, stuck_with
 

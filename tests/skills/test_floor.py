@@ -12,14 +12,13 @@ from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Floor
-from craftsim.models.measuring import READING
+from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.randomization import NONE
-from craftsim.models.sensing import SensorNoise
+from craftsim.skills.estimator import update_floor
 from craftsim.skills.gains import load_gains
-from craftsim.skills.ground import GROUND, feel_ground
 from craftsim.skills.skill import Terrain
-from craftsim.skills.state import DRIVE, IDLE, TASK, constants_of
+from craftsim.skills.state import CAR, DRIVE, IDLE, constants_of
 
 PERIOD_S = 0.02
 GAINS = load_gains()
@@ -28,14 +27,14 @@ UNEVEN = replace(NONE, floor=Floor(lippage_m=0.003, tile_m=0.3))
 
 
 def _felt(pitches, sloping=False, law=IDLE):
-    """Return the GROUND of a car that has read these pitches."""
-    ground, now, task = records(1, GROUND), records(1, READING), records(1, TASK)
-    known = constants_of(NOMINAL.cars[0], NOMINAL, GAINS, PERIOD_S)
-    task[0]["law"], task[0]["drive"]["sloping"] = law, sloping
+    """Return what a car feels of its floor that has read these pitches."""
+    cars = records(1, CAR)
+    cars["known"] = constants_of(NOMINAL.cars[0], NOMINAL, GAINS, PERIOD_S)
+    cars["task"]["law"], cars["task"]["drive"]["sloping"] = law, sloping
     for pitch in pitches:
-        now[0]["pitch"] = pitch
-        feel_ground(ground[0], now[0], task[0], known[0])
-    return ground[0]
+        cars["now"]["pitch"] = pitch
+        update_floor(cars[0])
+    return cars[0]["floor"]
 
 
 def _noise(seconds, std=0.002):
@@ -44,7 +43,7 @@ def _noise(seconds, std=0.002):
 
 def test_with_exact_sensors_five_readings_tell():
     assert _felt([1.01 * GAINS.uneven.tilt] * 5)["uneven"]
-    assert _felt([1.01 * GAINS.uneven.tilt] * 4)["doubtful"]
+    assert _felt([1.01 * GAINS.uneven.tilt] * 4)["suspected"]
     assert not _felt([0.99 * GAINS.uneven.tilt] * 5)["uneven"]
 
 

@@ -1,4 +1,4 @@
-"""Disturbances planted in a world on purpose: what happens to cars and blocks that nobody planned.
+"""Disturbances of a world on purpose: what happens to cars and blocks that nobody planned.
 
 A block is shoved by a force on it, as a hand would; a car out of action gets no commands any more. No pose is written.
 """
@@ -22,7 +22,7 @@ from craftsim.models.sensing import Sensors
 from craftsim.models.world import Site
 from craftsim.skills.fleet import SiteFleet
 
-PlantedKind = Literal["shove", "dead-car"]
+DisturbanceKind = Literal["shove", "dead-car"]
 
 SHOVE_S: Final = 1.0
 """How long a shove over one cell takes."""
@@ -38,7 +38,7 @@ _LIFTED: Final = 0.5
 class Disturbance:
     """What is done to a world, and when. Raises InputError for a time that is none."""
 
-    kind: PlantedKind
+    kind: DisturbanceKind
     """``shove``: a block on the floor that bears nothing goes one cell aside. ``dead-car``: a car's motors get no
     commands from then on; wheels, board and hinge brake. Which one is drawn from the world's seed."""
     start_s: float

@@ -1,0 +1,499 @@
+"""What cars estimate: where they are, how late localisations and motors are, and whether their floor is uneven.
+
+Odometry is prompt and smooth, so a car is controlled by it; all else only says by how much odometry is off. One Kalman
+filter for each car estimates that, for x, y and heading, and with it by how much its localisations are beside its
+place. Uncertainty grows with the way travelled, for wheels slip.
+
+- A localisation is compared with where the car believed to be when it was taken. How long ago that was is estimated
+  from the motion itself. As far as it is unknown, a localisation says little while the car moves, and all that it can
+  say once the car has rested for long enough: a delay that is not known yet cannot make a car swing. How noisy
+  localisations are is found from how they scatter at rest.
+- Below a block or a slope, which stands in the middle of its cell, line sensors see a marker: a cross that says where
+  the car is, at once and without bias, unless a car has set it down there. Nothing else can tell a bias: it is changed
+  only while such a marker is seen, and what is learnt of it there stays known.
+
+How late one signal comes behind another that is prompt, a localisation behind odometry or a wheel behind its command,
+is estimated so: for each candidate delay, in whole control periods, the ways that both signals went over a short window
+are compared. The squared mismatch is least at the true delay, and near it a parabola in the delay, whose vertex and
+width give the delay and its variance. Ways do not depend on where the signals started, and hardly on a scale between
+them. What is assumed before anything has moved is one more parabola.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.rotation import wrap
+from craftsim.models.measuring import READING, Floats, Records
+from craftsim.models.noise import SensorNoise
+from craftsim.models.parameters import SmartcarParameters
+from craftsim.skills.gains import LocalisationGains
+from craftsim.skills.mecanum import body_twist
+from craftsim.skills.state import DRIVE
+
+Flags = NDArray[np.bool_]
+
+WINDOW: Final = 5
+"""Control periods over which ways are compared; a period's mismatch counts in so many windows."""
+_SUREST: Final = 0.1
+"""Periods: a delay is known no better than this, for it is not quite constant."""
+_OLDEST_S: Final = 0.3
+"""The greatest delay that is looked for, unless more is assumed."""
+_COUNTS: Final = 8.0
+"""The assumed noise counts as much as so many localisations at rest..."""
+_MEMORY: Final = 500.0
+"""...and these as much as so many at most."""
+_ALIKE_M: Final = 0.05
+"""So far wheels slip alike: as long as two of them stand loose, or something is pushed..."""
+_LOOSE: Final = 100.0
+"""...but over a period by no more than ten times their share."""
+_STILL_M_S: Final = 0.002
+"""A car that rolls slower than this rests."""
+_LEAST: Final = 1e-12
+"""m^2 or rad^2: what is exact is not taken to be quite so."""
+_ALIKE: Final = 100.0
+"""A delay that is believed wrongly is so for all localisations of a move: about so many count as one."""
+_DOUBT: Final = 0.1
+"""By this share of its way an outlier makes a car doubt where it is, so that it believes one after the other."""
+_OUTLIER: Final = 4.0
+"""A measurement that is further off than so many standard deviations pulls no more than one that is so far off."""
+_LOWERED_M: Final = 0.003
+"""Below this height the board touches nothing: what is above stands where the map says."""
+_LEVEL_RAD: Final = 0.05
+"""A car that leans further stands on a slope, where nothing is above it."""
+_FEWEST: Final = 5
+"""Readings of the floor without which there is doubt: fewer do not show how much they scatter."""
+_SURE: Final = 3.0
+"""There is no doubt beyond so many standard errors of the mean."""
+_X, _Y, _HEADING, _BIAS, _MARKER, _N = 0, 1, 2, 3, 6, 9
+"""Places in the state: what odometry lacks of x, y and heading, then the biases of their localisations, and then by how
+much the marker that the car looks at is beside the middle of its cell, and turned; and how many these are."""
+
+_FILTER: Final = np.dtype(
+    [
+        ("state", "f8", (_N,)),
+        ("covariance", "f8", (_N, _N)),
+        ("slopes", "f8", (_N,)),
+        ("shares", "f8", (_N,)),
+    ],
+    align=True,
+)
+"""An estimate and the covariance of its errors. ``slopes`` is by how much the next measurement grows with each part of
+the state; ``shares`` is room to calculate in."""
+
+_SEEN: Final = np.dtype(
+    [
+        ("reach_m", "f8", (4,)),
+        *((name, "f8") for name in ("variance", "placed", "turned")),
+        *((name, "i8") for name in ("seen", "x", "y", "raised")),
+    ],
+    align=True,
+)
+"""How far a car's line sensors are before its middle, the first two, and to the left of it; the variances of where a
+line is seen, and of where and how a marker stands; whether one is seen, and its cell; whether the board was raised
+last."""
+
+_ESTIMATE: Final = np.dtype(
+    [
+        *((name, "f8") for name in ("period_s", "lever_m", "radius_m")),
+        *((name, "f8") for name in ("slip", "jitter", "counts", "delay", "delay_std")),
+        ("n_still", "i8"),
+        ("known", _FILTER),
+        ("marker", _SEEN),
+        ("drifts", "f8", (6,)),
+        *((name, "f8", (3,)) for name in ("noise", "scatter")),
+    ],
+    align=True,
+)
+"""What one car estimates. ``drifts`` are variances that each state gains in a period at rest; ``noise`` has those of
+localisations, and ``scatter`` the sums that they come from."""
+
+
+def assume_delay(mismatches: Floats, delay: float, std: float) -> None:
+    """Begin with what is assumed of a delay, in periods; ``mismatches`` has one for each candidate 0, 1, ..."""
+    mismatches[:] = WINDOW * ((np.arange(len(mismatches)) - delay) / std) ** 2
+
+
+def likeliest_delay(mismatches: Floats) -> tuple[float, float]:
+    """Return the delay in periods, and its standard deviation."""
+    best, last = 0, len(mismatches) - 1
+    for k in range(1, last + 1):
+        if mismatches[k] < mismatches[best]:
+            best = k
+    middle = min(max(best, 1), last - 1)
+    before, at, after = mismatches[middle - 1], mismatches[middle], mismatches[middle + 1]
+    bend = (before - 2 * at + after) / 2
+    if bend <= 0.0:
+        return float(best), 1.0
+    delay = middle + (before - after) / (4 * bend)
+    return max(0.0, min(float(last), delay)), max(_SUREST, math.sqrt(WINDOW / bend))
+
+
+delay_of = compiled(likeliest_delay)
+"""The same in compiled code."""
+
+
+class PoseEstimator:
+    """The pose estimates of all cars; call :meth:`update` once each control period."""
+
+    def __init__(
+        self,
+        assumed: SensorNoise,
+        period_s: float,
+        cars: Sequence[SmartcarParameters],
+        gains: LocalisationGains,
+        size: Sequence[int],
+    ) -> None:
+        """Expect readings with this noise at this period, of cars with these parameters; they may come otherwise.
+
+        ``size`` is that of the world in cells, of which length and width count.
+        """
+        n = len(cars)
+        self.readings = records(n, READING)
+        """(n,) READING: the newest, with the estimated poses in place of the localised ones."""
+        least, most = assumed.min_delay_s / period_s, assumed.max_delay_s / period_s
+        n_delays = math.ceil(max(assumed.max_delay_s, _OLDEST_S) / period_s) + 1
+        self._delays = np.zeros((n, n_delays))
+        """The mismatch of each delay in periods."""
+        for mismatches in self._delays:
+            assume_delay(mismatches, (least + most) / 2, max(0.1, (most - least) / math.sqrt(12)))
+        self._estimates = records(n, _ESTIMATE)
+        for row, car in zip(self._estimates, cars, strict=True):
+            row["period_s"], row["lever_m"], row["radius_m"] = period_s, car.turn_radius_m, car.wheel_radius_m
+            marker, along_m, across_m = row["marker"], car.board_length_m / 2, car.board_width_m / 2
+            marker["reach_m"], marker["variance"] = (
+                (along_m, -along_m, across_m, -across_m),
+                assumed.line_m**2,
+            )
+            marker["placed"], marker["turned"] = gains.placement**2, (gains.placement / CELL_PITCH_M) ** 2
+            row["slip"], row["jitter"], row["counts"] = gains.slip, assumed.jitter_s / period_s, _COUNTS
+            place, turn = gains.position_drift**2, gains.heading_drift**2
+            walk, sway = assumed.position_drift_m**2 * period_s, assumed.heading_drift_rad**2 * period_s
+            row["drifts"] = place, place, turn, walk, walk, sway
+            row["noise"] = assumed.position_m**2, assumed.position_m**2, assumed.heading_rad**2
+            row["scatter"] = _COUNTS * row["noise"]
+            stds = assumed.position_bias_m, assumed.position_bias_m, assumed.heading_bias_rad
+            covariance = row["known"]["covariance"]
+            for k, std in enumerate(stds):
+                bias, noise = std**2, row["noise"][k]
+                covariance[k, k], covariance[_BIAS + k, _BIAS + k] = bias + noise, bias
+                covariance[k, _BIAS + k] = covariance[_BIAS + k, k] = -bias
+        self._odometry = np.zeros((n, 3, n_delays + WINDOW))
+        """x, y and heading by odometry alone at the end of each period; the newest first."""
+        self._located = np.zeros((n, 3, WINDOW + 1))
+        """The localisations; the newest first."""
+        self._moved = np.zeros(tuple(size[:2]), np.bool_)
+        """(length, width): whether a car has set something down in a column of cells."""
+        self._begun = False
+
+    def update(self, readings: Records) -> Records:
+        """Take in the readings of all cars, shape (n,), and return :attr:`readings`."""
+        if not self._begun:
+            self._begin(readings)
+        _update(
+            readings,
+            *(self._estimates, self._delays, self._odometry, self._located, self._moved),
+            self.readings,
+            self._begun,
+        )
+        self._begun = True
+        return self.readings
+
+    def _begin(self, readings: Records) -> None:
+        """Begin with what is measured."""
+        for past in (self._odometry, self._located):
+            past[:] = np.stack([readings[name] for name in ("x", "y", "heading")], axis=1)[..., None]
+        for estimate, mismatches in zip(self._estimates, self._delays, strict=True):
+            estimate["delay"], estimate["delay_std"] = likeliest_delay(mismatches)
+
+
+@compiled
+def _update(
+    readings: Records,
+    estimates: Records,
+    delays: Floats,
+    odometry: Floats,
+    located: Floats,
+    moved: Flags,
+    out: Records,
+    begun: bool,
+) -> None:
+    for i in range(len(readings)):
+        out[i] = readings[i]
+        now, estimate, rolled, seen = out[i], estimates[i], odometry[i], located[i]
+        known = estimate.known
+        state, covariance = known.state, known.covariance
+        if begun:
+            _predict(now, estimate, rolled)
+            # Localisations grow older by a period; none has come yet.
+            _shift(seen)
+            seen[_X, 0] = seen[_Y, 0] = seen[_HEADING, 0] = math.nan
+            if now.fresh:
+                _localise(now, estimate, delays[i], rolled, seen)
+        now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
+        now.heading = rolled[_HEADING, 0] + state[_HEADING]
+        _update_marker(now, known, estimate.marker, moved)
+        now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
+        now.heading = wrap(rolled[_HEADING, 0] + state[_HEADING])
+        # A coordinate is known from localisations up to their bias, and by a marker up to its place.
+        now.position_std_m = 0.0
+        for k in range(3):
+            own, bias, marker = covariance[k, k], _BIAS + k, _MARKER + k
+            by_localisations = own + 2 * covariance[k, bias] + covariance[bias, bias]
+            by_marker = own - 2 * covariance[k, marker] + covariance[marker, marker]
+            std = math.sqrt(max(0.0, min(own, by_localisations, by_marker)))
+            if k == _HEADING:
+                now.heading_std_rad = std
+            else:
+                now.position_std_m = max(now.position_std_m, std)
+
+
+@compiled
+def _shift(past: Floats) -> None:
+    """Let what was the newest in each row be the second newest, and so on."""
+    for row in range(3):
+        for k in range(past.shape[1] - 1, 0, -1):
+            past[row, k] = past[row, k - 1]
+
+
+@compiled
+def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
+    """Go on as the wheels do, no further than the car moved; they may slip on all that they rolled."""
+    wheels, period_s, lever_m = now.wheel_speeds, estimate.period_s, estimate.lever_m
+    twist = body_twist(lever_m, estimate.radius_m, wheels[0], wheels[1], wheels[2], wheels[3])
+    forward, left, turn = period_s * twist[0], period_s * twist[1], period_s * twist[2]
+    forward, left = forward * math.cos(now.pitch), left * math.cos(now.roll)
+    middle = rolled[_HEADING, 0] + estimate.known.state[_HEADING] + turn / 2
+    c, s = math.cos(middle), math.sin(middle)
+    x, y = c * forward - s * left, s * forward + c * left
+    _shift(rolled)
+    rolled[_X, 0] += x
+    rolled[_Y, 0] += y
+    rolled[_HEADING, 0] += turn
+    covariance = estimate.known.covariance
+    # A car whose heading is off goes astray.
+    for k in range(_N):
+        covariance[_X, k] -= y * covariance[_HEADING, k]
+        covariance[_Y, k] += x * covariance[_HEADING, k]
+    for k in range(_N):
+        covariance[k, _X] -= y * covariance[k, _HEADING]
+        covariance[k, _Y] += x * covariance[k, _HEADING]
+    for k in range(6):
+        covariance[k, k] += estimate.drifts[k]
+    # Whichever way the wheels roll, they slip in all directions, and over a while alike.
+    rolled_m = math.hypot(forward, left) + lever_m * abs(turn)
+    slipped = (estimate.slip * rolled_m) ** 2 * max(1.0, min(_LOOSE, _ALIKE_M / max(rolled_m, _LEAST)))
+    covariance[_X, _X] += slipped
+    covariance[_Y, _Y] += slipped
+    covariance[_HEADING, _HEADING] += slipped / lever_m**2
+    estimate.n_still = estimate.n_still + 1 if rolled_m < _STILL_M_S * period_s else 0
+
+
+@compiled
+def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
+    """Take in a localisation."""
+    delay, std, jitter, known = estimate.delay, estimate.delay_std, estimate.jitter, estimate.known
+    state = known.state
+    turned = now.heading - _at(rolled, _HEADING, delay) - state[_HEADING] - state[_BIAS + _HEADING]
+    # Headings are counted on beyond half a turn.
+    seen[_X, 0], seen[_Y, 0], seen[_HEADING, 0] = now.x, now.y, now.heading - turned + wrap(turned)
+    straight = True
+    for k in range(3):
+        known.slopes[k] = known.slopes[_BIAS + k] = 1.0
+        off = seen[k, 0] - _at(rolled, k, delay) - state[k] - state[_BIAS + k]
+        # A localisation of unknown delay says little of a car that moved.
+        unsure = (_at(rolled, k, delay - std) - _at(rolled, k, delay + std)) / 2
+        jittered = (_at(rolled, k, delay - jitter) - _at(rolled, k, delay + jitter)) / 2
+        spread = _ALIKE * unsure**2 + jittered**2 + _LEAST
+        # Without such a marker nothing tells a bias from slip, which is one-sided while a car turns one way.
+        if not _correct(known, off, estimate.noise[k] + spread, 0 if estimate.marker.seen else 3):
+            straight = False
+            known.covariance[k, k] += (_DOUBT * off) ** 2
+    if straight:
+        _learn(estimate, mismatches, rolled, seen)
+    else:
+        seen[_X, 0] = seen[_Y, 0] = seen[_HEADING, 0] = math.nan
+
+
+@compiled
+def _learn(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
+    """Take in what localisations say of themselves: how late they are, by the way of the last periods, and how noisy,
+    by how much they differ at rest from one to the next."""
+    n_still, noise = estimate.n_still, estimate.noise
+    if n_still < rolled.shape[1] and math.isfinite(seen[_X, WINDOW]):
+        way = math.hypot(seen[_X, 0] - seen[_X, WINDOW], seen[_Y, 0] - seen[_Y, WINDOW])
+        turn = seen[_HEADING, 0] - seen[_HEADING, WINDOW]
+        for k in range(3):
+            unsure = estimate.slip * (turn if k == _HEADING else way)
+            late_way = seen[k, 0] - seen[k, WINDOW]
+            # Of the difference of the two ways at the true delay.
+            variance = 2 * noise[k] + unsure**2 + _LEAST
+            for delay in range(len(mismatches)):
+                mismatches[delay] += (late_way - rolled[k, delay] + rolled[k, delay + WINDOW]) ** 2 / variance
+        estimate.delay, estimate.delay_std = delay_of(mismatches)
+    last = 1
+    while last < WINDOW and not math.isfinite(seen[_X, last]):
+        last += 1
+    settled = estimate.delay + 3 * (estimate.delay_std + estimate.jitter) + 1 + last
+    if n_still >= settled and math.isfinite(seen[_X, last]):
+        fade = min(1.0, _MEMORY / (estimate.counts + 1))
+        estimate.counts = fade * (estimate.counts + 1)
+        for k in range(3):
+            estimate.scatter[k] = fade * (estimate.scatter[k] + (seen[k, 0] - seen[k, last]) ** 2 / 2)
+            noise[k] = estimate.scatter[k] / estimate.counts
+
+
+@compiled
+def _at(past: Floats, row: int, delay: float) -> float:
+    """Return what a row of a past was so many periods ago, between two of them."""
+    oldest = past.shape[1] - 1
+    back = max(0.0, min(delay, float(oldest)))
+    newer = math.floor(back)
+    older = min(newer + 1, oldest)
+    value: float = past[row, newer] + (back - newer) * (past[row, older] - past[row, newer])
+    return value
+
+
+@compiled
+def _correct(known: Record, off: float, variance: float, n_held: int) -> bool:
+    """Take a scalar measurement into a FILTER; return False for an outlier.
+
+    Args:
+        known: the filter, with the slopes of the measurement; they are zero afterwards.
+        off: by how much the measurement is above what was expected.
+        variance: of the measurement.
+        n_held: so many of the biases the measurement leaves as they are, however unsure they are: it says nothing of
+            them by itself (a Schmidt-Kalman filter).
+    """
+    state, covariance, slopes, shares = known.state, known.covariance, known.slopes, known.shares
+    expected = variance
+    for i in range(_N):
+        shares[i] = 0.0
+        for j in range(_N):
+            shares[i] += covariance[i, j] * slopes[j]
+        expected += slopes[i] * shares[i]
+    most = _OUTLIER * math.sqrt(expected)
+    pull = max(-most, min(most, off)) / expected
+    for i in range(_N):
+        slopes[i] = 0.0
+        held = _BIAS <= i < _BIAS + n_held
+        if not held:
+            state[i] += shares[i] * pull
+        for j in range(_N):
+            if not (held and _BIAS <= j < _BIAS + n_held):
+                covariance[i, j] -= shares[i] * shares[j] / expected
+    return abs(off) <= most
+
+
+@compiled
+def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> None:
+    """Correct a pose by the lines that are seen of the marker above.
+
+    By how much it is beside the middle of its cell is estimated, too, as long as it is seen: however often a car looks
+    at one marker, it knows its place no better than that has been put there. Over several markers this averages out.
+
+    That holds for markers that have been there from the start. What a car sets down stands where that car believed to
+    be: a car that took it for the middle would pass its own error, or another car's, on to itself, with all that came
+    to it in between, and so would the next one, without end. Below it a car knows only how it moves.
+
+    A car that passes from below one marker to the next looks at the one until it has lost it.
+
+    Args:
+        now: the reading, with the pose as estimated so far.
+        known: the filter; the first parts of its state are of x, y and heading.
+        marker: that the car looks at.
+        moved: (length, width), whether a car has set something down in a column of cells.
+    """
+    if now.board_m > _LOWERED_M:
+        marker.raised, marker.seen = 1, 0
+        return
+    x, y = now.x, now.y
+    if marker.raised:
+        marker.raised = 0
+        column_x, column_y = math.floor(x / CELL_PITCH_M), math.floor(y / CELL_PITCH_M)
+        # A car that believes to be outside has no column.
+        if 0 <= column_x < moved.shape[0] and 0 <= column_y < moved.shape[1]:
+            moved[column_x, column_y] = True
+    if abs(now.pitch) > _LEVEL_RAD or abs(now.roll) > _LEVEL_RAD:
+        marker.seen = 0
+        return
+    c, s = math.cos(now.heading), math.sin(now.heading)
+    state, slopes, covariance = known.state, known.slopes, known.covariance
+    before = (state[0], state[1], state[2])
+    still = False
+    for k in range(4):
+        toward_x, toward_y = (c, s) if k < 2 else (-s, c)
+        there_x = math.floor((x + marker.reach_m[k] * toward_x) / CELL_PITCH_M) == marker.x
+        there_y = math.floor((y + marker.reach_m[k] * toward_y) / CELL_PITCH_M) == marker.y
+        still = still or (there_x and there_y and math.isfinite(now.lines[k]))
+    if not still:
+        marker.seen = 0
+    for k in range(4):
+        if not math.isfinite(now.lines[k]):
+            continue
+        # Sensors before and behind measure to the left, the others forward.
+        toward_x, toward_y, axis_x, axis_y = (c, s, -s, c) if k < 2 else (-s, c, c, s)
+        from_x, from_y = marker.reach_m[k] * toward_x, marker.reach_m[k] * toward_y
+        cell_x = math.floor((x + from_x) / CELL_PITCH_M)
+        cell_y = math.floor((y + from_y) / CELL_PITCH_M)
+        within = 0 <= cell_x < moved.shape[0] and 0 <= cell_y < moved.shape[1]
+        if within and moved[cell_x, cell_y]:
+            continue
+        if not marker.seen:
+            marker.seen, marker.x, marker.y = 1, cell_x, cell_y
+            # It is another marker, which may stand anywhere, whatever is known of all else.
+            for j in range(_MARKER, _N):
+                state[j] = 0.0
+                for i in range(_N):
+                    covariance[i, j] = covariance[j, i] = 0.0
+                covariance[j, j] = marker.turned if j == _MARKER + 2 else marker.placed
+        elif cell_x != marker.x or cell_y != marker.y:
+            continue
+        # From the middle of the cell to the sensor.
+        at_x = x + from_x - (cell_x + 0.5) * CELL_PITCH_M
+        at_y = y + from_y - (cell_y + 0.5) * CELL_PITCH_M
+        along_x = abs(axis_x) > abs(axis_y)
+        to_axis = axis_x if along_x else axis_y
+        row = 0 if along_x else 1
+        slopes[row], slopes[_MARKER + row] = -1 / to_axis, 1 / to_axis
+        # By how much the place of the sensor, or of the line there, moves when the car or the marker turns.
+        slopes[2] = (from_y if along_x else -from_x) / to_axis
+        slopes[_MARKER + 2] = (-at_y if along_x else at_x) / to_axis
+        off = now.lines[k] + (at_x if along_x else at_y) / to_axis
+        for j in range(3):
+            off -= slopes[j] * (state[j] - before[j]) + slopes[_MARKER + j] * state[_MARKER + j]
+        _correct(known, off, marker.variance, 0)
+
+
+@compiled
+def update_floor(car: Record) -> bool:
+    """Take a car's reading into what it feels of its floor, by how much it leans where it should be level; return True.
+
+    Return False, and leave it, for one that stands on a slope or drives from or onto one: these the map shows. Pitch
+    and roll are averaged over a while, and the floor is uneven when their mean is too large beyond doubt: how noisy the
+    sensors are shows in how they scatter. No car knows the floor.
+    """
+    now, floor, task, known = car.now, car.floor, car.task, car.known
+    leans = max(abs(now.pitch), abs(now.roll)) > known.hold.level
+    if leans or (task.law == DRIVE and task.drive.sloping):
+        return False
+    floor.n_read += 1
+    share = 1 / min(float(floor.n_read), max(1.0, known.uneven.tilt_time / known.period_s))
+    pitch, roll = now.pitch - floor.pitch, now.roll - floor.roll
+    floor.pitch += share * pitch
+    floor.roll += share * roll
+    floor.variance += share * ((1 - share) * (pitch * pitch + roll * roll) - floor.variance)
+    beyond = math.hypot(floor.pitch, floor.roll) - known.uneven.tilt
+    # The mean of n readings has 1 / n of their variance, a fading one of shares s has s / (2 - s).
+    error = math.sqrt(floor.variance * max(share / (2 - share), 1.0 / floor.n_read))
+    if floor.n_read >= _FEWEST and beyond > _SURE * error:
+        floor.uneven = 1
+    floor.suspected = beyond > 0 and not floor.uneven
+    return True

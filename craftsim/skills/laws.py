@@ -1,0 +1,495 @@
+"""All compiled controllers: one control period of all cars, and the law of each kind of task.
+
+A law is a function of a car's record, of which it reads what the car knows and measures and writes the command; it ends
+the task with a status. Driving follows a smooth path of poses and comes to rest at its end: the wheels get the path's
+speed (feed-forward), a correction proportional to the pose error with integral action near the goal, and on top what
+the velocity servos need to overcome the gears' dry friction, gravity on an incline, and inertia.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from craftsim.discrete.kernel.jit import Record, compiled
+from craftsim.discrete.kernel.rotation import wrap
+from craftsim.models.measuring import Floats, Records
+from craftsim.models.motors import drive_wheels
+from craftsim.skills.estimator import delay_of, update_floor
+from craftsim.skills.mecanum import Triple, body_twist, on_wheels, wrench_of
+from craftsim.skills.state import (
+    BLOCKED,
+    BOARD,
+    BOARD_SHORT,
+    DRIVE,
+    GRAVITY,
+    HINGE,
+    HINGE_SHORT,
+    HOLD,
+    IDLE,
+    LEANS,
+    LOAD_MISSED,
+    MOVES_OFF_TARGET,
+    N_LAGS,
+    NO_LOAD,
+    NOT_FINITE,
+    OWN,
+    RESTS_OFF_TARGET,
+    RUNNING,
+    SLIPPED,
+    STOP,
+    SUCCEEDED,
+    UNDOCKED,
+    WHEELS_TURN,
+)
+
+LAG_STEP_S: Final = 0.01
+"""Between two candidate time constants of the motors' lag."""
+_UNSURE_RAD_S: Final = 0.3
+"""Standard deviation of a wheel's speed from its servo's: dry friction and inertia are fed forward, but not quite."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Distance, speed and acceleration over time, for a travel from rest to rest without a jump in acceleration.
+
+    The speed ramps up, cruises and ramps down. Each ramp follows the cubic smoothstep 3u^2 - 2u^3, whose steepest slope
+    is 3/2 of the mean: a ramp to speed v under the acceleration limit a lasts 1.5 v / a and covers half of what
+    cruising would.
+    """
+
+    cruise_speed: float
+    ramp_s: float
+    duration_s: float
+
+    @classmethod
+    def within(cls, distance: float, max_speed: float, max_acceleration: float) -> Profile:
+        """Return the quickest profile over a distance >= 0 that keeps to a speed and an acceleration limit."""
+        speed = min(max_speed, math.sqrt(max_acceleration * distance / 1.5))
+        if speed <= 0:
+            return cls(0.0, 0.0, 0.0)
+        ramp = 1.5 * speed / max_acceleration
+        return cls(speed, ramp, ramp + distance / speed)
+
+    def distance(self, t: float) -> float:
+        """Return the distance covered at time t; it holds the end afterwards."""
+        v, ramp_s = self.cruise_speed, self.ramp_s
+        if self.duration_s == 0:
+            return 0.0
+        t = min(max(t, 0.0), self.duration_s)
+        cruised = max(0.0, min(t, self.duration_s - ramp_s) - ramp_s)
+        # How far up the first ramp it is, and how far the last ramp still is from its end.
+        u, w = min(t, ramp_s) / ramp_s, min(self.duration_s - t, ramp_s) / ramp_s
+        first, whole = v * ramp_s * (u**3.0 - u**4.0 / 2), v * ramp_s * (1.0 - 1.0 / 2)
+        last = v * ramp_s * (w**3.0 - w**4.0 / 2)
+        return v * cruised + first + whole - last
+
+    def motion(self, t: float) -> tuple[float, float]:
+        """Return the speed and the acceleration at time t."""
+        if self.ramp_s == 0:
+            return 0.0, 0.0
+        # How far the nearer ramp is climbed, 0 at rest and 1 when cruising.
+        u = min(max(min(t, self.duration_s - t) / self.ramp_s, 0.0), 1.0)
+        speed = self.cruise_speed * u * u * (3 - 2 * u)
+        if not 0 < u < 1:
+            return speed, 0.0
+        rise = 6 * u * (1 - u) * self.cruise_speed / self.ramp_s
+        return speed, rise if t < self.duration_s / 2 else -rise
+
+
+_distance_at = compiled(Profile.distance)
+"""The same for a record with the fields of a Profile, in compiled code."""
+_motion_at = compiled(Profile.motion)
+
+
+def health_of(now: Record, limits: Record) -> int:
+    """Return RUNNING, or the status of a car whose readings are not finite, or that has tipped.
+
+    ``limits`` are the HealthGains, or a record of them.
+    """
+    # A sum is finite only if all its terms are.
+    pose = now.x + now.y + now.z + now.heading + now.pitch + now.roll
+    wheels = now.wheel_speeds[0] + now.wheel_speeds[1] + now.wheel_speeds[2] + now.wheel_speeds[3]
+    if not math.isfinite(pose + now.board_m + now.board_force_n + now.hinge_rad + wheels):
+        return NOT_FINITE
+    return LEANS if max(abs(now.pitch), abs(now.roll)) > limits.tipped else RUNNING
+
+
+def feels_load(now: Record, limits: Record, felt_load_n: float) -> bool:
+    """Return whether a raised board feels a good share of the lightest load's weight beyond its own."""
+    raised: bool = now.board_m > limits.board_raised
+    return raised and now.board_force_n > felt_load_n
+
+
+_health_of = compiled(health_of)
+_feels_load = compiled(feels_load)
+
+
+@compiled
+def step_cars(
+    cars: Records, angles: Floats, wiring: Records, plugs: Records, servos: Floats, share: float, ctrl: Floats
+) -> int:
+    """Step all cars that are not idle, and command their motors; return how many compiled tasks have ended.
+
+    Args:
+        cars: (n,) CAR.
+        angles: (n, m) of hinges over the last periods, as :func:`_hinge_law` remembers them.
+        wiring: (n,) WIRING.
+        plugs: PLUG of each slope.
+        servos: (n, 4) commands to the wheels' servos so far.
+        share: by which these approach new ones in a period.
+        ctrl: MjData.ctrl.
+    """
+    ended = 0
+    for i in range(len(cars)):
+        car = cars[i]
+        level = update_floor(car)
+        law, command, slope = car.task.law, car.command, car.now.slope
+        if law == IDLE:
+            continue
+        if law != OWN:
+            ended += step_task(car, angles[i])
+        compensate_lag(car, level)
+        drive_wheels(command.wheels, servos[i], share, wiring[i], ctrl)
+        ctrl[wiring[i].board_motor] = command.board
+        # A slope that loses its car loses the command.
+        if car.docked >= 0 and car.docked != slope:
+            ctrl[plugs[car.docked].motor] = 0.0
+        if slope >= 0:
+            ctrl[plugs[slope].motor] = command.hinge
+        car.docked = slope
+    return ended
+
+
+@compiled
+def step_task(car: Record, angles: Floats) -> int:
+    """Write the command of a car for the next control period; return 1 if its task has ended, which stops all."""
+    task, command = car.task, car.command
+    for wheel in range(4):
+        command.wheels[wheel] = 0.0
+    command.board = command.hinge = 0.0
+    if task.law == HOLD:
+        # A wheel's drive at zero speed gives way slowly to a torque above its gear's friction: a loaded car whose gears
+        # are smooth creeps down a ramp by 0.2 mm/s. The encoders measure that, and the wheels go back as far.
+        for wheel in range(4):
+            task.turned[wheel] += car.now.wheel_speeds[wheel] * car.known.period_s
+            if abs(task.turned[wheel]) > car.known.hold.dead_band:
+                command.wheels[wheel] = -car.known.hold.gain * task.turned[wheel]
+        return 0
+    if task.status == RUNNING:
+        status = _health_of(car.now, car.known.health)
+        if status != RUNNING:
+            _end(task, status, car.now.pitch, car.now.roll)
+    if task.status == RUNNING:
+        task.feels_load = _feels_load(car.now, car.known.health, car.known.car.felt_load_n)
+        if task.law == DRIVE:
+            _drive_law(car)
+        elif task.law == BOARD:
+            _board_law(car)
+        elif task.law == HINGE:
+            _hinge_law(car, angles)
+        elif task.law == STOP:
+            _stop_law(car)
+        task.elapsed_s += car.known.period_s
+    if task.status == RUNNING:
+        return 0
+    for wheel in range(4):
+        command.wheels[wheel] = 0.0
+    command.board = command.hinge = 0.0
+    return 1
+
+
+@compiled
+def _end(task: Record, status: int, detail: float, second_detail: float) -> None:
+    """End a task with a status and the numbers that its text holds, 0.0 for none; the last word counts."""
+    task.status, task.ended_s = status, task.elapsed_s
+    task.detail, task.second_detail = detail, second_detail
+
+
+@compiled
+def compensate_lag(car: Record, level: bool) -> None:
+    """Change the commands of wheels so that their lagging servos have these speeds after one control period.
+
+    Four zeros brake at once. For candidate time constants the speed that the servos would have by now is kept; whose
+    squared distance from the speed that the encoders measure is least is the lag, as with the delay of localisations
+    (:mod:`craftsim.skills.estimator`). A command then goes beyond what is wanted so far that the servo has it in time.
+
+    ``level``: whether wheels follow their servos with all their torque: on a slope only as far as they have grip.
+    """
+    lag, wheels, turning, known = car.lag, car.command.wheels, car.now.wheel_speeds, car.known.car
+    if level:
+        steps, _ = delay_of(lag.mismatches[:])
+        below = min(int(steps), N_LAGS - 2)
+        part = steps - below
+        for wheel in range(4):
+            servo = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
+            # A wheel that is further behind its servo lacks torque or grip, which says nothing of the lag.
+            most_behind = known.wheel_torque_nm / known.wheel_gain_nms_rad
+            if lag.sent[wheel] != 0.0 and abs(servo - turning[wheel]) < most_behind:
+                for k in range(N_LAGS):
+                    off = turning[wheel] - lag.servos[k, wheel]
+                    lag.mismatches[k] += (off / _UNSURE_RAD_S) ** 2
+    steps, _ = delay_of(lag.mismatches[:])
+    below = min(int(steps), N_LAGS - 2)
+    part = steps - below
+    lag_s = steps * LAG_STEP_S
+    share = 1 - math.exp(-car.known.period_s / lag_s) if lag_s > 0 else 1.0
+    stopped = wheels[0] == 0.0 and wheels[1] == 0.0 and wheels[2] == 0.0 and wheels[3] == 0.0
+    limit = known.wheel_speed_rad_s
+    for wheel in range(4):
+        servo = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
+        if not stopped:
+            wheels[wheel] = max(-limit, min(limit, servo + (wheels[wheel] - servo) / share))
+        lag.sent[wheel] = wheels[wheel]
+        for k in range(N_LAGS):
+            near = 1.0 if stopped else lag.shares[k]
+            lag.servos[k, wheel] += near * (wheels[wheel] - lag.servos[k, wheel])
+
+
+@compiled
+def _stop_law(car: Record) -> None:
+    """Command nothing, and end the task when the wheels rest, or have not come to rest for too long."""
+    task, wheels, gains = car.task, car.now.wheel_speeds, car.known.stop
+    fastest = 0.0
+    for wheel in range(4):
+        fastest = max(fastest, abs(wheels[wheel]))
+    if task.elapsed_s > 0 and fastest < gains.wheels_at_rest:
+        _end(task, SUCCEEDED, 0.0, 0.0)
+    elif task.elapsed_s > gains.allowance:
+        _end(task, WHEELS_TURN, 0.0, 0.0)
+
+
+@compiled
+def _board_law(car: Record) -> None:
+    """Command the speed of a car's board towards its end, or end the task."""
+    now, task, gains, period_s = car.now, car.task, car.known.board, car.known.period_s
+    board = task.board
+    remaining = board.target_m - now.board_m
+    still = abs(now.board_m - board.last_m) < gains.still * period_s
+    board.last_m = now.board_m
+    if abs(remaining) < gains.reached and still and task.elapsed_s > 0:
+        missing = board.needs_load and not task.feels_load
+        _end(task, NO_LOAD if missing else SUCCEEDED, now.board_force_n, 0.0)
+    elif task.elapsed_s > board.deadline_s:
+        _end(task, BOARD_SHORT, remaining * 1e3, 0.0)
+    limit = min(car.known.car.board_speed_m_s, abs(board.speed) + gains.acceleration * period_s)
+    board.speed = max(-limit, min(limit, gains.gain * remaining))
+    car.command.board = board.speed
+
+
+@compiled
+def _hinge_law(car: Record, angles: Floats) -> None:
+    """Command the speed of the hinge of the slope above a car towards its end, or end the task.
+
+    ``angles`` are those of the last periods, as many as over which it must be still.
+    """
+    now, task, gains, period_s = car.now, car.task, car.known.hinge, car.known.period_s
+    hinge = task.hinge
+    remaining = hinge.target_rad - now.hinge_rad
+    if hinge.slope < 0 and now.slope >= 0:
+        # The first slope that a reading shows.
+        hinge.slope = now.slope
+        travel = abs(remaining)
+        hinge.deadline_s = task.elapsed_s + travel / car.known.car.hinge_speed_rad_s + gains.allowance
+    if now.slope < 0 or now.slope != hinge.slope:
+        # A plug may chatter.
+        hinge.undocked_s += period_s
+        if hinge.undocked_s > gains.undocked:
+            _end(task, UNDOCKED, 0.0, 0.0)
+        return
+    hinge.undocked_s = 0.0
+    # The angle of some periods ago stands where the one after this will be noted.
+    angles[hinge.n_past % len(angles)] = now.hinge_rad
+    hinge.n_past += 1
+    moved = abs(now.hinge_rad - angles[hinge.n_past % len(angles)])
+    still = hinge.n_past >= len(angles) and moved < gains.still * gains.still_time
+    if abs(remaining) < gains.reached and still:
+        _end(task, SUCCEEDED, 0.0, 0.0)
+    elif task.elapsed_s > hinge.deadline_s:
+        _end(task, HINGE_SHORT, remaining, 0.0)
+    limit = min(car.known.car.hinge_speed_rad_s, abs(hinge.speed) + gains.acceleration * period_s)
+    hinge.speed = max(-limit, min(limit, gains.gain * remaining))
+    car.command.hinge = hinge.speed
+
+
+@compiled
+def _drive_law(car: Record) -> None:
+    """Command the wheels of a car on its path, or end its task."""
+    now, task, known = car.now, car.task, car.known
+    drive, gains, period_s = task.drive, known.drive, known.period_s
+    if drive.loaded:
+        # Shorter dips of what the board feels come from bumps and acceleration.
+        drive.unloaded_s = 0.0 if task.feels_load else drive.unloaded_s + period_s
+        if drive.unloaded_s > known.health.load_lost:
+            _end(task, LOAD_MISSED, now.board_force_n, 0.0)
+    error = drive.path[0] - now.x, drive.path[1] - now.y, wrap(drive.path[2] - now.heading)
+    _check_progress(car, error)
+    if task.elapsed_s >= drive.profile.duration_s:
+        # There it has to rest, and to be sure that it is there.
+        offset, turn = math.hypot(error[0], error[1]), abs(error[2])
+        there = offset < gains.position_tolerance and turn < gains.heading_tolerance
+        sure = now.position_std_m < gains.position_certainty and now.heading_std_rad < gains.heading_certainty
+        drive.there_periods = drive.there_periods + 1 if there and sure else 0
+        drive.rest_periods = drive.rest_periods + 1 if drive.there_periods and drive.at_rest else 0
+        if drive.rest_periods >= gains.rest_periods:
+            _end(task, SUCCEEDED, 0.0, 0.0)
+        elif task.elapsed_s > drive.profile.duration_s + gains.settle_allowance:
+            _end(task, RESTS_OFF_TARGET if drive.at_rest else MOVES_OFF_TARGET, offset * 1e3, turn * 1e3)
+    if task.status == RUNNING and drive.there_periods <= gains.brake_periods:
+        _command_wheels(car, error)
+    for wheel in range(4):
+        drive.commanded[wheel] = car.command.wheels[wheel]
+    start, step = drive.origin, drive.direction
+    way = _distance_at(drive.profile, task.elapsed_s + period_s)
+    drive.path[0], drive.path[1] = start.x + step.x * way, start.y + step.y * way
+    drive.path[2] = start.heading + step.heading * way
+
+
+@compiled
+def _command_wheels(car: Record, error: Triple) -> None:
+    """Command what wheel speeds follow the path, for an error of pose in the world frame."""
+    now, drive, known, elapsed_s = car.now, car.task.drive, car.known, car.task.elapsed_s
+    gains, machine, step, integral, profile = (
+        known.drive,
+        known.car,
+        drive.direction,
+        drive.integral,
+        drive.profile,
+    )
+    period_s, radius_m, lever_m = known.period_s, machine.radius_m, machine.lever_m
+    # What shaking is to cure no push cures: the integral would only wind up.
+    if profile.duration_s < elapsed_s <= profile.duration_s + gains.shake_after:
+        integral.x += gains.integral_gain * error[0] * period_s
+        integral.y += gains.integral_gain * error[1] * period_s
+        integral.heading += gains.integral_gain * error[2] * period_s
+    # The command holds for one period, so the path's motion in the middle of that period is fed forward.
+    speed, pull = _motion_at(profile, elapsed_s + period_s / 2)
+    shake_x, shake_y = shake(drive, gains, error, elapsed_s)
+    velocity = (
+        step.x * speed + gains.position_gain * error[0] + integral.x + shake_x,
+        step.y * speed + gains.position_gain * error[1] + integral.y + shake_y,
+        step.heading * speed + gains.heading_gain * error[2] + integral.heading,
+    )
+    forward, left, turn = _to_body(velocity, now)
+    left, turn = gains.sideways_slip * left, gains.turn_slip * turn
+    speeds = on_wheels(forward / radius_m, left / radius_m, lever_m * turn / radius_m)
+    # By what factors the front and the rear wheels must outrun the body's forward speed: where the ground bends, at the
+    # cell border, the axles roll on different inclines, but the stiff body gives both the same speed along itself. An
+    # axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
+    front = rear = 1.0
+    if drive.sloping:
+        origin, delta = drive.origin, drive.delta
+        past_x, past_y = now.x - origin.x - delta.x / 2, now.y - origin.y - delta.y / 2
+        past_border = past_x * drive.step_x + past_y * drive.step_y
+        ahead = math.cos(now.heading) * drive.step_x + math.sin(now.heading) * drive.step_y
+        reach = machine.wheel_x_m * ahead * math.cos(now.pitch)
+        front = 1 / math.cos((drive.end_rad if past_border + reach > 0 else drive.start_rad) - now.pitch)
+        rear = 1 / math.cos((drive.end_rad if past_border - reach > 0 else drive.start_rad) - now.pitch)
+    load_kg = max(0.0, now.board_force_n) / GRAVITY if drive.loaded else 0.0
+    mass = machine.mass_kg + load_kg
+    weight, inertia = mass * GRAVITY, mass + machine.spin_mass_kg
+    forward, left, turn = _to_body((step.x * pull, step.y * pull, step.heading * pull), now)
+    quarter = radius_m / 4
+    torques = on_wheels(
+        quarter * (inertia * forward + weight * math.sin(now.pitch)),
+        quarter * (inertia * left + weight * math.sin(now.roll)),
+        quarter * (machine.turn_inertia_kgm2 * turn) / lever_m,
+    )
+    for wheel in range(4):
+        turning = speeds[wheel] * (front if wheel < 2 else rear)
+        torque = torques[wheel] + machine.gear_friction_nm * math.tanh(turning / gains.friction_speed)
+        # A velocity servo gives a torque when it lags behind its command by that torque over its gain.
+        car.command.wheels[wheel] = turning + torque / machine.wheel_gain_nms_rad
+
+
+@compiled
+def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tuple[float, float]:
+    """Return the velocity by which a car that does not get to its goal is shaken, across the way that is left.
+
+    On an uneven floor a car without springs rocks on two wheels of a diagonal, which cannot push across their rollers;
+    what they can do, speeding up the other way, tips it onto the other two. It shakes for two cycles out of four, and
+    settles in between.
+    """
+    cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
+    left_over = math.hypot(error[0], error[1])
+    # A car that is there and not yet sure of it has to rest.
+    if cycles <= 0 or left_over < gains.position_tolerance or math.floor(cycles) % 4 >= 2:
+        return 0.0, 0.0
+    speed = gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
+    return -speed * error[1], speed * error[0]
+
+
+@compiled
+def _to_body(vector: Triple, now: Record) -> Triple:
+    """Turn a horizontal world vector (x, y, rotation) into the body frame; on an incline forward is longer."""
+    c, s = math.cos(now.heading), math.sin(now.heading)
+    forward, left = c * vector[0] + s * vector[1], -s * vector[0] + c * vector[1]
+    return forward / math.cos(now.pitch), left / math.cos(now.roll), vector[2]
+
+
+@compiled
+def _check_progress(car: Record, error: Triple) -> None:
+    """End the task of a driving car that does not get on, unless it is too early to say, and note whether it rests.
+
+    Wheels that stand say that something is in the way. Wheels that turn although the car does not follow may slip on a
+    ground without grip, or spin at an obstacle, because the motors are stronger than the grip. What tells the two apart
+    is with how much force they turn: the drives' torques less what friction, the wheels' own inertia and the weight on
+    an incline take would have moved a free car a certain way, by Newton's second law. An obstacle is there where the
+    car stays far behind that way, too. ``error`` is (m, m, rad) from the car to where it should be.
+    """
+    now, drive, gains, machine, period_s = (
+        car.now,
+        car.task.drive,
+        car.known.drive,
+        car.known.car,
+        car.known.period_s,
+    )
+    wheels, torques, lever_m = now.wheel_speeds, drive.torques, machine.lever_m
+    behind, before, radius_m = drive.behind, drive.before, machine.radius_m
+    rolled = _length(lever_m, body_twist(lever_m, radius_m, wheels[0], wheels[1], wheels[2], wheels[3]))
+    # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
+    # Localisations jitter, so they do not tell.
+    fl, fr, rl, rr = abs(wheels[0]), abs(wheels[1]), abs(wheels[2]), abs(wheels[3])
+    second_fastest = max(min(max(fl, fr), max(rl, rr)), min(fl, fr), min(rl, rr))
+    drive.at_rest = rolled < gains.speed_at_rest or second_fastest < gains.wheels_at_rest
+    ahead = _to_body(error, now)
+    if math.hypot(ahead[0], ahead[1]) + lever_m * abs(ahead[2]) <= gains.blocked_error:
+        behind.stuck_s = behind.rolled_m = behind.moved_m = behind.free_m_s = behind.free_m = 0.0
+    else:
+        behind.stuck_s += period_s
+        moved = (now.x - before.x, now.y - before.y, wrap(now.heading - before.heading))
+        behind.moved_m += _length(lever_m, moved)
+        behind.rolled_m += rolled * period_s
+        # With what wrench (N, N, Nm), in its own frame, the wheels push the car beyond its weight.
+        for wheel in range(4):
+            limit = machine.wheel_speed_rad_s
+            commanded = max(-limit, min(limit, drive.commanded[wheel]))
+            lag = machine.wheel_gain_nms_rad * (commanded - wheels[wheel])
+            given = max(-machine.wheel_torque_nm, min(machine.wheel_torque_nm, lag))
+            lost = machine.gear_friction_nm * math.tanh(wheels[wheel] / gains.friction_speed)
+            spun_up = machine.wheel_inertia_kgm2 * (wheels[wheel] - drive.wheels_before[wheel]) / period_s
+            torques[wheel] = given - lost - spun_up
+        x, y, turn = wrench_of(lever_m, radius_m, torques[0], torques[1], torques[2], torques[3])
+        mass_kg = machine.mass_kg + drive.load_kg
+        weight = mass_kg * GRAVITY
+        x, y = x - weight * math.sin(now.pitch), y - weight * math.sin(now.roll)
+        # How a free car would speed up towards where it should be.
+        turning = turn / machine.turn_inertia_kgm2 * lever_m**2
+        towards = x / mass_kg * ahead[0] + y / mass_kg * ahead[1] + turning * ahead[2]
+        behind.free_m_s += towards / _length(lever_m, ahead) * period_s
+        behind.free_m += behind.free_m_s * period_s
+        if behind.stuck_s > gains.blocked_time:
+            enough = gains.slip_ratio * behind.moved_m + gains.slip_distance
+            slips = behind.rolled_m > enough and enough >= behind.free_m
+            behind_m = math.hypot(error[0], error[1]) + lever_m * abs(error[2])
+            _end(car.task, SLIPPED if slips else BLOCKED, behind_m * 1e3, 0.0)
+    before.x, before.y, before.heading = now.x, now.y, now.heading
+    for wheel in range(4):
+        drive.wheels_before[wheel] = wheels[wheel]
+
+
+@compiled
+def _length(lever_m: float, way: Triple) -> float:
+    """Return the length of a way (m, m, rad) in metres, a turn by what the wheels roll for it."""
+    return math.sqrt(way[0] * way[0] + way[1] * way[1] + (lever_m * way[2]) ** 2)

@@ -1,0 +1,227 @@
+"""Skills of a user's own: in place of built-in ones, for all cars or for one, and what is said of wrong ones."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+import craftsim
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
+from craftsim.errors import InputError
+from craftsim.models.sensing import measure
+from craftsim.skills.executor import Executor
+from craftsim.skills.gains import load_gains
+from craftsim.skills.library import begin_of, own_skills, performers
+from craftsim.skills.outcome import Reason
+from craftsim.skills.skill import Command, LawSkill, Skill
+
+
+class Nod(Skill):
+    """Raise the board for a while."""
+
+    def step(self, now):
+        if self.elapsed_s > 0.2:
+            self.fail(Reason.BLOCKED, "enough")
+        return Command(board=0.02)
+
+
+class Again(Skill):
+    """What is built in for an action, stepped in Python."""
+
+    action = Action.MOVE_RIGHT
+
+    def start(self, now):
+        self.law = LawSkill(self.setup, begin_of(self.action))
+        self.law.start(now)
+        self.outcome = self.law.outcome
+
+    def step(self, now):
+        command = self.law.step(now)
+        self.outcome = self.law.outcome
+        return command
+
+
+class Turn(Again):
+    action = Action.ROTATE_LEFT
+
+
+class Lift(Again):
+    action = Action.LIFT
+
+
+class Unfold(Again):
+    action = Action.UNFOLD
+
+
+class Endless(Skill):
+    time_limit_s = 0.3
+
+    def step(self, now):
+        return Command()
+
+
+class Nonsense(Skill):
+    def step(self, now):
+        return Command(board=math.nan)
+
+
+class Wordy(Skill):
+    def step(self, now):
+        return "up"
+
+
+class Few(Skill):
+    def step(self, now):
+        return Command(wheels=(1.0, 2.0))
+
+
+class Ended(Skill):
+    def step(self, now):
+        self.outcome = True
+        return Command()
+
+
+class Careless(Skill):
+    def __init__(self, setup):
+        pass
+
+    def step(self, now):
+        return Command()
+
+
+class Stepless(Skill):
+    pass
+
+
+CHOICE = {Action.LIFT: Nod}
+FAST = load_gains("fast")
+ACTIONS = {
+    "move": (Action.MOVE_RIGHT, Again, []),
+    "turn": (Action.ROTATE_LEFT, Turn, []),
+    "lift": (Action.LIFT, Lift, [(Kind.BLOCK, (1, 1, 1))]),
+    "unfold": (Action.UNFOLD, Unfold, [(Kind.FSLOPE, (1, 1, 1), 2)]),
+}
+
+
+@pytest.mark.parametrize(("action", "own", "objects"), ACTIONS.values(), ids=ACTIONS)
+def test_a_skill_that_is_stepped_in_python_does_what_the_compiled_loop_does(make_site, action, own, objects):
+    def run(skills):
+        site = make_site((3, 3, 2), [(1, 1, 1, 0)], objects)
+        outcome = Executor(site, skills=skills).run({0: action})[0]
+        return outcome, site.data.qpos.copy()
+
+    outcome, qpos = run(None)
+    own_outcome, own_qpos = run({action: own})
+    assert outcome.succeeded
+    assert own_outcome == outcome
+    np.testing.assert_array_equal(own_qpos, qpos)
+
+
+def test_a_skill_of_ones_own_runs_beside_compiled_ones(make_site):
+    site = make_site((3, 2, 1), [(0, 0, 1, 0), (0, 1, 1, 0)])
+    outcomes = Executor(site, FAST, skills=CHOICE).run({0: Action.LIFT, 1: Action.MOVE_RIGHT})
+    assert (outcomes[0].reason, outcomes[0].detail) == (Reason.BLOCKED, "enough")
+    assert outcomes[0].duration_s == pytest.approx(0.22)
+    assert outcomes[1].succeeded
+    assert 0.003 < measure(site, 0).board_m < 0.005
+
+
+def test_one_car_may_have_another_skill_than_the_others(make_site):
+    site = make_site((2, 2, 1), [(0, 0, 1, 0), (0, 1, 1, 0), (1, 0, 1, 0)])
+    executor = Executor(site, FAST, skills={Action.LIFT: Endless, 1: CHOICE})
+    outcomes = executor.run(dict.fromkeys(range(3), Action.LIFT))
+    assert [outcomes[car].reason for car in range(3)] == [Reason.TIMEOUT, Reason.BLOCKED, Reason.TIMEOUT]
+
+
+def test_a_skill_of_ones_own_is_undone_and_tried_again(make_site):
+    outcome = Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills=CHOICE).run({0: Action.LIFT})[0]
+    assert (outcome.reason, outcome.tries) == (Reason.BLOCKED, 2)
+
+
+def test_a_skill_of_ones_own_is_stopped_on_nonsense(make_site, monkeypatch):
+    executor = Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills=CHOICE)
+    executor.begin(0, Action.LIFT)
+    executor.advance()
+    read = executor.fleet.read
+
+    def nonsense():
+        readings = read().copy()
+        readings["pitch"] = np.nan
+        return readings
+
+    monkeypatch.setattr(executor.fleet, "read", nonsense)
+    assert executor.advance()[0].reason is Reason.DIVERGED
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason", "says"),
+    [(Endless, Reason.TIMEOUT, "within 0.3 s"), (Nonsense, Reason.DIVERGED, "not finite")],
+)
+def test_a_skill_that_never_ends_or_commands_nan_has_failed(make_site, kind, reason, says):
+    site = make_site((1, 1, 1), [(0, 0, 1, 0)])
+    outcome = Executor(site, FAST, skills={Action.LIFT: kind}).run({0: Action.LIFT})[0]
+    assert outcome.reason is reason
+    assert says in outcome.detail
+    assert np.isfinite(site.data.ctrl).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        (Wordy, "returned 'up'"),
+        (Few, "four wheel speeds"),
+        (Ended, "outcome is True"),
+        (Careless, "super().__init__"),
+    ],
+)
+def test_a_skill_that_is_no_skill_at_run_time_is_named(make_site, kind, says):
+    with pytest.raises(InputError, match=kind.__name__) as error:
+        Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills={Action.LIFT: kind}).run({0: Action.LIFT})
+    assert says in str(error.value)
+
+
+class _Inside:
+    class Deep(Nod):
+        pass
+
+
+def _local():
+    class Local(Nod):
+        pass
+
+    return Local
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({Action.LIFT: Stepless}, "Stepless has no step()"),
+        ({Action.LIFT: int}, "no subclass of craftsim.Skill"),
+        ({Action.LIFT: _local()}, "at the top of a module"),
+        ({"HOP": Nod}, "'HOP' is no action"),
+        ({Action.MOVE_FORWARD_LEFT: Nod}, "no skill performs MOVE_FORWARD_LEFT"),
+        ({7: {Action.LIFT: Nod}}, "there is no car 7"),
+        ("nowhere", "module:NAME"),
+        ("no_such_module_at_all:X", "cannot import"),
+        ("math:pi", "module:NAME"),
+    ],
+)
+def test_what_is_no_choice_of_skills_is_refused_before_anything_runs(make_site, given, says):
+    with pytest.raises(InputError) as error:
+        Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills=given)
+    assert says in str(error.value)
+
+
+def test_skills_travel_by_name(make_site):
+    own = own_skills(f"{__name__}:CHOICE")
+    assert own == own_skills(CHOICE) == pickle.loads(pickle.dumps(own))
+    assert own[0].skill == f"{__name__}:Nod"
+    assert performers(own, 1)[0][Action.LIFT] is Nod
+    assert own_skills({Action.LIFT: _Inside.Deep})[0].skill.endswith("_Inside.Deep")
+
+
+def test_the_public_names_are_there():
+    assert craftsim.Skill is Skill
+    assert craftsim.Command is Command

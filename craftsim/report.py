@@ -20,6 +20,9 @@ from craftsim.storage.writing import writable, write_whole
 SCHEMA_VERSION: Final = 2
 """Raised whenever a key of the report changes its meaning or goes away."""
 
+LEFT_OUT_IF_EMPTY: Final = "left_out_if_empty"
+"""Key of a dataclass field's metadata: a report says nothing of it where it is empty."""
+
 
 def versions() -> dict[str, str]:
     """Return the versions that decide a run's figures, without importing what they name."""
@@ -102,6 +105,11 @@ def plain(value: Any) -> Any:
         case list() | tuple():
             return [plain(item) for item in value]
         case _ if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+            found = {field: getattr(value, field.name) for field in dataclasses.fields(value)}
+            return {
+                field.name: plain(item)
+                for field, item in found.items()
+                if LEFT_OUT_IF_EMPTY not in field.metadata or item
+            }
         case _:
             raise TypeError(f"a report cannot hold a {type(value).__name__}: {value!r}")

@@ -17,6 +17,7 @@ SAYS = {
     "film_an_episode": r"pictures in out/strip\.mp4; built: True",
     "heavier_car": r"shipped: 24 of 24 actions[^\n]*\nheavier: 24 of 24 actions",
     "my_gains": r"shipped gains: a move takes .*agrees: True\nmy gains: a move takes .*agrees: True",
+    "own_skill": r"built in: 1\.02 s.*True\nown: 2\.14 s.*True\nown for car 0 alone: 2\.14 s.*, 1\.02 s.*True",
     "own_action": r"now: \[.*'MOVE_RIGHT'.*(?s:.)*then: \[.*'LIFT'",
     "speak_a_plan": r"car_0: lift; car_1: lift\n(?s:.)*built: True",
     "starts_from_physics": r"\d+ worlds in out/reached\.npz",

@@ -12,6 +12,7 @@ from craftsim.errors import InputError
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import Site
 from craftsim.skills.gains import Gains
+from craftsim.skills.library import SkillChoice, own_skills
 
 
 def perform(
@@ -23,6 +24,7 @@ def perform(
     gains: Gains | None = None,
     sensors: Sensors | None = None,
     thresholds: Thresholds | None = None,
+    skills: SkillChoice | None = None,
 ) -> Attempt:
     """Let one car perform one action on a Site, and judge it on the poses that it ends with.
 
@@ -37,6 +39,7 @@ def perform(
         gains: of the skills; the nominal ones unless given.
         sensors: of the cars; exact ones unless given.
         thresholds: limits of the errors; the default ones unless given.
+        skills: of your own in place of built-in ones, as :class:`craftsim.Executor` takes them.
 
     Raises:
         InputError: there is no such car or action, or something stood in something else at the Site's start.
@@ -52,5 +55,7 @@ def perform(
         raise InputError(f"there is no car {car}: the world has {len(site.cars)}, counted from 0")
     if isinstance(action, str):
         action = Action[Act(car, action).action]
-    setup = Setup(rules, thresholds or Thresholds(), gains=gains or nominal_gains())
+    setup = Setup(
+        rules, thresholds or Thresholds(), gains=gains or nominal_gains(), skills=own_skills(skills)
+    )
     return judge_on(site, setup, sensors).perform(car, action)

@@ -18,8 +18,10 @@ from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, Drive, Machines
 from craftsim.models.randomization import NONE, DomainRandomization
 from craftsim.models.randomization_files import load_noise, load_randomization
+from craftsim.report import LEFT_OUT_IF_EMPTY
 from craftsim.skills.disturbances import Disturbance
 from craftsim.skills.gains import Gains, load_gains
+from craftsim.skills.library import OwnSkill, SkillChoice, own_skills
 
 nominal_gains = cache(load_gains)
 
@@ -85,6 +87,8 @@ class Setup:
     machines: Machines = NOMINAL
     disturbance: Disturbance | None = None
     """What happens to cars or blocks that nobody planned."""
+    skills: tuple[OwnSkill, ...] = field(default=(), metadata={LEFT_OUT_IF_EMPTY: True})
+    """Of a user's own, in place of built-in ones."""
 
     @property
     def digests(self) -> dict[str, str]:
@@ -217,6 +221,7 @@ def setup_of(
     noise: SensorNoise | str | Path | None = None,
     assume: SensorNoise | str | Path | None = None,
     drive: Drive | None = None,
+    skills: SkillChoice | None = None,
 ) -> Setup:
     """Return the configuration that the options of the commands stand for.
 
@@ -231,6 +236,7 @@ def setup_of(
         assume: what the cars take that noise to be before they find out: none, mild, strong, noise, or a file of it;
             ASSUMED of :mod:`craftsim.models.sensing` unless given, whatever ``randomize`` and ``noise`` say.
         drive: rollers or reduced; that of the machines unless given.
+        skills: of one's own in place of built-in ones, as :class:`craftsim.Executor` takes them.
 
     Raises InputError for what no file should say.
     """
@@ -253,6 +259,7 @@ def setup_of(
         SimulationConfig.of(machines.drive),
         gains=gains,
         machines=machines,
+        skills=own_skills(skills),
     )
 
 

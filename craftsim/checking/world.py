@@ -130,5 +130,5 @@ def judge_on(
     check_start(site)
     site.set_drivetrain(setup.randomization.drivetrain)
     motors = Motors(site, setup.randomization.sensors.motor_lag_s)
-    executor = Executor(site, setup.gains, None, sensors, motors, setup.assumed, fleet)
+    executor = Executor(site, setup.gains, None, sensors, motors, setup.assumed, fleet, setup.skills)
     return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

@@ -74,7 +74,7 @@ def film_runs(console: Console, out: Path, workers: int = 1) -> None:
 
 def _record_folder(job: tuple[Path, bool]) -> None:
     folder, filmed = job
-    _, trajectory = record_bundle(read_bundle(folder))
+    _, trajectory = record_bundle(read_bundle(folder, of_own_run=True))
     trajectory.write(folder / TRAJECTORY)
     if filmed:
         render(trajectory, folder / FILM, _clip(trajectory))

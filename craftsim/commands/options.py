@@ -44,6 +44,8 @@ class PhysicsOptions:
     """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
     drive: Drive = "rollers"
     """How cars touch the ground: by forty free rollers, or reduced to one body, which is several times as fast."""
+    skills: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="")] = None
+    """Skills of your own in place of built-in ones: a mapping from actions, or from cars to such mappings."""
     seed: Annotated[int, SEED] = 0
     """Decides all that is drawn."""
 
@@ -52,7 +54,8 @@ class PhysicsOptions:
         from craftsim.checking.settings import setup_of
 
         return setup_of(
-            *(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume, self.drive)
+            *(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume, self.drive),
+            skills=self.skills,
         )
 
 

@@ -32,6 +32,7 @@ def replay(
     view: bool = False,
     video: bool = False,
     shrink: bool = False,
+    skills: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="")] = None,
     out: Path = Path("out/replay"),
 ) -> int:
     """Re-run what a replay bundle shows, bit for bit, and compare it with what was recorded.
@@ -45,10 +46,15 @@ def replay(
         view: watch it in MuJoCo's viewer, as fast as it happens; needs a display.
         video: film it, in three seconds.
         shrink: find the smallest world in which its first failure still happens, instead of comparing.
+        skills: the skills of your own that the bundle was made with; a bundle alone has nothing imported.
         out: folder for report.json and the film, or the smallest world.
     """
     if view + video + shrink > 1:
         raise InputError("--view, --video and --shrink exclude each other; give one of them")
+    if skills is not None:
+        from craftsim.skills.library import own_skills
+
+        own_skills(skills)
     if shrink:
         return _shrink(bundle, out)
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):

@@ -91,6 +91,7 @@ def validate(
         noise=campaign.noise,
         assume=campaign.assume,
         drive=campaign.drive,
+        skills=campaign.skills,
         order=order,
         trials=campaign.trials,
         seed=campaign.seed,

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from craftsim.models.sensing import SensorNoise
     from craftsim.models.world import Site
     from craftsim.skills.gains import Gains
+    from craftsim.skills.library import SkillChoice
 
 BackendName = Literal["physics", "grid"]
 RenderMode = Literal["rgb_array", "rgb_array_list", "human", "ansi"]
@@ -39,7 +40,15 @@ _PHYSICS_KINDS: Final = {
     "gains": ("craftsim.skills.gains", "Gains"),
     "machines": ("craftsim.models.parameters", "Machines"),
 }
-_PHYSICS_ONLY: Final = (*_PHYSICS_KINDS, "drive", "render_camera", "render_size", "record", "images")
+_PHYSICS_ONLY: Final = (
+    *_PHYSICS_KINDS,
+    "drive",
+    "skills",
+    "render_camera",
+    "render_size",
+    "record",
+    "images",
+)
 
 
 @dataclass(frozen=True)
@@ -72,6 +81,9 @@ class Options:
     drive: Drive | None = None
     """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and else
     ``reduced``, which is several times as fast (docs/drives.md says how far it can be trusted). Physics only."""
+    skills: SkillChoice | None = None
+    """Skills of one's own in place of built-in ones, ``{Action.LIFT: MyLift}`` or ``{0: {Action.LIFT: MyLift}}``;
+    physics only."""
     check_contacts: bool = False
     """Whether the judge logs contacts, 3 % of the time; what is unsafe then ends at once. Physics only."""
     observers: tuple[Callable[[Site], None], ...] = ()
@@ -159,6 +171,7 @@ class Options:
         from craftsim.models.randomization import NONE
         from craftsim.models.sensing import ASSUMED
         from craftsim.rendering.images import CameraImages
+        from craftsim.skills.library import check_cars, own_skills
 
         for name, (module, kind) in _PHYSICS_KINDS.items():
             value = getattr(self, name)
@@ -175,7 +188,9 @@ class Options:
             simulation=self.config or SimulationConfig.of(machines.drive),
             gains=self.gains or nominal_gains(),
             machines=machines,
+            skills=own_skills(self.skills),
         )
+        check_cars(setup.skills, task.layout.n_cars)
         pictures = Pictures(self.render_camera, self.render_size, self._shows_motion)
         seen, n_cars = self.images, task.layout.n_cars
         images = None if seen is None else CameraImages(seen.cameras(n_cars), seen.size, seen.kinds)

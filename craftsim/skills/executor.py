@@ -21,7 +21,15 @@ from craftsim.skills.estimator import PoseEstimator, assume_delay
 from craftsim.skills.fleet import Fleet, SiteFleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.laws import LAG_STEP_S, step_cars
-from craftsim.skills.library import Performer, SkillChoice, Tries, begin_of, own_skills, performers
+from craftsim.skills.library import (
+    Performer,
+    SkillChoice,
+    Tries,
+    begin_of,
+    check_cars,
+    own_skills,
+    performers,
+)
 from craftsim.skills.outcome import Outcome, Reason
 from craftsim.skills.skill import (
     Skill,
@@ -89,7 +97,10 @@ class Executor:
         """Asked after every control period: a yes stops all cars, and ends their actions."""
         self.fleet: Fleet = fleet or SiteFleet(site, sensors, motors)
         n, period = len(site.cars), site.config.control_period_s
-        self._performers = performers(own_skills(skills), n)
+        own = own_skills(skills)
+        if isinstance(skills, Mapping | str):
+            check_cars(own, n)
+        self._performers = performers(own, n)
         machines = [car.parameters for car in site.cars]
         self._setups = [SkillSetup(machine, site.machines, self.gains, period) for machine in machines]
         self._estimator = (

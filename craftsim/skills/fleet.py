@@ -11,7 +11,7 @@ from craftsim.models.world import Site
 
 
 class Wires(NamedTuple):
-    """Where compiled laws leave the motors' commands, as :func:`craftsim.skills.control.step_cars` takes them."""
+    """Where compiled laws leave the motors' commands, as :func:`craftsim.skills.laws.step_cars` takes them."""
 
     cars: Records
     """(n,) WIRING: where a car's motors lie in ``ctrl``."""

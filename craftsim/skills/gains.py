@@ -91,7 +91,7 @@ class DriveGains:
 
 @dataclass(frozen=True)
 class UnevenGains:
-    """Driving where cars feel that their floor is uneven (:func:`craftsim.skills.estimator.update_floor`): limits besides those of
+    """Driving where cars feel that their floor is uneven (:mod:`craftsim.skills.estimator`): limits besides those of
     :class:`DriveGains`. A car without springs hops there, and its lowered board clears by a millimetre what it passes
     under."""
 

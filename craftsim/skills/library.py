@@ -68,6 +68,13 @@ SkillChoice = Mapping[Any, Any] | Sequence[OwnSkill] | str
 ``module:NAME`` of such a mapping."""
 
 
+def check_cars(own: Sequence[OwnSkill], n_cars: int) -> None:
+    """Raise InputError for a skill of one's own for a car that there is not."""
+    for one in own:
+        if one.car is not None and one.car >= n_cars:
+            raise InputError(f"skills: there is no car {one.car}; there are {n_cars}, counted from 0")
+
+
 def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
     """Return skills of one's own by name.
 
@@ -89,22 +96,35 @@ def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
     for key, value in given.items():
         if isinstance(key, Action):
             found.append(OwnSkill(key.name, _name_of(key, value)))
-        elif isinstance(key, int) and isinstance(value, Mapping):
+        elif isinstance(key, int) and key >= 0 and isinstance(value, Mapping):
             found += [replace(own, car=key) for own in own_skills(value)]
         else:
             raise InputError(f"skills: {key!r} is no action, and no car with a mapping of its own")
     return tuple(found)
 
 
+def check_known(own: Sequence[OwnSkill]) -> None:
+    """Raise InputError for skills whose modules this process has not imported: a file's word does not run code."""
+    for one in own:
+        if one.skill.partition(":")[0] not in sys.modules:
+            raise InputError(
+                f"it was made with a skill of one's own, {one.skill}; give its module with --skills"
+            )
+
+
 def performers(own: Sequence[OwnSkill], n_cars: int) -> list[dict[Action, Performer]]:
-    """Return what performs each action, for each car. Raises InputError for a car that there is not."""
+    """Return what performs each action, for each car; skills for a car that there is not wait for a larger world.
+
+    Raises InputError for a name that is no skill's.
+    """
     found: list[dict[Action, Performer]] = [dict(BUILT_IN) for _ in range(n_cars)]
     # Those for one car come after those for all.
     for one in sorted(own, key=lambda one: one.car is not None):
-        if one.car is not None and not 0 <= one.car < n_cars:
-            raise InputError(f"skills: there is no car {one.car}; there are {n_cars}, counted from 0")
-        for car in range(n_cars) if one.car is None else (one.car,):
-            found[car][Action[one.action]] = _imported(one.skill)
+        kind, action = _imported(one.skill), Action.__members__.get(one.action, Action.MOVE_FORWARD_LEFT)
+        if action not in BUILT_IN or not (isinstance(kind, type) and issubclass(kind, Skill)):
+            raise InputError(f"skills: {one.skill} for {one.action} is no skill of a known action")
+        for car in range(n_cars) if one.car is None else range(one.car, min(one.car + 1, n_cars)):
+            found[car][action] = kind
     return found
 
 

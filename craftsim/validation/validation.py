@@ -20,6 +20,7 @@ from craftsim.models.sensing import SensorNoise
 from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains
+from craftsim.skills.library import SkillChoice
 from craftsim.storage.folders import owning
 from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign, run_here
 from craftsim.validation.forms import RUNS
@@ -131,6 +132,7 @@ def validate(
     noise: SensorNoise | str | Path | None = None,
     assume: SensorNoise | str | Path | None = None,
     drive: Drive | None = None,
+    skills: SkillChoice | None = None,
     order: PlanOrder = "ticks",
     trials: int = 1,
     seed: int = 0,
@@ -167,6 +169,8 @@ def validate(
         assume: what the cars take that noise to be before they find out, whatever it is: none, mild, strong, noise, or
             a file of it; ASSUMED of :mod:`craftsim.models.sensing` unless given.
         drive: rollers or reduced; that of the machines unless given.
+        skills: of your own in place of built-in ones, ``{Action.LIFT: MyLift}`` with subclasses of
+            :class:`craftsim.Skill`, for one car ``{0: {Action.LIFT: MyLift}}``, or ``module:NAME`` of such a mapping.
         order: how plans are carried out.
         trials: how many runs of each; under ``randomize="none"`` in a fixed world all are alike.
         seed: decides all that is drawn; the same for every plan and policy.
@@ -216,7 +220,7 @@ def validate(
         named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
         pilots = [policy_pilot(one, subjects, order, rules, timeout_s) for one in dict.fromkeys(named)]
     folder = None if out is None else Path(out)
-    setup = setup_of(randomize, rules, gains, machines, noise, assume, drive)
+    setup = setup_of(randomize, rules, gains, machines, noise, assume, drive, skills)
     config: dict[str, Any] = {
         "worlds": {subject.name: subject.digest for subject in subjects},
         "by": {pilot.name: pilot.digest for pilot in pilots},

@@ -64,9 +64,9 @@ def test_a_car_feels_by_its_motors_what_pushes_against_it_and_what_it_carries(ma
     site = make_site((1, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
     for _ in range(50):
         site.advance()
-    assert CAR.felt_forces(measure(site, 0), (0.0,) * 4).board_n == pytest.approx(
-        NOMINAL.block.mass_kg * 9.81, rel=0.01
-    )
+    carried_n = CAR.felt_forces(measure(site, 0), (0.0,) * 4).board_n
+    # The screw's friction takes its share of the weight.
+    assert abs(carried_n - NOMINAL.block.mass_kg * 9.81) < SMARTCAR.screw_friction_n
     # Held at a wall, while its wheels are commanded to turn: as much as the motors give, less what gears take.
     pushing = CAR.felt_forces(free._replace(wheel_speeds=(0.0,) * 4), (50.0,) * 4)
     most = 4 * (SMARTCAR.wheel_torque_nm - SMARTCAR.gear_friction_nm) / R

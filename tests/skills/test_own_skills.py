@@ -1,5 +1,6 @@
 """Skills of a user's own: in place of built-in ones, for all cars or for one, and what is said of wrong ones."""
 
+import json
 import math
 import pickle
 
@@ -16,6 +17,8 @@ from craftsim.skills.gains import load_gains
 from craftsim.skills.library import begin_of, own_skills, performers
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command, LawSkill, Skill
+from craftsim.validation.replays.bundle import read_bundle
+from craftsim.validation.replays.replay import replay
 
 
 class Nod(Skill):
@@ -225,3 +228,38 @@ def test_skills_travel_by_name(make_site):
 def test_the_public_names_are_there():
     assert craftsim.Skill is Skill
     assert craftsim.Command is Command
+
+
+def test_an_environment_and_the_judge_take_skills_of_ones_own():
+    env = craftsim.parallel_env("strip", backend="physics", skills=CHOICE)
+    env.reset(seed=0)
+    assert env.unwrapped._core.backend.checked.executor._performers[0][Action.LIFT] is Nod
+    with pytest.raises(InputError, match="grid backend"):
+        craftsim.parallel_env("strip", backend="grid", skills=CHOICE)
+    with pytest.raises(InputError, match="no car 5"):
+        craftsim.parallel_env("strip", backend="physics", skills={5: CHOICE})
+    grid = craftsim.Grid.empty((1, 1, 2), 1)
+    grid.kind[0, 0, 1] = Kind.BLOCK
+    grid.derive_marks()
+    attempt = craftsim.perform(craftsim.Site(grid), 0, Action.LIFT, gains=FAST, skills=CHOICE)
+    assert not attempt.agrees
+    assert "enough" in attempt.reason
+
+
+def test_a_validation_in_worker_processes_names_the_skill_in_its_report_and_its_bundle(tmp_path):
+    result = craftsim.validate("strip", gains="fast", skills=CHOICE, trials=2, workers=2, out=tmp_path)
+    assert not result.agrees
+    report = json.loads((tmp_path / "report.json").read_text("utf-8"))
+    skills = [{"action": "LIFT", "car": None, "skill": f"{__name__}:Nod"}]
+    assert report["config"]["setup"]["skills"] == skills
+    folder = next((tmp_path / "bundles").iterdir())
+    assert replay(read_bundle(folder)).reproduced
+    text = folder / "bundle.json"
+    text.write_text(text.read_text("utf-8").replace(f"{__name__}:Nod", "no_module_yet:Nod"), "utf-8")
+    with pytest.raises(InputError, match="--skills"):
+        read_bundle(folder)
+
+
+def test_a_skill_for_a_car_that_a_world_has_not_is_refused_before_anything_runs():
+    with pytest.raises(InputError, match="no car 7"):
+        craftsim.validate("strip", skills={7: CHOICE})

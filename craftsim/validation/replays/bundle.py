@@ -21,6 +21,7 @@ from craftsim.errors import InputError
 from craftsim.models.scene import write_scene
 from craftsim.models.world import Site
 from craftsim.report import versions
+from craftsim.skills.library import check_known
 from craftsim.storage import limits
 from craftsim.storage.folders import directory_within
 from craftsim.storage.paths import exists
@@ -157,14 +158,20 @@ def _write(folder: Path, bundle: Bundle, checked: CheckedSite, before: Arrays) -
     write_whole(folder / TEXT, _SCHEMA.text(bundle))
 
 
-def read_bundle(folder: Path) -> Recorded:
-    """Read and check a bundle. Raises InputError, naming the file, for one that is missing, damaged or too large."""
+def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
+    """Read and check a bundle. Raises InputError, naming the file, for one that is missing, damaged or too large.
+
+    Modules of skills that it names are imported only where it is of a run that this process, or the one that started
+    it, has made; of others they must have been imported before.
+    """
     path = folder / TEXT
     if not exists(path):
         raise InputError(f"{path}: no such file; give the folder of a replay bundle")
     bundle = _SCHEMA.read(path, limits.BUNDLE)
     try:
         _check_text(bundle)
+        if not of_own_run:
+            check_known(bundle.recipe.setup.skills)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     arrays = [read_arrays(folder / name, limits.ARRAYS) for name in (PHYSICS, BEFORE, AFTER)]

@@ -20,7 +20,8 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
-from craftsim.models.world import Site
+from craftsim.models.site import Site
+from craftsim.skills.library import check_cars
 from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable
 from craftsim.training.policy import is_shipped_policy
@@ -105,8 +106,12 @@ def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: 
 
 
 def check_starts(subjects: Sequence[Subject], setup: Setup, seed: int) -> None:
-    """Raise StartError for a world of one's own in which something stands in something else."""
-    for world in (subject.world for subject in subjects):
+    """Raise StartError for a world of one's own in which something stands in something else, and InputError for a skill
+    for a car that it has not."""
+    for subject in subjects:
+        world = subject.world
+        if not isinstance(world, RandomWorlds):
+            check_cars(setup.skills, subject.n_cars)
         if not isinstance(world, RandomWorlds) and world not in TASK_NAMES:
             start = as_task(world).draw(np.random.default_rng(seed))
             check_start(Site(start, setup.simulation, machines=setup.machines))

@@ -127,7 +127,9 @@ def first_of_each_kind(records: Iterable[TrialRecord]) -> dict[str, str]:
 
 def _shrink(job: tuple[Path, str, str]) -> Done:
     out, bundle, name = job
-    return Done(agrees=True, extra=asdict(shrink_bundle(read_bundle(out / bundle).bundle, out, name)))
+    return Done(
+        agrees=True, extra=asdict(shrink_bundle(read_bundle(out / bundle, of_own_run=True).bundle, out, name))
+    )
 
 
 def _shrunk(bundle: str, answer: Answer) -> Shrunk:

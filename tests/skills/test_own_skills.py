@@ -233,7 +233,7 @@ def test_the_public_names_are_there():
 def test_an_environment_and_the_judge_take_skills_of_ones_own():
     env = craftsim.parallel_env("strip", backend="physics", skills=CHOICE)
     env.reset(seed=0)
-    assert env.unwrapped._core.backend.checked.executor._performers[0][Action.LIFT] is Nod
+    assert env.unwrapped.core.backend.checked.executor._performers[0][Action.LIFT] is Nod
     with pytest.raises(InputError, match="grid backend"):
         craftsim.parallel_env("strip", backend="grid", skills=CHOICE)
     with pytest.raises(InputError, match="no car 5"):

@@ -16,8 +16,8 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Drivetrain, Floor, Making
 from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, Drive, Machines
-from craftsim.models.randomization import NONE, DomainRandomization
-from craftsim.models.randomization_files import load_noise, load_randomization
+from craftsim.models.randomization import NONE, DomainRandomization, load_noise, load_randomization
+from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise
 from craftsim.report import LEFT_OUT_IF_EMPTY
 from craftsim.skills.disturbances import Disturbance
 from craftsim.skills.gains import Gains, load_gains

@@ -17,7 +17,7 @@ from craftsim.models.measuring import Motors
 from craftsim.models.overlaps import ALLOWED_M
 from craftsim.models.randomization import randomize
 from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.disturbances import DisturbedFleet
 from craftsim.skills.executor import Executor
 from craftsim.skills.fleet import Fleet

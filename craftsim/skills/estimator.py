@@ -32,8 +32,8 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import READING, Floats, Records
-from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import SmartcarParameters
+from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import body_twist
 from craftsim.skills.state import DRIVE

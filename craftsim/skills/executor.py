@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import nearest_yaw
-from craftsim.models.measuring import READING, Records
-from craftsim.models.motors import Motors
-from craftsim.models.noise import EXACT, SensorNoise
-from craftsim.models.sensing import Sensors, measurement_of
-from craftsim.models.site import Site
-from craftsim.skills.estimator import PoseEstimator, assume_delay
+from craftsim.models.measuring import READING, Motors, Records
+from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measurement_of
+from craftsim.models.world import Site
+from craftsim.skills.estimator import PoseEstimator, assume_delay, likeliest_delay
 from craftsim.skills.fleet import Fleet, SiteFleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.laws import LAG_STEP_S, step_cars
@@ -113,6 +111,7 @@ class Executor:
         for car, setup in zip(self._cars, self._setups, strict=True):
             car["known"] = setup.constants[0]
             assume_delay(car["lag"]["mismatches"], *_ASSUMED_LAG)
+            car["lag"]["steps"], _ = likeliest_delay(car["lag"]["mismatches"])
             shares = (1 - math.exp(-period / (k * LAG_STEP_S)) for k in range(1, N_LAGS))
             car["lag"]["shares"] = [1.0, *shares]
         assert CAR.fields is not None

@@ -14,8 +14,7 @@ from typing import Final
 
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
-from craftsim.models.measuring import Floats, Records
-from craftsim.models.motors import drive_wheels
+from craftsim.models.measuring import Floats, Records, drive_wheels
 from craftsim.skills.estimator import delay_of, update_floor
 from craftsim.skills.mecanum import Triple, body_twist, on_wheels, wrench_of
 from craftsim.skills.state import (
@@ -219,9 +218,8 @@ def compensate_lag(car: Record, level: bool) -> None:
     """
     lag, wheels, turning, known = car.lag, car.command.wheels, car.now.wheel_speeds, car.known.car
     if level:
-        steps, _ = delay_of(lag.mismatches[:])
-        below = min(int(steps), N_LAGS - 2)
-        part = steps - below
+        below = min(int(lag.steps), N_LAGS - 2)
+        part = lag.steps - below
         for wheel in range(4):
             servo = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
             # A wheel that is further behind its servo lacks torque or grip, which says nothing of the lag.
@@ -230,10 +228,10 @@ def compensate_lag(car: Record, level: bool) -> None:
                 for k in range(N_LAGS):
                     off = turning[wheel] - lag.servos[k, wheel]
                     lag.mismatches[k] += (off / _UNSURE_RAD_S) ** 2
-    steps, _ = delay_of(lag.mismatches[:])
-    below = min(int(steps), N_LAGS - 2)
-    part = steps - below
-    lag_s = steps * LAG_STEP_S
+        lag.steps, _ = delay_of(lag.mismatches[:])
+    below = min(int(lag.steps), N_LAGS - 2)
+    part = lag.steps - below
+    lag_s = lag.steps * LAG_STEP_S
     share = 1 - math.exp(-car.known.period_s / lag_s) if lag_s > 0 else 1.0
     stopped = wheels[0] == 0.0 and wheels[1] == 0.0 and wheels[2] == 0.0 and wheels[3] == 0.0
     limit = known.wheel_speed_rad_s

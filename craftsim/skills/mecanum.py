@@ -16,7 +16,7 @@ from typing import NamedTuple
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.measuring import PerWheel
 from craftsim.models.parameters import SmartcarParameters
-from craftsim.models.sensing import CarMeasurement, PerWheel
+from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.state import GRAVITY
 
 Triple = tuple[float, float, float]

@@ -20,7 +20,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.readback import nearest_yaw
 from craftsim.errors import InputError
-from craftsim.models.measuring import Records
+from craftsim.models.measuring import CarMeasurement, PerWheel, Records, write_reading
 from craftsim.models.parameters import Machines, SmartcarParameters
 from craftsim.skills.gains import Gains, careful
 from craftsim.skills.laws import Profile, feels_load, health_of, step_task

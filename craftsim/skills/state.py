@@ -132,6 +132,7 @@ COMMAND: Final = np.dtype([("wheels", "f8", (4,)), ("board", "f8"), ("hinge", "f
 N_LAGS: Final = 13
 LAG: Final = np.dtype(
     [
+        ("steps", "f8"),
         ("mismatches", "f8", (N_LAGS,)),
         ("servos", "f8", (N_LAGS, 4)),
         ("shares", "f8", (N_LAGS,)),
@@ -139,8 +140,9 @@ LAG: Final = np.dtype(
     ],
     align=True,
 )
-"""What a car knows of its motors' lag: the mismatch of each candidate time constant, the speeds that its servos would
-have, and by what shares these approach a command in a control period; then the command sent last."""
+"""What a car knows of its motors' lag: the likeliest time constant, in steps between candidates; the mismatch of each
+candidate, the speeds that its servos would have, and by what shares these approach a command in a control period; then
+the command sent last."""
 
 FLOOR: Final = np.dtype(
     [*_floats("pitch", "roll", "variance"), *((name, "i8") for name in ("n_read", "suspected", "uneven"))],

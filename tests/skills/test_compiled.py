@@ -10,7 +10,8 @@ import pytest
 
 import craftsim
 from craftsim.discrete.grid import Kind
-from craftsim.models.sensing import measurement_of, write_reading
+from craftsim.models.measuring import write_reading
+from craftsim.models.sensing import measurement_of
 from craftsim.skills.executor import Executor
 
 

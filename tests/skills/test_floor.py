@@ -12,9 +12,9 @@ from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Floor
-from craftsim.models.noise import SensorNoise
 from craftsim.models.parameters import NOMINAL
 from craftsim.models.randomization import NONE
+from craftsim.models.sensing import SensorNoise
 from craftsim.skills.estimator import update_floor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.skill import Terrain

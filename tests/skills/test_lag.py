@@ -9,8 +9,8 @@ from craftsim.checking.settings import setup_of
 from craftsim.checking.world import set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.models.noise import SensorNoise
-from craftsim.models.site import Site
+from craftsim.models.sensing import SensorNoise
+from craftsim.models.world import Site
 from craftsim.skills.estimator import likeliest_delay
 from craftsim.skills.executor import Executor
 from craftsim.skills.laws import LAG_STEP_S, compensate_lag

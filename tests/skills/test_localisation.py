@@ -14,8 +14,15 @@ from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.models.measuring import READING, CarMeasurement, measurement_of, write_reading
 from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.models.sensing import CarMeasurement, Sensors, measure, measurement_of, write_reading
-from craftsim.models.site import Site
+from craftsim.models.sensing import (
+    ASSUMED,
+    EXACT,
+    NOISY,
+    SensorNoise,
+    Sensors,
+    measure,
+)
+from craftsim.models.world import Site
 from craftsim.skills.estimator import PoseEstimator
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains

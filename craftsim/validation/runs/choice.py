@@ -20,7 +20,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.library import check_cars
 from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable

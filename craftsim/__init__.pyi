@@ -1,7 +1,7 @@
 """The public names of craftsim, and where they live: the one list of them, for people, type checkers and imports."""
 
 from .checking.attempt import Attempt as Attempt
-from .checking.perform import perform as perform
+from .checking.episode import perform as perform
 from .designs.tasks import designs_task as designs_task
 from .discrete.files.blueprint import Blueprint as Blueprint
 from .discrete.files.blueprint import read_blueprint as read_blueprint

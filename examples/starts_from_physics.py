@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 import craftsim
-from craftsim.checking.settings import RANDOMIZE
+from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.training.policy import TrainedPolicy

@@ -13,9 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from craftsim.checking.recipe import Recipe, Step, do, start
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import SEED_0, Seed
+from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.setup import SEED_0, Seed, Setup
 from craftsim.cli import main as craftsim_command
 from craftsim.discrete.drawing import LEGEND, world_text
 from craftsim.discrete.files.blueprint import blueprint_text

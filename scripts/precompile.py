@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import Seed, set_up
+from craftsim.checking.setup import Seed, set_up, setup_of
 from craftsim.compiling import tell
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.design import Design

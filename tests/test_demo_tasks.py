@@ -6,8 +6,8 @@ import pytest
 from disturbances import pushed
 
 from craftsim import cli
-from craftsim.checking import settings, world
-from craftsim.checking.settings import Thresholds
+from craftsim.checking import setup
+from craftsim.checking.attempt import Thresholds
 from craftsim.commands import demo as demo_module
 from craftsim.validation import building
 
@@ -77,7 +77,7 @@ def one_stop(tmp_path):
 def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predicted(
     one_stop, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(world, "Executor", pushed(0, 0.004))
+    monkeypatch.setattr(setup, "Executor", pushed(0, 0.004))
     assert cli.main(one_stop) == 1
     output = capsys.readouterr().out
     assert "tick 0, car 0 MOVE_LEFT: block 0 was moved by" in output
@@ -89,8 +89,8 @@ def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predi
 def test_a_car_beyond_its_limit_disagrees_though_the_reading_is_as_predicted(
     one_stop, tmp_path, capsys, monkeypatch
 ):
-    strict = (Thresholds(car_m=1e-9), *settings.RANDOMIZE["none"][1:])
-    monkeypatch.setitem(settings.RANDOMIZE, "none", strict)
+    strict = (Thresholds(car_m=1e-9), *setup.RANDOMIZE["none"][1:])
+    monkeypatch.setitem(setup.RANDOMIZE, "none", strict)
     assert cli.main(one_stop) == 1
     assert "tick 0, car 0 MOVE_LEFT: the car is " in capsys.readouterr().out
     (action,) = _figures(tmp_path / "out")["actions"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import craftsim
-from craftsim.checking.contact_log import ContactLog
+from craftsim.checking.contacts import ContactLog
 from craftsim.cli import main
 from craftsim.discrete.grid import Grid
 from craftsim.errors import InputError

@@ -57,7 +57,7 @@ ALLOWED = {
         "storage",
         "discrete",
         "models.parameters",
-        "checking.settings",
+        "checking.setup",
         "envs",
         "planning",
         "report",
@@ -134,7 +134,7 @@ def _calls(path: Path) -> set[str]:
 def test_a_world_in_physics_is_set_up_in_one_place():
     joined = [path for path in FILES if {"Executor", "Sensors"} <= _calls(path)]
     judging = [path for path in FILES if "CheckedSite" in _calls(path)]
-    assert joined == judging == [PACKAGE / "checking" / "world.py"]
+    assert joined == judging == [PACKAGE / "checking" / "setup.py"]
 
 
 def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
@@ -143,11 +143,11 @@ def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ClassDef | ast.FunctionDef):
                 places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
-    assert places["Attempt"] == places["Evidence"] == places["result_of"] == ["checking/attempt.py"]
+    assert places["Attempt"] == places["Verdict"] == places["verdict_of"] == ["checking/attempt.py"]
     assert places["Episode"] == ["checking/episode.py"]
-    assert places["CheckedSite"] == ["checking/checked_site.py"]
+    assert places["CheckedSite"] == ["checking/judge.py"]
     gone = {"ActionRecord", "CheckedRun", "ScheduledRun", "StepRecord", "JointStep", "CarStep", "JointSite"}
-    gone |= {"EpisodeRecord", "JobRecord", "JobResult", "TrialSettings", "attempt_of"}
+    gone |= {"EpisodeRecord", "JobRecord", "JobResult", "TrialSettings", "Evidence", "Finding"}
     assert not gone & set(places)
 
 
@@ -160,7 +160,7 @@ def test_a_class_has_a_name_of_its_own():
 
 def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
     assert [path for path in FILES if {"compare", "own_differences"} & _calls(path)] == [
-        PACKAGE / "checking" / "checked_site.py"
+        PACKAGE / "checking" / "judge.py"
     ]
 
 

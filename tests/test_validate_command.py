@@ -10,8 +10,8 @@ import pytest
 from disturbances import pushed
 
 from craftsim import cli
-from craftsim.checking import settings, world
-from craftsim.checking.settings import Thresholds
+from craftsim.checking import setup
+from craftsim.checking.attempt import Thresholds
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
 from craftsim.validation import validation
@@ -151,7 +151,7 @@ def here(monkeypatch):
 def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predicted(
     folder, capsys, monkeypatch
 ):
-    monkeypatch.setattr(world, "Executor", pushed(0, 0.004))
+    monkeypatch.setattr(setup, "Executor", pushed(0, 0.004))
     (folder / "stop.txt").write_text("0 MOVE_LEFT\n")
     words = ["crowded.yaml", "--actions", "stop.txt", "--randomize", "none", "--trials", "1"]
     # A bundle of what no motor command does cannot be the same again; without the hand there is none to write.
@@ -165,8 +165,8 @@ def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predi
 
 @pytest.mark.usefixtures("here")
 def test_a_car_beyond_its_limit_disagrees_though_the_reading_is_as_predicted(folder, capsys, monkeypatch):
-    strict = (Thresholds(car_m=1e-9), *settings.RANDOMIZE["none"][1:])
-    monkeypatch.setitem(settings.RANDOMIZE, "none", strict)
+    strict = (Thresholds(car_m=1e-9), *setup.RANDOMIZE["none"][1:])
+    monkeypatch.setitem(setup.RANDOMIZE, "none", strict)
     (folder / "move.txt").write_text("0 MOVE_LEFT\n")
     words = ["crowded.yaml", "--actions", "move.txt", "--randomize", "none", "--trials", "1"]
     assert _validate(*words) == 1

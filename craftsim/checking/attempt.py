@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
-from craftsim.checking.contact_log import Contact
-from craftsim.checking.safety import Hazard
-from craftsim.checking.settings import Thresholds
+from craftsim.checking.contacts import Contact, Hazard
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.readback import Reading, changed, describe_car, describe_differences
+from craftsim.discrete.readback import Floats, Reading, changed, describe_car, describe_differences
 from craftsim.discrete.schedule import ScheduledAction
+from craftsim.errors import InputError
 from craftsim.skills.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -24,49 +24,48 @@ _SHOWN: Final = 2
 """How many hazards, and how many contacts, a reason names."""
 
 
-class Finding(StrEnum):
-    """What the comparison of prediction and reading found."""
-
-    AGREES = "agrees"
-    NOT_EXECUTED = "not executed"
-    WRONG_PLACE = "wrong place"
-    SIDE_EFFECT = "side effect"
-    UNREADABLE = "unreadable"
-    UNSAFE = "unsafe"
-    """Something tipped, fell, or hit harder than it may."""
-    UNSETTLED = "unsettled"
-    """Something still moves although no motor is commanded."""
-    NUMERICS = "numerics"
-    """The solver did not converge, or found forces that nothing could have produced: this proves nothing."""
-    DIVERGED = "diverged"
-    """The simulation broke down."""
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Whether an action did what the rules predicted, and in words what differs where it did not."""
-
-    finding: Finding
-    differences: tuple[str, ...] = ()
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the reading equals the prediction."""
-        return self.finding is Finding.AGREES
-
-
-class Result(StrEnum):
-    """The result of an attempt."""
+class Verdict(StrEnum):
+    """The judge's verdict on an action."""
 
     AS_PREDICTED = "as predicted"
-    """The grid that was read is the predicted one, and every figure is within its limit."""
+    """The grid that was read is the predicted one, and every error is within its limit."""
     FAILED = "failed"
     SIDE_EFFECT = "side effect"
     """It did what was predicted, and something else moved or changed."""
     UNSAFE = "unsafe"
     """Something tipped, fell, or hit harder than it may."""
-    NUMERICS = "numerics"
+    SOLVER = "numerics"
     """The simulation broke down or was not solved, and it did not end as predicted: this says nothing of the action."""
+
+
+Finding = Literal[
+    "agrees",
+    "not executed",
+    "wrong place",
+    "side effect",
+    "unreadable",
+    "unsafe",
+    "unsettled",
+    "numerics",
+    "diverged",
+]
+"""What is found where prediction and reading are compared."""
+Cause = tuple[Finding, tuple[str, ...]]
+"""What a verdict rests on: what was found, and in words what differs."""
+
+VERDICTS: Final[Mapping[Finding, Verdict]] = {
+    "agrees": Verdict.AS_PREDICTED,
+    "not executed": Verdict.FAILED,
+    "wrong place": Verdict.SIDE_EFFECT,
+    "side effect": Verdict.SIDE_EFFECT,
+    "unreadable": Verdict.SIDE_EFFECT,
+    "unsafe": Verdict.UNSAFE,
+    "unsettled": Verdict.FAILED,  # something still moves although no motor is commanded
+    "numerics": Verdict.SOLVER,  # no convergence, or forces that nothing could have produced: this proves nothing
+    "diverged": Verdict.SOLVER,
+}
+"""The verdict that each finding means for an action that did itself what it should."""
+AGREES: Final[Cause] = ("agrees", ())
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,9 +99,9 @@ class Attempt:
     performed: bool
     """Whether the skill was begun: what is forbidden is not, nor what waits for something that failed."""
     result: str
-    """A :class:`Result`."""
+    """A :class:`Verdict`."""
     finding: str
-    """Of the verdict, a :class:`Finding`."""
+    """What the verdict rests on, a key of :data:`VERDICTS`."""
     skill: str
     """What the skill reports: succeeded, or failed for a stated reason."""
     reason: str
@@ -182,17 +181,57 @@ class Attempt:
     @property
     def agrees(self) -> bool:
         """Whether physics did what the rules predict, within all limits, and nothing else."""
-        return self.result == Result.AS_PREDICTED
+        return self.result == Verdict.AS_PREDICTED
 
 
 @dataclass(frozen=True)
-class BoundedError:
+class Thresholds:
+    """The largest errors with which an action still agrees with its prediction; set before anything is run.
+
+    Things in neighbouring cells stand 2.5 mm apart: a cell is 322.5 mm wide, a block or slope 320. So each may come
+    nearer to the other by half of that, 1.25 mm, all taken together: place, heading times half a cell, and lean times
+    a level (:attr:`craftsim.discrete.readback.CellFit.reach_m`). That is ``placed_m``, for what is set down, what is
+    carried and what stands; a car alone is far narrower than its cell. A heading off by ``placed_heading_rad`` takes
+    0.8 mm of the 1.25, and leaning by ``tilt_rad`` more than all of it.
+
+    Raises InputError for what is no finite number.
+    """
+
+    car_m: float = 0.001
+    """Distance of the car from its cell's centre."""
+    heading_rad: float = 0.003
+    placed_m: float = 0.00125
+    """Of what was set down, folded or unfolded its distance from its cell's centre, and of what is carried that from
+    its seat; of these, and of all that stands, how much nearer it comes to a neighbouring cell."""
+    bystander_m: float = 0.001
+    """Displacement of anything that the action does not concern, from the action's start to its end; and from where it
+    was left by what last handled it, at any time since the action began."""
+    height_m: float = 0.002
+    """Of the car above the ground, of what was set down above the floor, of a load above its seat."""
+    tilt_rad: float = 0.010
+    """Lean of the car, and of all that stands or is carried, away from level or from the incline; and by how much a
+    slope's hinge is short of its end. Over the 0.2 m between a car's axles it is ``height_m``."""
+    placed_heading_rad: float = 0.005
+    """Of what was set down, folded or unfolded against the grid, and of what is carried against its car."""
+    bystander_rad: float = 0.004
+    """Turn about any axis of the same over the same times: a corner, 0.23 m from the middle, then moves by 0.9 mm."""
+    force: float = 1.0
+    """The hardest that two machines may press on each other, as a share of what weights and motors of the nominal
+    machines can do (:func:`craftsim.checking.contacts.impact_limit_n`)."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            if not math.isfinite(getattr(self, f.name)):
+                raise InputError(f"Thresholds.{f.name} must be a finite number, not {getattr(self, f.name)}")
+
+
+class BoundedError(NamedTuple):
     """An error of an action, and the limit that it is held against."""
 
     field: str
     """Of :class:`Attempt`; its unit is the end of its name."""
     limit: str
-    """Of :class:`~craftsim.checking.settings.Thresholds`."""
+    """Of :class:`~craftsim.checking.attempt.Thresholds`."""
     words: str
     of_bystanders: bool = False
     """Whether it is about what the action does not concern."""
@@ -219,148 +258,147 @@ BOUNDED_ERRORS: Final = (
 """All errors with their limits, in the order in which reasons name them: those of the car first."""
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """What was measured of one action at its end, before it is judged."""
+@dataclass
+class Watched:
+    """An action, with the world as it was at its start and what was measured of it at its end."""
 
+    index: int
+    """In the schedule."""
     step: ScheduledAction
-    legal: bool
-    outcome: Outcome | None
-    """Of the skill; None where it was never begun."""
-    differences: tuple[str, ...]
-    """What reads otherwise of what the action was to change, whatever else happened."""
-    own: tuple[str, ...]
-    """The car and what it handles, by name."""
-    read: str
-    car_error_m: float
-    heading_error_rad: float
-    height_error_m: float
-    tilt_error_rad: float
-    placed_error_m: float | None
-    seat_error_m: float | None
-    thing_heading_rad: float | None
-    thing_tilt_rad: float | None
-    thing_height_m: float | None
-    reach_m: float | None
-    bystander_displacement_m: float
-    bystander_turn_rad: float
-    drift_m: float
-    drift_rad: float
-    bystander_reach_m: float
-    bystander_tilt_rad: float
-    bystanders: Mapping[str, str]
-    """Names of what each of the last six is about; empty ones where there is nothing else."""
-    strayed_m: float | None
-    """The furthest that the car was beside its path; None on an even floor."""
     start_s: float
-    contacts: tuple[Contact, ...]
-    """Unexpected ones of the car and what it handles, hardest first."""
-    hazards: tuple[Hazard, ...]
-    peak_force_n: float
     capped_steps: int
+    """Of the Site until the start; at the end, of the action."""
+    poses: Floats
+    """(n, 7) of cars and objects; of what has been moved by an action that ended meanwhile, where that left it."""
+    reading: Reading
+    about: list[int]
+    """Objects that the action is about, by their index."""
+    own: tuple[str, ...]
+    """The car and these, by name."""
+    below: set[int]
+    """Objects that the car stands and drives on: a stack sways under it until it has come to rest."""
+    cars: set[int]
+    """Those that act meanwhile, its own included."""
+    meant: set[int]
+    """Objects that may move though no acting car carries them: what the action and those beside it are about."""
+    legal: bool = True
+    outcome: Outcome | None = None
+    """Of the skill; None where it was never begun."""
+    differences: tuple[str, ...] = ()
+    """What reads otherwise of what the action was to change, whatever else happened."""
+    read: str = ""
+    errors: dict[str, Any] = field(default_factory=dict)
+    """A number, or None, by field of :data:`BOUNDED_ERRORS`."""
+    bystanders: dict[str, str] = field(default_factory=dict)
+    """Names of what errors of bystanders are about; empty ones where there is nothing else."""
+    strayed_m: float | None = None
+    """The furthest that the car was beside its path; None on an even floor."""
+    contacts: tuple[Contact, ...] = ()
+    """Unexpected ones of the car and what it handles, hardest first."""
+    hazards: tuple[Hazard, ...] = ()
+    peak_force_n: float = 0.0
 
     @property
     def applied(self) -> bool:
         """Whether the skill succeeded and the world reads as it should where the action changes it."""
         return not self.differences and self.outcome is not None and self.outcome.succeeded
 
+    def exceeded(self, limits: Thresholds) -> list[BoundedError]:
+        """Return the errors that are over their limits, or no numbers."""
+        found = []
+        for measure in BOUNDED_ERRORS:
+            value = self.errors[measure.field]
+            if value is not None and not value <= getattr(limits, measure.limit):
+                found.append(measure)
+        return found
 
-def compare(before: Grid, predicted: Grid, reading: Reading) -> Verdict:
-    """Return the verdict on one action: the Grid before it, the one the rules predict, and what was read after it."""
+
+def compare(before: Grid, predicted: Grid, reading: Reading) -> Cause:
+    """Return what is found of one action: the Grid before it, the one the rules predict, and what was read after it."""
     if reading.problems:
-        return Verdict(Finding.UNREADABLE, reading.problems)
+        return "unreadable", reading.problems
     read = reading.grid
     if read.same_visible(predicted):
-        return Verdict(Finding.AGREES)
+        return AGREES
     differences = tuple(describe_differences(predicted, read))
     if read.same_visible(before):
-        return Verdict(Finding.NOT_EXECUTED, differences)
+        return "not executed", differences
     meant, happened = changed(before, predicted), changed(before, read)
     others = any((found & ~wanted).any() for wanted, found in zip(meant, happened, strict=True))
-    return Verdict(Finding.SIDE_EFFECT if others else Finding.WRONG_PLACE, differences)
+    return "side effect" if others else "wrong place", differences
 
 
-def judge(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Attempt:
-    """Return the attempt that the evidence of an action and the verdict on it make, by limits set beforehand."""
-    step, outcome = evidence.step, evidence.outcome
+def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
+    """Return the attempt that what was measured of an action makes, by limits set beforehand."""
+    step, outcome = watched.step, watched.outcome
     row, after = step.before.cars[step.car], step.after.cars[step.car]
-    load = Kind(row[CarField.LOAD])
-    result = result_of(evidence, verdict, limits)
+    load = int(row[CarField.LOAD])
+    exceeded = watched.exceeded(limits)
+    verdict = verdict_of(watched, cause, exceeded)
     return Attempt(
         tick=step.tick,
         car=step.car,
         action=step.action.name,
         verb=ACTIONS[step.action].verb,
         level=int(row[CarField.Z]),
-        load="none" if load == Kind.AIR else load.name.lower(),
+        load=Kind(load).name.lower() if load else "none",
         slope=bool(row[CarField.SLOPE] or after[CarField.SLOPE]),
-        legal=evidence.legal,
+        legal=watched.legal,
         performed=outcome is not None,
-        result=str(result),
-        finding=str(verdict.finding),
+        result=verdict.value,
+        finding=cause[0],
         skill="not performed" if outcome is None else str(outcome),
-        reason="" if result is Result.AS_PREDICTED else reason_of(evidence, verdict, limits),
-        differences=verdict.differences,
+        reason="" if verdict is Verdict.AS_PREDICTED else reason_of(watched, cause, exceeded, limits),
+        differences=cause[1],
         predicted=describe_car(step.after, step.car),
-        read=evidence.read,
-        **{measure.field: getattr(evidence, measure.field) for measure in BOUNDED_ERRORS},
-        start_s=evidence.start_s,
+        read=watched.read,
+        **watched.errors,
+        start_s=watched.start_s,
         duration_s=0.0 if outcome is None else round(outcome.duration_s, 6),
-        peak_force_n=evidence.peak_force_n,
-        capped_steps=evidence.capped_steps,
+        peak_force_n=watched.peak_force_n,
+        capped_steps=watched.capped_steps,
         tries=0 if outcome is None else outcome.tries,
     )
 
 
-def result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Result:
-    """Return the result of an action; what is unsafe is so even if all ended as predicted.
+def verdict_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError]) -> Verdict:
+    """Return the verdict on an action; what is unsafe is so even if all ended as predicted.
 
     Whatever is wrong after a step in which the solver gave up is held against the solver.
     """
-    result = _result_of(evidence, verdict, limits)
-    unsolved = verdict.finding in (Finding.NUMERICS, Finding.DIVERGED) or evidence.capped_steps > 0
-    return Result.NUMERICS if unsolved and result is not Result.AS_PREDICTED else result
+    finding, lines = cause
+    verdict = VERDICTS[finding]
+    if verdict not in (Verdict.UNSAFE, Verdict.SOLVER):
+        problems = lines if finding == "unreadable" else ()
+        concerned = any(line.startswith(f"{name} ") for line in problems for name in watched.own)
+        if not watched.applied or concerned or any(not one.of_bystanders for one in exceeded):
+            verdict = Verdict.FAILED
+        elif verdict is Verdict.AS_PREDICTED and any(exceeded):
+            verdict = Verdict.SIDE_EFFECT
+    return Verdict.SOLVER if watched.capped_steps and verdict is not Verdict.AS_PREDICTED else verdict
 
 
-def _result_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> Result:
-    if verdict.finding is Finding.UNSAFE:
-        return Result.UNSAFE
-    if not evidence.applied or any(_excesses(evidence, limits, of_bystanders=False)):
-        return Result.FAILED
-    if verdict.agrees and not any(_excesses(evidence, limits, of_bystanders=True)):
-        return Result.AS_PREDICTED
-    spoilt = verdict.finding in (
-        Finding.NOT_EXECUTED,
-        Finding.UNSETTLED,
-        Finding.NUMERICS,
-        Finding.DIVERGED,
-    )
-    problems = verdict.differences if verdict.finding is Finding.UNREADABLE else ()
-    concerned = any(line.startswith(f"{name} ") for line in problems for name in evidence.own)
-    return Result.FAILED if spoilt or concerned else Result.SIDE_EFFECT
-
-
-def reason_of(evidence: Evidence, verdict: Verdict, limits: Thresholds) -> str:
+def reason_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError], limits: Thresholds) -> str:
     """Return what went wrong: first what was broken and by how much, then what the car and its load touched.
 
     What was broken are hazards, limits of errors, what the skill reports, or what reads otherwise than predicted.
     """
-    outcome = evidence.outcome
+    (finding, differences), outcome = cause, watched.outcome
     if outcome is None:
-        return verdict.differences[0]
-    parts = [verdict.differences[0]] if verdict.finding in (Finding.NUMERICS, Finding.DIVERGED) else []
-    if evidence.capped_steps and not parts:
-        parts = [capped_text(evidence.capped_steps)]
-    parts += [hazard.text for hazard in evidence.hazards[:_SHOWN]]
-    own = list(_excesses(evidence, limits, of_bystanders=False)) if evidence.applied else []
+        return differences[0]
+    parts = [differences[0]] if VERDICTS[finding] is Verdict.SOLVER else []
+    if watched.capped_steps and not parts:
+        parts = [capped_text(watched.capped_steps)]
+    parts += [text for _, text in watched.hazards[:_SHOWN]]
+    own = [*_excesses(watched, exceeded, limits, of_bystanders=False)] if watched.applied else []
     parts += own[:_SHOWN] if outcome.succeeded else [str(outcome)]
-    parts += list(_excesses(evidence, limits, of_bystanders=True))[:_SHOWN]
+    parts += [*_excesses(watched, exceeded, limits, of_bystanders=True)][:_SHOWN]
     if not parts:
-        parts += verdict.differences[:1]
-    if evidence.strayed_m and (own or not evidence.applied):
-        parts.append(f"the car strayed {1e3 * evidence.strayed_m:.1f} mm from its path")
-    known = {hazard.machines for hazard in evidence.hazards}
-    contacts = [c for c in evidence.contacts if (c.first, c.second) not in known]
+        parts += differences[:1]
+    if watched.strayed_m and (own or not watched.applied):
+        parts.append(f"the car strayed {1e3 * watched.strayed_m:.1f} mm from its path")
+    known = {machines for machines, _ in watched.hazards}
+    contacts = [c for c in watched.contacts if (c.first, c.second) not in known]
     parts += [f"{c.first} touched {c.second} ({c.peak_n:.0f} N)" for c in contacts[:_SHOWN]]
     return "; ".join(parts)
 
@@ -370,19 +408,21 @@ def capped_text(steps: int) -> str:
     return f"the solver gave up in {steps} physics step{'s' * (steps != 1)}"
 
 
-def _excesses(evidence: Evidence, limits: Thresholds, of_bystanders: bool) -> Iterator[str]:
-    """Describe each error that is over its limit, or no number; of each bystander one distance and one angle."""
+def _excesses(
+    watched: Watched, exceeded: Iterable[BoundedError], limits: Thresholds, of_bystanders: bool
+) -> Iterator[str]:
+    """Describe errors that are over their limits; of each bystander one distance and one angle."""
     described = set()
-    for measure in BOUNDED_ERRORS:
-        value, limit = getattr(evidence, measure.field), getattr(limits, measure.limit)
-        if measure.of_bystanders is not of_bystanders or value is None or value <= limit:
+    for measure in exceeded:
+        if measure.of_bystanders is not of_bystanders:
             continue
         name, unit = (
-            evidence.bystanders.get(measure.field, ""),
+            watched.bystanders.get(measure.field, ""),
             "mm" if measure.field.endswith("_m") else "mrad",
         )
         if name and (name, unit) in described:
             continue
         described.add((name, unit))
+        value, limit = watched.errors[measure.field], getattr(limits, measure.limit)
         what = measure.words.format(f"{1e3 * value:.2f} {unit}", name=name)
         yield f"{what} (allowed {1e3 * limit:.2f})"

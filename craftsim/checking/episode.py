@@ -1,18 +1,243 @@
-"""The result of an episode: a plan, a list of actions or a policy's play in physics, from its start to its end."""
+"""Episodes in physics: recipes, the steps of which they are made, what became of them, and a bound on their time.
+
+A recipe is all that it takes to do something in physics again, in a form that JSON knows. It always starts from a
+reset: MuJoCo's state vector leaves out which trees sleep and what it keeps of them, and skills, localisers and noise
+have states of their own; a start and the actions since say it all. That the world before the last step is the same
+again is checked, not assumed (:mod:`craftsim.validation.replays.bundle`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Final
 
-from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.recipe import Recipe
+import numpy as np
+
+from craftsim.checking.attempt import Attempt, Thresholds
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import SEED_0, Seed, Setup, judge_on, nominal_gains, set_up
+from craftsim.discrete.files.blueprint import Blueprint, blueprint_text, parse_blueprint
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.schedule import Concurrency, Constraints
+from craftsim.errors import InputError, suggestion
+from craftsim.models.extent import check_extent
+from craftsim.models.randomization import RandomizedSite
+from craftsim.models.sensing import Sensors
+from craftsim.models.site import Site
+from craftsim.skills.gains import Gains
+from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
+
+_NAMES: Final = [action.name for action in Action]
 
 
 @dataclass(frozen=True)
-class Ending:
+class Act:
+    """What one car is to do. Raises InputError for an action that there is not."""
+
+    car: int
+    action: str
+    """Name of a primitive action."""
+
+    def __post_init__(self) -> None:
+        if self.action not in _NAMES:
+            raise InputError(
+                f"unknown action '{self.action}'{suggestion(self.action, _NAMES)}; there are {', '.join(_NAMES)}"
+            )
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is done at one time: one action, or with an ``order`` one tick of many cars, or a whole plan.
+
+    Raises InputError for several actions without an order, for an intended world with one, for a car that acts twice
+    in a tick, and for more actions than allowed.
+    """
+
+    ticks: tuple[tuple[Act, ...], ...]
+    """In each tick every car acts once at most, in the order given."""
+    order: Concurrency | None = None
+    """Which actions may run at the same time; None performs a single action by itself."""
+    intended: str | None = None
+    """The world, as a blueprint, that a single action should lead to although the rules forbid it."""
+    number: int = 0
+    """Of the first tick."""
+    after: tuple[tuple[tuple[int, int], tuple[int, int]], ...] = ()
+    """Order constraints of a plan: an action's (tick, car), and that of one that must have ended before it; ticks count
+    from the first of the step."""
+
+    def __post_init__(self) -> None:
+        if self.order is None and len(self.acts) != 1:
+            raise InputError(f"a step without an order has one action, not {len(self.acts)}")
+        if len(self.acts) > STEP_ACTIONS:
+            raise InputError(
+                f"a step of {len(self.acts)} actions; allowed: at most {STEP_ACTIONS} at one time"
+            )
+        if any(len({act.car for act in tick}) < len(tick) for tick in self.ticks):
+            raise InputError("a car acts twice in one tick; allowed: once")
+        if self.order is not None and self.intended is not None:
+            raise InputError("only a single action, in a step without an order, can have an intended world")
+
+    @property
+    def acts(self) -> tuple[Act, ...]:
+        """All actions."""
+        return tuple(act for tick in self.ticks for act in tick)
+
+    @property
+    def intended_grid(self) -> Grid | None:
+        """The intended world, where there is one. Raises BlueprintError for one that is none."""
+        return None if self.intended is None else _grid(self.intended)
+
+    @classmethod
+    def single(cls, tick: int, car: int, action: Action, intended: Grid | None = None) -> Step:
+        """Return the step of one action; ``intended`` is what a forbidden one should lead to."""
+        world = None if intended is None else blueprint_text(intended)
+        return cls(((Act(car, action.name),),), None, world, tick)
+
+    @classmethod
+    def joint(
+        cls,
+        tick: int,
+        *ticks: Sequence[tuple[int, Action]],
+        order: Concurrency = "concurrent",
+        after: Constraints | None = None,
+    ) -> Step:
+        """Return the step of many cars: one tick, or several as one schedule with its order constraints.
+
+        ``tick`` numbers the first one.
+        """
+        acts = tuple(tuple(Act(car, action.name) for car, action in joint) for joint in ticks)
+        pairs = tuple((act, other) for act, others in (after or {}).items() for other in others)
+        return cls(acts, order, None, tick, pairs)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How to make a world in physics, and what to do in it; the last step is the one of interest."""
+
+    world: str
+    """The start as a blueprint that leaves nothing to chance."""
+    steps: tuple[Step, ...] = ()
+    setup: Setup = field(default_factory=Setup)
+    seed: Seed = SEED_0
+    """Of the draw of the physics and of the sensors' noise."""
+    goals: tuple[Cell, ...] = ()
+    """Cells that get a marker without contact."""
+
+    @property
+    def grid(self) -> Grid:
+        """The start. Raises BlueprintError for a world that is none."""
+        return _grid(self.world)
+
+    def then(self, *steps: Step) -> Recipe:
+        """Return this recipe with more steps at its end."""
+        return replace(self, steps=(*self.steps, *steps))
+
+
+def _grid(text: str) -> Grid:
+    return _blueprint(text).grid(np.random.default_rng(0))
+
+
+@lru_cache(maxsize=2)
+def _blueprint(text: str) -> Blueprint:
+    """Return the blueprint of a world, or of an intended one; many trials start from the same."""
+    return parse_blueprint(text, "world of a recipe")
+
+
+def run_up(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
+    """Return the world of a recipe before its last step; ``reuse`` as of :func:`set_up`."""
+    checked = start(recipe, reuse)
+    for step in recipe.steps[:-1]:
+        do(checked, step)
+    return checked
+
+
+def start(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
+    """Return the world of a recipe before its first step; ``reuse`` as of :func:`set_up`.
+
+    Raises InputError where something in the recipe does not fit together.
+    """
+    grid = check_recipe(recipe)
+    return set_up(grid, recipe.setup, recipe.seed, recipe.goals, reuse)
+
+
+def check_recipe(recipe: Recipe) -> Grid:
+    """Return the start of a recipe; raise InputError for a world that physics does not take, and for wrong steps."""
+    grid = recipe.grid
+    check_extent(grid, recipe.goals)
+    acts = [act for step in recipe.steps for act in step.acts]
+    if len(acts) > RECIPE_ACTIONS:
+        raise InputError(f"a recipe of {len(acts)} actions; allowed: at most {RECIPE_ACTIONS}")
+    for act in acts:
+        if not 0 <= act.car < grid.n_cars:
+            raise InputError(f"there is no car {act.car}: the world has {grid.n_cars}, counted from 0")
+    for step in recipe.steps:
+        intended = step.intended_grid or grid
+        if (intended.size, intended.n_cars) != (grid.size, grid.n_cars):
+            raise InputError("the intended world of a step has another size, or other cars, than the start")
+    return grid
+
+
+def do(checked: CheckedSite, step: Step) -> tuple[Attempt, ...]:
+    """Do one step and return an attempt for each of its actions."""
+    if step.order is None:
+        act = step.acts[0]
+        return (checked.perform(act.car, Action[act.action], step.intended_grid, step.number),)
+    ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
+    after: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for later, earlier in step.after:
+        after.setdefault(later, []).append(earlier)
+    attempts = checked.perform_plan(ticks, step.order, after)
+    return tuple(replace(attempt, tick=attempt.tick + step.number) for attempt in attempts)
+
+
+def perform(
+    site: Site,
+    car: int,
+    action: Action | str,
+    *,
+    rules: RuleSet = "physical",
+    gains: Gains | None = None,
+    sensors: Sensors | None = None,
+    thresholds: Thresholds | None = None,
+) -> Attempt:
+    """Let one car perform one action on a Site, and judge it on the poses that it ends with.
+
+    The Site goes on from where it stands, so that calls can follow each other. What the rules forbid is not performed;
+    the attempt then says why.
+
+    Args:
+        site: the world.
+        car: number of the car that acts.
+        action: what it does, or its name.
+        rules: the rule set that predicts.
+        gains: of the skills; the nominal ones unless given.
+        sensors: of the cars; exact ones unless given.
+        thresholds: limits of the errors; the default ones unless given.
+
+    Raises:
+        InputError: there is no such car or action, or something stood in something else at the Site's start.
+
+    Example:
+        >>> import craftsim
+        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> attempt = craftsim.perform(site, 0, "MOVE_RIGHT")
+        >>> attempt.agrees, attempt.read
+        (True, '1,0,1 +x')
+    """
+    if not 0 <= car < len(site.cars):
+        raise InputError(f"there is no car {car}: the world has {len(site.cars)}, counted from 0")
+    if isinstance(action, str):
+        action = Action[Act(car, action).action]
+    setup = Setup(rules, thresholds or Thresholds(), gains=gains or nominal_gains())
+    return judge_on(site, setup, sensors).perform(car, action)
+
+
+@dataclass(frozen=True)
+class BuildResult:
     """How a building that was planned, and planned again, came to its end; made of what JSON knows."""
 
     ended: str
@@ -43,7 +268,7 @@ class Episode:
     """Simulated time."""
     problems: tuple[str, ...]
     """Why the world at the end cannot be read as a grid; empty when it can."""
-    ending: Ending | None = None
+    ending: BuildResult | None = None
     """Where plans were made on the way."""
 
     @property
@@ -85,7 +310,7 @@ class Episode:
 
 
 @dataclass(frozen=True)
-class Watch:
+class EpisodeObserver:
     """Who looks on while an episode runs."""
 
     begin: Callable[[CheckedSite], None] = lambda checked: None
@@ -94,4 +319,34 @@ class Watch:
     """Called after each step."""
 
 
-UNWATCHED: Final = Watch()
+UNOBSERVED: Final = EpisodeObserver()
+
+
+class OverrunError(InputError):
+    """What was begun takes more simulated time than it was given."""
+
+
+class TimeLimit:
+    """Counts the control periods of a world from now on, and ends with OverrunError what takes longer than it may.
+
+    It does not look at the simulation's clock, which starts over when the simulation breaks down.
+    """
+
+    def __init__(self, checked: CheckedSite, most_s: float, what: str) -> None:
+        """Give whatever is done next ``most_s`` seconds of simulated time, all together; ``what`` is for the error."""
+        self._most_s, self._what = most_s, what
+        self._period_s = checked.site.config.control_period_s
+        self._periods = 0
+        checked.executor.observers.append(self._count)
+
+    @property
+    def passed_s(self) -> float:
+        """Simulated time since then."""
+        return self._periods * self._period_s
+
+    def _count(self, site: Site) -> None:
+        self._periods += 1
+        if self.passed_s > self._most_s:
+            raise OverrunError(
+                f"{self._what} has not come to its end after {self._most_s:.4g} s of simulated time"
+            )

@@ -141,7 +141,7 @@ def bench(
         case "durations":
             import yaml
 
-            from craftsim.checking.nominal import measure_durations
+            from craftsim.commands.bench_durations import measure_durations
 
             figures = measure_durations()
             console.print(yaml.safe_dump(figures, sort_keys=False), end="")

@@ -64,7 +64,7 @@ class FilmTiming:
 
 def bench_render(console: Console, seed: int, out: Path | None) -> dict[str, Any]:
     """Measure, print, write a table for the documentation if there is a folder, and return all figures."""
-    from craftsim.checking.settings import setup_of
+    from craftsim.checking.setup import setup_of
     from craftsim.rendering.backend import choose_backend
     from craftsim.validation.runs.once import record_once
 
@@ -158,7 +158,7 @@ def _shared(trajectory: Trajectory, look: Look, workers: int, n: int) -> float:
 
 def _recording_cost(drive: str, seed: int) -> float:
     """Return what share recording adds to the CPU time of a run: the median over pairs."""
-    from craftsim.checking.settings import setup_of
+    from craftsim.checking.setup import setup_of
     from craftsim.validation.runs.choice import PLANNER, items_of, policy_pilot, subjects_of
     from craftsim.validation.runs.run import Terms, do_run
 

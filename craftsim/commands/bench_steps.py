@@ -81,7 +81,7 @@ def bench_steps(console: Console, drive: Drive, contexts: int, seed: int) -> dic
 
 
 def _sample(drive: Drive, contexts: int, seed: int) -> list[Trial]:
-    from craftsim.checking.settings import setup_of
+    from craftsim.checking.setup import setup_of
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.audit.trial import Trial, items_of
 

@@ -113,7 +113,7 @@ class _Stopwatch:
 
 def _sample(drive: Drive, contexts: int, seed: int) -> list[list[Trial]]:
     """Return the first trials of some contexts of the audit."""
-    from craftsim.checking.settings import setup_of
+    from craftsim.checking.setup import setup_of
     from craftsim.commands.audit import OPTIONS
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.audit.trial import Trial, items_of
@@ -131,7 +131,7 @@ def _sample(drive: Drive, contexts: int, seed: int) -> list[list[Trial]]:
 
 def _time(trials: Sequence[Trial]) -> dict[str, float]:
     """Return the CPU seconds of each stage of a trial, the mean over trials of one context."""
-    from craftsim.checking.recipe import do, run_up
+    from craftsim.checking.episode import do, run_up
     from craftsim.validation.audit.trial import recipe_of, site_of, why_not_standing
 
     spent = dict.fromkeys(STAGES, 0.0)

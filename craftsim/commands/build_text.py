@@ -9,7 +9,7 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.commands.terminal import cell
 from craftsim.validation.builds import Builds
 from craftsim.validation.campaign import TrialRecord
@@ -37,7 +37,7 @@ def _cells(record: TrialRecord) -> list[Text | str]:
     if record["error"] is not None:
         return ["-"] * 5 + [cell(record["error"])]
     extra, attempts = record["extra"], record["attempts"]
-    good = sum(attempt["result"] == Result.AS_PREDICTED for attempt in attempts)
+    good = sum(attempt["result"] == Verdict.AS_PREDICTED for attempt in attempts)
     told = [extra["ended"], extra["why"], extra["disturbed"]]
     numbers = [len(attempts), good, extra["replans"]]
     times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]

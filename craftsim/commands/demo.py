@@ -54,8 +54,8 @@ def demo(
         video: make a film of each task; without a rendering backend the demo goes on without.
         out: folder for report.json, the films, the trajectories that they show, and the cars' logs.
     """
-    from craftsim.checking.episode import Watch
-    from craftsim.checking.world import set_up
+    from craftsim.checking.episode import EpisodeObserver
+    from craftsim.checking.setup import set_up
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
     from craftsim.commands.notes_text import print_notes
@@ -84,7 +84,7 @@ def demo(
             nullcontext(set_up) if robot is None else robots_at(robot, timeout_s) as where,
             counting(console, building.name, building.n_actions, attrgetter("agrees")) as tell,
         ):
-            watch = Watch(on_attempts=partial(_tell_each, tell))
+            watch = EpisodeObserver(on_attempts=partial(_tell_each, tell))
             one = building.run(setup, physics.seed, order, watch, where)
         assert one.trajectory is not None
         one.trajectory.write(out / f"{one.name}{SUFFIX}")

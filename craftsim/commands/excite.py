@@ -39,7 +39,7 @@ def excite(
     """
     import numpy as np
 
-    from craftsim.checking.world import Seed
+    from craftsim.checking.setup import Seed
     from craftsim.logs.tables import write_commands, write_table
     from craftsim.report import write_report
     from craftsim.tuning.driving_log import drive, free_area

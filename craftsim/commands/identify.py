@@ -47,7 +47,7 @@ def identify(
     import time
     from dataclasses import replace
 
-    from craftsim.checking.settings import setup_of
+    from craftsim.checking.setup import setup_of
     from craftsim.logs.files import read_log
     from craftsim.report import write_report
     from craftsim.tuning import findings

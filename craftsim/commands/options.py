@@ -13,7 +13,7 @@ from craftsim.models.parameters import Drive
 from craftsim.storage.limits import SEED, TRIAL_COUNT, WORKERS
 
 if TYPE_CHECKING:
-    from craftsim.checking.settings import Setup
+    from craftsim.checking.setup import Setup
 
 Dir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
@@ -51,7 +51,7 @@ class PhysicsOptions:
 
     def setup(self) -> Setup:
         """Return the configuration of the physics; raise InputError for a file that says what it should not."""
-        from craftsim.checking.settings import setup_of
+        from craftsim.checking.setup import setup_of
 
         return setup_of(
             *(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume, self.drive),

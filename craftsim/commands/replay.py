@@ -19,8 +19,8 @@ from craftsim.storage.folders import owning
 from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
-    from craftsim.checking.checked_site import CheckedSite
-    from craftsim.models.world import Site
+    from craftsim.checking.judge import CheckedSite
+    from craftsim.models.site import Site
     from craftsim.skills.executor import Observer
     from craftsim.validation.replays.bundle import Recorded
     from craftsim.validation.replays.replay import Replay

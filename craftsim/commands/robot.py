@@ -57,7 +57,7 @@ def robot(
         out: folder for report.json.
     """
     need_network()
-    from craftsim.checking.world import Seed, set_up
+    from craftsim.checking.setup import Seed, set_up
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.tasks import as_task, free_play
     from craftsim.report import write_report

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import Seed, SetUp, judge_on
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import Seed, SetUp, Setup, judge_on
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import NOISY

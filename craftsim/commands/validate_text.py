@@ -13,7 +13,7 @@ from typing import Final
 
 from rich.table import Table
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.commands.terminal import cell
 from craftsim.commands.text import say
 from craftsim.validation.campaign import TrialRecord
@@ -56,7 +56,7 @@ class _Row:
         self.makespans.append(record["extra"]["makespan_s"])
         self.counts["agree"] += record["agrees"]
         self.counts["actions"] += len(record["attempts"])
-        self.counts["good"] += sum(a["result"] == Result.AS_PREDICTED for a in record["attempts"])
+        self.counts["good"] += sum(a["result"] == Verdict.AS_PREDICTED for a in record["attempts"])
         for key in _GOALS:
             self.counts[f"with {key}"] += key in record["extra"]
             self.counts[key] += record["extra"].get(key, False)
@@ -90,7 +90,7 @@ def print_disagreements(out: Path, records: Iterable[TrialRecord]) -> None:
     wrong = (record for record in records if not record["agrees"])
     for record in islice(wrong, _SHOWN):
         text = record["error"] or ""
-        if bad := next((a for a in record["attempts"] if a["result"] != Result.AS_PREDICTED), None):
+        if bad := next((a for a in record["attempts"] if a["result"] != Verdict.AS_PREDICTED), None):
             text = f"tick {bad['tick']} car {bad['car']} {bad['action']}: "
             text += f"{bad['result']}: {bad['reason']}" if bad["legal"] else f"not tried: {bad['reason']}"
         say(f"{record['key']}: {text}")

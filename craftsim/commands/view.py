@@ -83,8 +83,8 @@ def _runs(path: Path) -> Runs:
 def _carry_out(building: Building, live: LiveView) -> Trajectory:
     """Carry out a plan while people look on, and return what happened."""
     from craftsim.checking.attempt import Attempt
-    from craftsim.checking.checked_site import CheckedSite
-    from craftsim.checking.episode import Watch
+    from craftsim.checking.episode import EpisodeObserver
+    from craftsim.checking.judge import CheckedSite
 
     attempts, task = list[Attempt](), building.task
 
@@ -92,6 +92,6 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
         live.follow(checked, building.name, task.goal_cells, lambda: attempts)
 
     setup = PhysicsOptions(randomize="none").setup()
-    done = building.run(setup, 0, "concurrent", Watch(begin, attempts.extend))
+    done = building.run(setup, 0, "concurrent", EpisodeObserver(begin, attempts.extend))
     assert done.trajectory is not None
     return done.trajectory

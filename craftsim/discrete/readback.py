@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, INCLINE_RAD, LEVEL_HEIGHT_M, yaw_angle
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR, KIND, YAW
 
@@ -44,6 +44,8 @@ Axes = tuple[Vector, Vector, Vector]
 """Of a turned body: forward, left and up, (x, y, z) each in the world frame."""
 _axes_of: Final[Callable[..., Axes]] = getattr(body_axes, "py_func", body_axes)
 """Not compiled: poses are read once an action."""
+_Fit = tuple["CellFit", tuple[int, ...], tuple[str, ...]]
+"""How a car fits with its row of the grid, or an object with its yaw; and what is wrong with it, in words."""
 _Seat = tuple[int, Axes, float, float]
 """What a carried object sits on: the car, its axes, how far off its centre line and how high above it."""
 
@@ -63,10 +65,6 @@ class Poses:
     quaternions: Floats
     hinges: Floats
     """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
-
-    def copy(self) -> Poses:
-        """Return a copy whose poses may be written to."""
-        return deepcopy(self)
 
     def name(self, index: int) -> str:
         """Return the name of an object for people, counted by kind: ``block 0``, ``flag 0``, ``slope 1``."""
@@ -108,6 +106,33 @@ class Reading:
     """In the order of the poses."""
     problems: tuple[str, ...] = ()
     """What could not be read as a grid, in words; empty when everything stands in a cell."""
+    poses: Poses | None = None
+    """What it was read from."""
+    fits: tuple[_Fit, ...] = ()
+    """Of the cars and the objects, before they were put into the grid; what has not moved is taken from here again."""
+
+    @cached_property
+    def standing(self) -> tuple[tuple[int, Cell, Cell | None], ...]:
+        """The objects that no car carries: index, cell, and the cell of the foot where an unfolded slope stands."""
+        found = []
+        for index, thing in enumerate(self.objects):
+            if thing.carrier is None:
+                unfolded = self.grid.kind_at(thing.cell) == Kind.BODY
+                found.append((index, thing.cell, cells_at(self.grid, thing.cell)[1] if unfolded else None))
+        return tuple(found)
+
+    @cached_property
+    def bounded(self) -> Floats:
+        """(n, 2) of each object: ``reach_m``, and how far it leans or, where that is more, its hinge stands open."""
+        both = [(thing.reach_m, max(thing.tilt_rad, thing.hinge_rad)) for thing in self.objects]
+        return np.array(both).reshape(-1, 2)
+
+
+def cells_at(grid: Grid, cell: Cell) -> list[Cell]:
+    """Return a cell, and the second one of the slope that stands there."""
+    if grid.kind_at(cell) not in SECOND_PART:
+        return [cell]
+    return [cell, beside(cell, int(grid.yaw[cell]))]
 
 
 def nearest_yaw(heading: float) -> tuple[int, float]:
@@ -116,30 +141,72 @@ def nearest_yaw(heading: float) -> tuple[int, float]:
     return yaw, math.remainder(heading - yaw_angle(yaw), math.tau)
 
 
-def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
+def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer], last: Reading | None = None) -> Reading:
     """Return the Grid that the poses show.
 
     Args:
         poses: what was measured.
         size: (L, W, H) of the map.
         walls: (n, 3) cells of fixed obstacles, in the Grid's own coordinates (level 1 is z = 1).
+        last: an earlier reading of the same machines on the same map, which saves reading again what has not moved.
     """
-    grid = Grid.empty(size, len(poses.car_positions))
+    n_cars = len(poses.car_positions)
+    still = [False] * (n_cars + len(poses.kinds))
+    if last is not None and last.poses is not None:
+        still = _unmoved(poses, last.poses)
+        if all(still):
+            return last
+    grid = Grid.empty(size, n_cars)
     grid.kind[tuple(walls.T)] = Kind.WALL
     positions, car_axes = poses.positions.tolist(), _axes(poses.car_quaternions)
+    fits: list[_Fit] = []
     cars, objects, problems = [], [], []
     for car, position in enumerate(poses.car_positions.tolist()):
-        notes: list[str] = []
-        cars.append(_read_car(grid, car, position, car_axes[car], notes))
+        if last is not None and still[car]:
+            fits.append(last.fits[car])
+        else:
+            fits.append(_read_car(grid.size, position, car_axes[car]))
+        fit, row, notes = fits[car]
+        grid.cars[car] = row
+        cars.append(fit)
         problems += [f"car {car} {note}" for note in notes]
     seats = _seats(poses, car_axes)
-    axes, hinges = _axes(poses.quaternions), poses.hinges.tolist()
+    quaternions, hinges = poses.quaternions.tolist(), poses.hinges.tolist()
     for index, kind in enumerate(map(int, poses.kinds)):
-        notes, seat = [], seats.get(index)
-        objects.append(_read_object(grid, kind, positions[index], axes[index], hinges[index], seat, notes))
+        seat, hinge = seats.get(index), hinges[index]
+        if (
+            last is not None
+            and still[n_cars + index]
+            and last.objects[index].carrier is None
+            and seat is None
+        ):
+            fits.append(last.fits[n_cars + index])
+        else:
+            axes = _axes_of(*quaternions[index])
+            fits.append(_read_object(grid, kind, positions[index], axes, hinge, seat))
+        fit, (yaw,), notes = fits[-1]
+        objects.append(fit)
+        if seat is None:
+            notes = (*notes, *_stand(grid, kind, fit.cell, yaw, hinge))
         problems += [f"{poses.name(index)} {note}" for note in notes]
     grid.derive_marks()
-    return Reading(grid, tuple(cars), tuple(objects), tuple(problems))
+    return Reading(grid, tuple(cars), tuple(objects), tuple(problems), poses, tuple(fits))
+
+
+def _unmoved(now: Poses, then: Poses) -> list[bool]:
+    """Return which cars, and which objects after them, have the same poses to the last bit."""
+    same = [
+        (one.view(np.int64) == other.view(np.int64)).all(axis=1)
+        for one, other in (
+            (now.car_positions, then.car_positions),
+            (now.car_quaternions, then.car_quaternions),
+            (now.positions, then.positions),
+            (now.quaternions, then.quaternions),
+            (now.hinges[:, None], then.hinges[:, None]),
+        )
+    ]
+    cars, objects = same[0] & same[1], same[2] & same[3] & same[4]
+    return [*cars.tolist(), *objects.tolist()]
 
 
 def _axes(quaternions: Floats) -> list[Axes]:
@@ -156,13 +223,13 @@ def _arc(function: Callable[[float], float], value: float) -> float:
     return function(max(-1.0, min(1.0, value)))
 
 
-def _column(grid: Grid, position: Vector, notes: list[str]) -> tuple[int, int, float]:
+def _column(size: Cell, position: Vector, notes: list[str]) -> tuple[int, int, float]:
     """Return the column of the map in which a position is, and how far from its centre."""
     x, y = math.floor(position[0] / CELL_PITCH_M), math.floor(position[1] / CELL_PITCH_M)
     offset = math.hypot(position[0] - (x + 0.5) * CELL_PITCH_M, position[1] - (y + 0.5) * CELL_PITCH_M)
     if offset > PLACE_TOLERANCE_M:
         notes.append(f"is {offset * 1e3:.0f} mm from the centre of ({x}, {y})")
-    length, width, _ = grid.size
+    length, width, _ = size
     if not (0 <= x < length and 0 <= y < width):
         notes.append(f"is outside the area, at ({x}, {y})")
     return min(max(x, 0), length - 1), min(max(y, 0), width - 1), offset
@@ -179,10 +246,11 @@ def _level(height: float, top: int, notes: list[str]) -> tuple[int, float]:
     return min(max(level, 1), top), excess
 
 
-def _read_car(grid: Grid, car: int, position: Vector, axes: Axes, notes: list[str]) -> CellFit:
-    """Put a car into a world and return how it fits; note what is wrong with it."""
+def _read_car(size: Cell, position: Vector, axes: Axes) -> _Fit:
+    """Return how a car fits into a map of a size, its row of the grid, and what is wrong with it."""
     forward, left, up = axes
-    x, y, offset = _column(grid, position, notes)
+    notes: list[str] = []
+    x, y, offset = _column(size, position, notes)
     yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
     if abs(turned) > HEADING_TOLERANCE_RAD:
         notes.append(f"heads {turned:+.2f} rad away from yaw {yaw}")
@@ -195,10 +263,10 @@ def _read_car(grid: Grid, car: int, position: Vector, axes: Axes, notes: list[st
     if on_slope:
         slope = 1 if (height / LEVEL_HEIGHT_M) % 1.0 < 0.5 else 2
         height += LEVEL_HEIGHT_M * (-0.25 if slope == 1 else 0.25)
-    z, excess = _level(height, grid.size[2] + 1, notes)  # a car may be above the top level
-    grid.cars[car] = x, y, z, yaw, AIR, 0, slope
+    z, excess = _level(height, size[2] + 1, notes)  # a car may be above the top level
     tilt = math.sqrt(off_incline * off_incline + roll * roll)
-    return CellFit((x, y, z), offset, turned, None, excess, tilt, 0.0, 0.0)
+    fit = CellFit((x, y, z), offset, turned, None, excess, tilt, 0.0, 0.0)
+    return fit, (x, y, z, yaw, AIR, 0, slope), tuple(notes)
 
 
 def _seats(poses: Poses, car_axes: list[Axes]) -> dict[int, _Seat]:
@@ -215,10 +283,11 @@ def _seats(poses: Poses, car_axes: list[Axes]) -> dict[int, _Seat]:
 
 
 def _read_object(
-    grid: Grid, kind: int, position: Vector, axes: Axes, hinge: float, seat: _Seat | None, notes: list[str]
-) -> CellFit:
-    """Put an object into a world that has its cars, and return how it fits; note what is wrong with it."""
+    grid: Grid, kind: int, position: Vector, axes: Axes, hinge: float, seat: _Seat | None
+) -> _Fit:
+    """Return how an object fits into a world that has its cars, its yaw, and what is wrong with it; load its car."""
     forward, _, up = axes
+    notes: list[str] = []
     yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
     folded = kind != FSLOPE or hinge > math.pi / 2
     ajar = abs(hinge - (math.pi if folded else 0.0)) if kind == FSLOPE else 0.0
@@ -240,22 +309,28 @@ def _read_object(
         nose_up = math.copysign(INCLINE_RAD, car_axes[0][2]) if slope else 0.0
         lean = [-math.sin(nose_up) * step for step in DIRECTIONS[car_yaw].tolist()]
         reach = _reach(position, (x, y, z), turned, up, height, lean)
-        return CellFit((x, y, z), offset, heading, car, height, tilt, ajar, reach)
-    x, y, offset = _column(grid, position, notes)
+        return CellFit((x, y, z), offset, heading, car, height, tilt, ajar, reach), (yaw,), tuple(notes)
+    x, y, offset = _column(grid.size, position, notes)
     z, height = _level(position[2], grid.size[2], notes)
     tilt = _arc(math.acos, up[2])
     if tilt > TILT_TOLERANCE_RAD:
         notes.append(f"leans by {tilt:.2f} rad")
     if abs(turned) > HEADING_TOLERANCE_RAD:
         notes.append(f"is turned by {turned:+.2f} rad")
-    if kind == FSLOPE:
-        first, second = (FSLOPE, GEAR) if folded else (BODY, FOOT)
-        _put(grid, (x, y, z), first, yaw, notes)
-        _put(grid, beside((x, y, z), yaw), second, yaw, notes)
-    else:
-        _put(grid, (x, y, z), kind, 0, notes)
     reach = _reach(position, (x, y, z), turned, up, 0.0, [0.0, 0.0])
-    return CellFit((x, y, z), offset, turned, None, height, tilt, ajar, reach)
+    return CellFit((x, y, z), offset, turned, None, height, tilt, ajar, reach), (yaw,), tuple(notes)
+
+
+def _stand(grid: Grid, kind: int, cell: Cell, yaw: int, hinge: float) -> list[str]:
+    """Put an object that no car carries into a world; return what is wrong with its place."""
+    notes: list[str] = []
+    if kind == FSLOPE:
+        first, second = (FSLOPE, GEAR) if hinge > math.pi / 2 else (BODY, FOOT)
+        _put(grid, cell, first, yaw, notes)
+        _put(grid, beside(cell, yaw), second, yaw, notes)
+    else:
+        _put(grid, cell, kind, 0, notes)
+    return notes
 
 
 def _reach(position: Vector, cell: Cell, turned: float, up: Vector, lifted: float, lean: Vector) -> float:
@@ -294,13 +369,19 @@ def describe_differences(predicted: Grid, read: Grid) -> list[str]:
 
 def own_differences(before: Grid, predicted: Grid, read: Grid, car: int) -> list[str]:
     """Return a line for each thing that a car's action was to change and that reads otherwise than predicted."""
-    (cells, cars), (meant, _) = changed(predicted, read), changed(before, predicted)
-    return _describe(predicted, read, cells & meant, cars & (np.arange(len(cars)) == car))
+    cells, cars = changed(predicted, read)
+    cars &= np.arange(len(cars)) == car
+    if cells.any():
+        cells &= changed(before, predicted)[0]
+    elif not cars.any():
+        return []
+    return _describe(predicted, read, cells, cars)
 
 
 def changed(one: Grid, other: Grid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which cells (L, W, H + 1) hold something else, and which cars (n,) differ."""
-    return (one.kind != other.kind) | (one.yaw != other.yaw), (one.cars != other.cars).any(axis=1)
+    cells = (one.cells[..., : YAW + 1] != other.cells[..., : YAW + 1]).any(axis=-1)
+    return cells, (one.cars != other.cars).any(axis=1)
 
 
 def _describe(predicted: Grid, read: Grid, cells: NDArray[np.bool_], cars: NDArray[np.bool_]) -> list[str]:

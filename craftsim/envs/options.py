@@ -162,7 +162,7 @@ class Options:
             from craftsim.rendering.backend import choose_backend
 
             choose_backend()
-        from craftsim.checking.settings import Setup, nominal_gains
+        from craftsim.checking.setup import Setup, nominal_gains
         from craftsim.envs.physics_backend import PhysicsBackend
         from craftsim.envs.pictures import Pictures
         from craftsim.envs.records import EpisodeRecords

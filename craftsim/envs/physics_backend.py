@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.recipe import Recipe, Step
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import Seed, compile_world, set_up
+from craftsim.checking.episode import Recipe, Step
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.recipe import Recipe
+from craftsim.checking.episode import Recipe
+from craftsim.checking.judge import CheckedSite
 from craftsim.discrete.files.design import Design
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import SUFFIX

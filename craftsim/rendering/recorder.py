@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.recipe import Recipe
+from craftsim.checking.episode import Recipe
+from craftsim.checking.judge import CheckedSite
 from craftsim.discrete.files.design import Design
 from craftsim.models.measuring import READING
 from craftsim.models.world import Site

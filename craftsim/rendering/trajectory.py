@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.recipe import Recipe, check_recipe
+from craftsim.checking.episode import Recipe, check_recipe
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.errors import InputError
 from craftsim.models.world import Site

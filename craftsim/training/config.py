@@ -161,7 +161,7 @@ def _check_drawn(randomize: str, backend: TrainBackend) -> None:
     if randomize == "none":
         return
     # MuJoCo comes with it, which the grid has no use for.
-    from craftsim.checking.settings import RANDOMIZE
+    from craftsim.checking.setup import RANDOMIZE
 
     if randomize not in RANDOMIZE:
         raise InputError(f"randomize is {randomize!r}; allowed: {', '.join(RANDOMIZE)}")

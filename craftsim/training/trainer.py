@@ -41,7 +41,7 @@ from craftsim.training.restoring import numbers
 from craftsim.training.shape import Shape, check_stage
 
 if TYPE_CHECKING:
-    from craftsim.checking.settings import Randomize
+    from craftsim.checking.setup import Randomize
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next."""
@@ -132,7 +132,7 @@ class Trainer:
     @property
     def _physics(self) -> dict[str, Any]:
         """Options of worlds in physics."""
-        from craftsim.checking.settings import RANDOMIZE
+        from craftsim.checking.setup import RANDOMIZE
 
         drawn = RANDOMIZE[cast("Randomize", self.config.randomize)][1]
         return {"workers": self.workers, "drive": self.config.drive, "randomization": drawn}

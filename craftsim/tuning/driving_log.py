@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import Seed, set_up
+from craftsim.checking.setup import Seed, Setup, set_up
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.logs.log import Floats, Log

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import UNWATCHED, Episode, Watch
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import SetUp, set_up
+from craftsim.checking.episode import UNOBSERVED, Episode, EpisodeObserver
+from craftsim.checking.setup import SetUp, Setup, set_up
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import Plan, read_plan
@@ -65,7 +64,12 @@ class Building:
         return self.n_agree == self.n_actions and self.reached is not False
 
     def run(
-        self, setup: Setup, seed: int, order: PlanOrder, watch: Watch = UNWATCHED, where: SetUp = set_up
+        self,
+        setup: Setup,
+        seed: int,
+        order: PlanOrder,
+        watch: EpisodeObserver = UNOBSERVED,
+        where: SetUp = set_up,
     ) -> Building:
         """Carry out the plan and return the building with its episode.
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from craftsim.checking.settings import Setup
+from craftsim.checking.setup import Setup
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task

@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from craftsim.checking.attempt import Attempt, Finding, Result
+from craftsim.checking.attempt import Attempt, Finding, Verdict
 from craftsim.validation.campaign import Form
 from craftsim.validation.campaign.schema import STRICT
 from craftsim.validation.margins.limit import Limit, RowFound
@@ -23,7 +23,7 @@ class _Judged(Attempt):
     tick: _Count
     car: _Count
     level: _Count
-    result: Result
+    result: Verdict
     finding: Finding
     capped_steps: _Count = 0
     tries: _Count = 1

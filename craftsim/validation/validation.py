@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.settings import Randomize, setup_of
+from craftsim.checking.setup import Randomize, setup_of
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError

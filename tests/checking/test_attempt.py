@@ -6,13 +6,10 @@ from dataclasses import MISSING, asdict, fields, replace
 import numpy as np
 import pytest
 
-from craftsim.checking import checked_site
-from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Finding, Result, Verdict, judge, result_of
-from craftsim.checking.contact_log import Contact
-from craftsim.checking.forces import impact_limit_n
-from craftsim.checking.safety import Hazard
-from craftsim.checking.settings import Setup, Thresholds
-from craftsim.checking.world import set_up
+from craftsim.checking import judge
+from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Thresholds, Verdict, attempt_of, verdict_of
+from craftsim.checking.contacts import Contact, impact_limit_n
+from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
@@ -33,28 +30,28 @@ def _unfolding(blocked: bool):
     return set_up(grid, Setup("published"))
 
 
-def _evidence(checked, *action, **options):
-    """Perform an action, and return its evidence, the verdict on it and the attempt that they make."""
+def _watched(checked, *action, **options):
+    """Perform an action, and return its watched, the verdict on it and the attempt that they make."""
     seen = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(checked_site, "judge", lambda *given: seen.append(given) or judge(*given))
+        patch.setattr(judge, "attempt_of", lambda *given: seen.append(given) or attempt_of(*given))
         attempt = checked.perform(*action, **options)
-    evidence, verdict, _ = seen[0]
-    return evidence, verdict, attempt
+    watched, verdict, _ = seen[0]
+    return watched, verdict, attempt
 
 
 @pytest.fixture(scope="module")
 def good():
-    return _evidence(_unfolding(False), 0, Action.UNFOLD, tick=3)
+    return _watched(_unfolding(False), 0, Action.UNFOLD, tick=3)
 
 
 @pytest.fixture(scope="module")
 def shoved():
-    return _evidence(_unfolding(True), 0, Action.UNFOLD)
+    return _watched(_unfolding(True), 0, Action.UNFOLD)
 
 
 def test_what_goes_as_predicted_needs_no_reason(good):
-    evidence, _, attempt = good
+    watched, _, attempt = good
     assert (attempt.result, attempt.finding, attempt.reason) == ("as predicted", "agrees", "")
     assert (attempt.tick, attempt.car, attempt.action, attempt.verb) == (3, 0, "UNFOLD", "UNFOLD")
     assert (attempt.level, attempt.load, attempt.slope, attempt.legal) == (1, "none", False, True)
@@ -62,17 +59,17 @@ def test_what_goes_as_predicted_needs_no_reason(good):
     assert attempt.duration_s > 5
     assert attempt.performed
     assert attempt.agrees
-    assert evidence.own == ("car 0", "slope 0")
+    assert watched.own == ("car 0", "slope 0")
 
 
 def test_a_bystander_that_is_shoved_is_a_side_effect_and_named(shoved):
-    evidence, _, attempt = shoved
-    assert attempt.result == Result.SIDE_EFFECT
+    watched, _, attempt = shoved
+    assert attempt.result == Verdict.SIDE_EFFECT
     assert not attempt.agrees
     assert attempt.bystander_displacement_m > 2 * LIMITS.bystander_m
     assert "block 0 touched slope 0" in attempt.reason
     assert "block 0 was moved by" in attempt.reason
-    assert [(c.first, c.second) for c in evidence.contacts] == [("block 0", "slope 0")]
+    assert [(c.first, c.second) for c in watched.contacts] == [("block 0", "slope 0")]
 
 
 def test_an_attempt_is_json(shoved):
@@ -88,50 +85,52 @@ def test_an_older_record_without_the_newer_errors_is_read(shoved):
     assert (read.result, read.reach_m, read.drift_m) == (shoved[2].result, None, None)
 
 
-def _spoilt(good, verdict=None, **changes):
-    evidence, agreed, _ = good
-    return result_of(replace(evidence, **changes), verdict or agreed, LIMITS)
+def _spoilt(good, cause=None, **changes):
+    watched, agreed, _ = good
+    errors = watched.errors | {name: changes.pop(name) for name in list(changes) if name in watched.errors}
+    changed = replace(watched, errors=errors, **changes)
+    return verdict_of(changed, cause or agreed, changed.exceeded(LIMITS))
 
 
 @pytest.mark.parametrize(
     ("changes", "result"),
     [
-        ({"outcome": Outcome(Reason.TIMEOUT, 1.0)}, Result.FAILED),
-        ({"differences": ("car 0: predicted a, read b",)}, Result.FAILED),
-        ({"outcome": None}, Result.FAILED),
-        ({"car_error_m": 0.0011}, Result.FAILED),
-        ({"heading_error_rad": 0.0031}, Result.FAILED),
-        ({"height_error_m": 0.0021}, Result.FAILED),
-        ({"placed_error_m": 0.0013}, Result.FAILED),
-        ({"tilt_error_rad": 0.011}, Result.FAILED),
-        ({"seat_error_m": 0.0013}, Result.FAILED),
-        ({"thing_heading_rad": 0.0051}, Result.FAILED),
-        ({"thing_tilt_rad": 0.011}, Result.FAILED),
-        ({"thing_height_m": 0.0021}, Result.FAILED),
-        ({"reach_m": 0.0013}, Result.FAILED),
-        ({"bystander_turn_rad": 0.0041}, Result.SIDE_EFFECT),
-        ({"drift_m": 0.0011}, Result.SIDE_EFFECT),
-        ({"drift_rad": 0.0041}, Result.SIDE_EFFECT),
-        ({"bystander_reach_m": 0.0013}, Result.SIDE_EFFECT),
-        ({"bystander_tilt_rad": 0.011}, Result.SIDE_EFFECT),
-        ({"drift_rad": float("nan")}, Result.SIDE_EFFECT),
-        ({"bystander_displacement_m": 0.0011}, Result.SIDE_EFFECT),
-        ({"bystander_displacement_m": 0.0009}, Result.AS_PREDICTED),
-        ({"bystander_displacement_m": 0.0011, "car_error_m": 0.0011}, Result.FAILED),
-        ({"car_error_m": float("nan")}, Result.FAILED),
-        ({"verdict": Verdict(Finding.SIDE_EFFECT, ("car 1: predicted a, read b",))}, Result.SIDE_EFFECT),
-        ({"verdict": Verdict(Finding.UNREADABLE, ("block 3 leans by 0.30 rad",))}, Result.SIDE_EFFECT),
-        ({"verdict": Verdict(Finding.UNREADABLE, ("slope 0 is half open: ...",))}, Result.FAILED),
-        ({"verdict": Verdict(Finding.UNREADABLE, ("car 0 leans: ...",))}, Result.FAILED),
-        ({"verdict": Verdict(Finding.UNSETTLED, ("something still moves",))}, Result.FAILED),
-        ({"verdict": Verdict(Finding.DIVERGED, ("the simulation broke down",))}, Result.NUMERICS),
-        ({"verdict": Verdict(Finding.NUMERICS, ("not solved",))}, Result.NUMERICS),
+        ({"outcome": Outcome(Reason.TIMEOUT, 1.0)}, Verdict.FAILED),
+        ({"differences": ("car 0: predicted a, read b",)}, Verdict.FAILED),
+        ({"outcome": None}, Verdict.FAILED),
+        ({"car_error_m": 0.0011}, Verdict.FAILED),
+        ({"heading_error_rad": 0.0031}, Verdict.FAILED),
+        ({"height_error_m": 0.0021}, Verdict.FAILED),
+        ({"placed_error_m": 0.0013}, Verdict.FAILED),
+        ({"tilt_error_rad": 0.011}, Verdict.FAILED),
+        ({"seat_error_m": 0.0013}, Verdict.FAILED),
+        ({"thing_heading_rad": 0.0051}, Verdict.FAILED),
+        ({"thing_tilt_rad": 0.011}, Verdict.FAILED),
+        ({"thing_height_m": 0.0021}, Verdict.FAILED),
+        ({"reach_m": 0.0013}, Verdict.FAILED),
+        ({"bystander_turn_rad": 0.0041}, Verdict.SIDE_EFFECT),
+        ({"drift_m": 0.0011}, Verdict.SIDE_EFFECT),
+        ({"drift_rad": 0.0041}, Verdict.SIDE_EFFECT),
+        ({"bystander_reach_m": 0.0013}, Verdict.SIDE_EFFECT),
+        ({"bystander_tilt_rad": 0.011}, Verdict.SIDE_EFFECT),
+        ({"drift_rad": float("nan")}, Verdict.SIDE_EFFECT),
+        ({"bystander_displacement_m": 0.0011}, Verdict.SIDE_EFFECT),
+        ({"bystander_displacement_m": 0.0009}, Verdict.AS_PREDICTED),
+        ({"bystander_displacement_m": 0.0011, "car_error_m": 0.0011}, Verdict.FAILED),
+        ({"car_error_m": float("nan")}, Verdict.FAILED),
+        ({"cause": ("side effect", ("car 1: predicted a, read b",))}, Verdict.SIDE_EFFECT),
+        ({"cause": ("unreadable", ("block 3 leans by 0.30 rad",))}, Verdict.SIDE_EFFECT),
+        ({"cause": ("unreadable", ("slope 0 is half open: ...",))}, Verdict.FAILED),
+        ({"cause": ("unreadable", ("car 0 leans: ...",))}, Verdict.FAILED),
+        ({"cause": ("unsettled", ("something still moves",))}, Verdict.FAILED),
+        ({"cause": ("diverged", ("the simulation broke down",))}, Verdict.SOLVER),
+        ({"cause": ("numerics", ("not solved",))}, Verdict.SOLVER),
         (
-            {"verdict": Verdict(Finding.UNSAFE, ("block 3 fell (0.8 m/s)",)), "capped_steps": 1},
-            Result.NUMERICS,
+            {"cause": ("unsafe", ("block 3 fell (0.8 m/s)",)), "capped_steps": 1},
+            Verdict.SOLVER,
         ),
-        ({"capped_steps": 3}, Result.AS_PREDICTED),
-        ({"verdict": Verdict(Finding.UNSAFE, ("block 3 fell (0.8 m/s)",))}, Result.UNSAFE),
+        ({"capped_steps": 3}, Verdict.AS_PREDICTED),
+        ({"cause": ("unsafe", ("block 3 fell (0.8 m/s)",))}, Verdict.UNSAFE),
     ],
     ids=str,
 )
@@ -141,23 +140,23 @@ def test_the_result_follows_from_effect_errors_and_verdict(good, changes, result
 
 def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):
     contact = Contact("car 0", "block 1", 1.0, 20.0, False)
-    evidence, verdict, _ = good
+    watched, verdict, _ = good
     other = replace(
-        evidence,
-        hazards=(Hazard(("block 1",), "block 1 fell (0.8 m/s)"),),
+        watched,
+        hazards=((("block 1",), "block 1 fell (0.8 m/s)"),),
         contacts=(contact,),
         outcome=Outcome(Reason.BLOCKED, 1.0, "41 mm behind the path"),
     )
-    unsafe = Verdict(Finding.UNSAFE, ("block 1 fell (0.8 m/s)",))
-    assert judge(other, unsafe, LIMITS).reason == (
+    unsafe = ("unsafe", ("block 1 fell (0.8 m/s)",))
+    assert attempt_of(other, unsafe, LIMITS).reason == (
         "block 1 fell (0.8 m/s); blocked: 41 mm behind the path; car 0 touched block 1 (20 N)"
     )
-    turned = replace(evidence, heading_error_rad=0.00301, contacts=(contact,))
-    assert judge(turned, verdict, LIMITS).reason == (
+    turned = replace(watched, errors=watched.errors | {"heading_error_rad": 0.00301}, contacts=(contact,))
+    assert attempt_of(turned, verdict, LIMITS).reason == (
         "the car is turned by 3.01 mrad (allowed 3.00); car 0 touched block 1 (20 N)"
     )
-    strayed = replace(evidence, car_error_m=0.0034, strayed_m=0.0052)
-    assert judge(strayed, verdict, LIMITS).reason == (
+    strayed = replace(watched, errors=watched.errors | {"car_error_m": 0.0034}, strayed_m=0.0052)
+    assert attempt_of(strayed, verdict, LIMITS).reason == (
         "the car is 3.40 mm off (allowed 1.00); the car strayed 5.2 mm from its path"
     )
 
@@ -175,7 +174,7 @@ def test_what_the_rules_forbid_is_not_performed_and_says_which_rule():
     attempt = checked.perform(0, Action.DROP)
     assert (attempt.result, attempt.skill, attempt.legal) == ("failed", "not performed", False)
     assert (attempt.performed, attempt.agrees, attempt.duration_s) == (False, False, 0.0)
-    assert attempt.finding == Finding.NOT_EXECUTED
+    assert attempt.finding == "not executed"
     assert attempt.reason == f"the rules forbid it: {checked.rules.explain(checked.grid, 0, Action.DROP).why}"
     np.testing.assert_array_equal(checked.site.data.qpos, before)
 
@@ -189,7 +188,7 @@ def test_what_the_rules_forbid_is_performed_where_it_is_said_what_it_should_lead
     assert not checked.rules.legal(before, 0, Action.DROP)
     stays = checked.perform(0, Action.DROP, before.copy(), tick=1)
     assert (stays.legal, stays.performed, stays.skill) == (False, True, "succeeded")
-    assert (stays.finding, stays.result, stays.tick) == (Finding.AGREES, Result.AS_PREDICTED, 1)
+    assert (stays.finding, stays.result, stays.tick) == ("agrees", Verdict.AS_PREDICTED, 1)
 
 
 def test_many_cars_at_once_get_an_attempt_each():
@@ -211,7 +210,7 @@ def test_a_simulation_that_breaks_down_has_diverged():
     site = checked.site
     checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((1, 2), 1e30))
     attempt = checked.perform(0, Action.UNFOLD)
-    assert (attempt.finding, attempt.result) == (Finding.DIVERGED, Result.NUMERICS)
+    assert (attempt.finding, attempt.result) == ("diverged", Verdict.SOLVER)
     assert "the simulation broke down" in checked.problems
     site.reset()
     assert not site.diverged
@@ -227,7 +226,7 @@ def test_what_still_moves_when_all_motors_rest_is_unsettled():
 
     checked.executor.observers.append(hand)
     attempt = checked.perform(0, Action.STOP)
-    assert attempt.finding == Finding.UNSETTLED
+    assert attempt.finding == "unsettled"
     assert "still moves with" in attempt.differences[0]
 
 

@@ -12,9 +12,8 @@ import pytest
 from disturbances import push, twist
 from drawn import draw
 
-from craftsim.checking.attempt import Finding, Result
-from craftsim.checking.settings import Setup, Thresholds, setup_of
-from craftsim.checking.world import set_up
+from craftsim.checking.attempt import Thresholds, Verdict
+from craftsim.checking.setup import Setup, set_up, setup_of
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.models.randomization import NONE
@@ -61,7 +60,7 @@ def test_a_block_that_is_set_down_turned_by_five_degrees_is_not_as_predicted():
 
     twist(checked.executor, block, way)
     attempt = checked.perform(0, Action.DROP)
-    assert (attempt.finding, attempt.result) == (Finding.AGREES, Result.FAILED)
+    assert (attempt.finding, attempt.result) == ("agrees", Verdict.FAILED)
     assert attempt.placed_error_m < 0.001
     assert attempt.thing_heading_rad == pytest.approx(math.radians(5), abs=0.02)
     assert attempt.reason.startswith("the thing is turned by ")
@@ -72,7 +71,7 @@ def test_a_bystander_that_is_twisted_by_six_degrees_is_a_side_effect():
     start_s = checked.site.time_s
     twist(checked.executor, checked.site.blocks[0], _ramp(start_s, 0.3, 0, 0, math.radians(6)))
     attempt = checked.perform(0, LEFT)
-    assert (attempt.finding, attempt.result) == (Finding.AGREES, Result.SIDE_EFFECT)
+    assert (attempt.finding, attempt.result) == ("agrees", Verdict.SIDE_EFFECT)
     assert attempt.bystander_displacement_m < 0.001
     assert attempt.bystander_turn_rad == pytest.approx(math.radians(6), abs=0.02)
     assert attempt.reason.startswith("block 0 was turned by ")
@@ -83,7 +82,7 @@ def test_a_bystander_car_that_is_tipped_and_stands_again_is_a_side_effect():
     base = checked.site.cars[1].base
     twist(checked.executor, base, _bump(checked.site.time_s, 1.2, 0, -math.radians(16), 0))
     attempt = checked.perform(0, LEFT)
-    assert (attempt.finding, attempt.result) == (Finding.AGREES, Result.SIDE_EFFECT)
+    assert (attempt.finding, attempt.result) == ("agrees", Verdict.SIDE_EFFECT)
     assert attempt.bystander_turn_rad < 0.003
     assert attempt.drift_rad == pytest.approx(math.radians(16), abs=0.06)
     assert "car 1 was turned " in attempt.reason
@@ -96,7 +95,7 @@ def test_what_is_pressed_harder_than_weights_and_motors_can_is_unsafe():
     checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((base.body, 2), -400.0))
     attempt = checked.perform(0, LEFT)
     assert 461 < attempt.peak_force_n < 627
-    assert attempt.result == Result.UNSAFE
+    assert attempt.result == Verdict.UNSAFE
     assert attempt.reason.startswith("ground and car 1 hit each other (")
     assert "N, allowed 461)" in attempt.reason
 
@@ -126,7 +125,7 @@ def test_a_bystander_may_not_come_too_near_to_its_neighbour_however_little_it_wa
     checked.executor.observers.append(push(0, 0.0004))
     attempt = checked.perform(0, LEFT)
     assert attempt.bystander_displacement_m < 0.001
-    assert attempt.result == Result.SIDE_EFFECT
+    assert attempt.result == Verdict.SIDE_EFFECT
     assert attempt.reason == (
         f"block 0 is {1e3 * attempt.bystander_reach_m:.2f} mm too near to a neighbouring cell (allowed 1.25)"
     )

@@ -3,8 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from craftsim.checking.recipe import Recipe, do, start
-from craftsim.checking.settings import setup_of
+from craftsim.checking.episode import Recipe, do, start
+from craftsim.checking.setup import setup_of
 from craftsim.storage import limits
 from craftsim.storage.schema import Schema
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from disturbances import push
 
-from craftsim.checking.attempt import Finding, Result
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.settings import Setup, Thresholds, setup_of
-from craftsim.checking.world import set_up
+from craftsim.checking.attempt import Thresholds, Verdict
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import Setup, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.models.config import SimulationConfig
@@ -44,7 +43,7 @@ def test_an_attempt_says_what_was_asked_predicted_done_and_read():
     assert (attempt.tick, attempt.car, attempt.action, attempt.legal) == (5, 0, "MOVE_RIGHT", True)
     assert (attempt.predicted, attempt.read) == ("1,0,1 +x", "1,0,1 +x")
     assert attempt.skill == "succeeded"
-    assert attempt.finding == Finding.AGREES
+    assert attempt.finding == "agrees"
     assert attempt.placed_error_m is None
     assert attempt.start_s == pytest.approx(began_s)
 
@@ -54,7 +53,7 @@ def test_a_car_that_does_not_get_away_is_not_executed():
     _weaken(checked.site)
     attempt = checked.perform(0, RIGHT)
     assert attempt.skill.startswith(Reason.BLOCKED)
-    assert attempt.finding == Finding.NOT_EXECUTED
+    assert attempt.finding == "not executed"
     assert (attempt.predicted, attempt.read) == ("1,0,1 +x", "0,0,1 +x")
 
 
@@ -64,7 +63,7 @@ def test_the_judge_does_not_believe_the_skill():
     checked.executor.begin = lambda car, action, terrain: begin(car, Action.STOP, terrain)
     attempt = checked.perform(0, RIGHT)
     assert attempt.skill == "succeeded"
-    assert attempt.finding == Finding.NOT_EXECUTED
+    assert attempt.finding == "not executed"
     assert attempt.differences == ("car 0: predicted 1,0,1 +x, read 0,0,1 +x",)
     assert not attempt.agrees
 
@@ -73,7 +72,7 @@ def test_a_thing_that_somebody_else_moves_is_a_side_effect_and_measured():
     checked = _checked(block_at=2)
     checked.executor.observers.append(push(0, 0.3))
     attempt = checked.perform(0, RIGHT)
-    assert attempt.finding in (Finding.SIDE_EFFECT, Finding.UNREADABLE)
+    assert attempt.finding in ("side effect", "unreadable")
     assert attempt.bystander_displacement_m > 0.025
 
 
@@ -82,7 +81,7 @@ def test_a_bystander_that_moves_too_far_disagrees_though_the_grid_that_is_read_i
     checked.executor.observers.append(push(0, 0.004))
     attempt = checked.perform(0, RIGHT)
     assert 0.001 < attempt.bystander_displacement_m < 0.025
-    assert attempt.finding == Finding.AGREES
+    assert attempt.finding == "agrees"
     assert (attempt.result, attempt.agrees) == ("side effect", False)
     assert attempt.reason.startswith("block 0 was moved by")
 
@@ -93,7 +92,7 @@ def test_a_bystander_that_moves_too_far_disagrees_though_the_grid_that_is_read_i
 def test_an_error_over_its_limit_disagrees_though_the_grid_that_is_read_is_the_predicted_one(field, action):
     checked = _checked(setup=Setup(thresholds=Thresholds(**{field: 1e-9})))
     attempt = checked.perform(0, action)
-    assert attempt.finding == Finding.AGREES
+    assert attempt.finding == "agrees"
     assert (attempt.result, attempt.agrees) == ("failed", False)
     assert "(allowed 0.00)" in attempt.reason
 
@@ -172,7 +171,7 @@ def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
     goal = grid.copy()
     goal.cars[0, 0] = 1
     attempt = checked.perform(0, RIGHT, intended=goal)
-    assert (attempt.finding, attempt.result) == (Finding.UNSAFE, "unsafe")
+    assert (attempt.finding, attempt.result) == ("unsafe", "unsafe")
     assert attempt.skill.startswith(Reason.STOPPED)
     assert attempt.duration_s == pytest.approx(site.time_s - site.config.settle_s)
     assert 0.33 < checked.log.tilt_rad < 0.6 or 0.45 < checked.log.fall_m_s < 0.9
@@ -199,7 +198,7 @@ def test_what_fails_while_the_solver_gives_up_is_numerics_and_counted():
     checked.executor.begin = lambda car, action, terrain: begin(car, Action.ROTATE_LEFT, terrain)
     attempt = checked.perform(0, RIGHT)
     assert attempt.capped_steps > 0
-    assert (attempt.finding, attempt.result) == (Finding.NUMERICS, Result.NUMERICS)
+    assert (attempt.finding, attempt.result) == ("numerics", Verdict.SOLVER)
     assert attempt.reason.startswith("the solver gave up in ")
 
 
@@ -208,6 +207,6 @@ def test_a_force_that_nothing_could_have_produced_is_numerics_and_not_unsafe():
     site, (block,) = checked.site, checked.site.blocks
     checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((block.body, 2), -3e4))
     attempt = checked.perform(0, RIGHT)
-    assert (attempt.finding, attempt.result) == (Finding.NUMERICS, Result.NUMERICS)
+    assert (attempt.finding, attempt.result) == ("numerics", Verdict.SOLVER)
     assert "more than weights, motors and motion could" in attempt.reason
     assert attempt.capped_steps == 0

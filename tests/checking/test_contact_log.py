@@ -5,8 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from craftsim.checking.contact_log import ContactLog
-from craftsim.checking.safety import FALL_M_S, TIPPED_RAD, hazards, is_unsafe
+from craftsim.checking.contacts import FALL_M_S, TIPPED_RAD, ContactLog
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.models.config import SimulationConfig
@@ -80,8 +79,8 @@ def test_a_lift_touches_the_load_and_parts_it_from_the_ground():
     assert lift.peak_n == pytest.approx(BLOCK.mass_kg * GRAVITY, rel=0.3)
     log.begin()
     assert ("ground", "block 0") not in _pairs(log)
-    assert not hazards(log)
-    assert not is_unsafe(log)
+    assert not log.hazards()
+    assert not log.is_unsafe()
 
 
 def test_a_car_that_runs_into_a_wall_presses_on_it():
@@ -156,8 +155,8 @@ def test_a_fall_and_a_tip_are_hazards_with_the_name_of_what_fell():
         log.sample()
     assert log.falls_m_s["block 1"] > FALL_M_S > log.falls_m_s["block 0"]
     assert log.tilts_rad["block 1"] > TIPPED_RAD > log.tilts_rad["car 0"]
-    assert {hazard.machines for hazard in hazards(log)} >= {("block 1",)}
-    assert is_unsafe(log)
+    assert {machines for machines, _ in log.hazards()} >= {("block 1",)}
+    assert log.is_unsafe()
     assert ("ground", "block 1") in _pairs(log)
     log.begin()
     assert log.falls_m_s["block 1"] == 0

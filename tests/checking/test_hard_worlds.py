@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from craftsim import Action, SimulationConfig, read_blueprint, validate
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import Seed, set_up
+from craftsim.checking.setup import Seed, set_up, setup_of
 
 WORLDS = Path(__file__).parents[1] / "data" / "worlds"
 FORBIDDEN = {

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import compile_world, set_up
+from craftsim.checking.setup import Setup, compile_world, set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError

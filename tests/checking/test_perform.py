@@ -4,10 +4,10 @@ import pytest
 from disturbances import pushed
 from drawn import draw
 
-from craftsim.checking import world
-from craftsim.checking.perform import perform
-from craftsim.checking.settings import Setup, Thresholds
-from craftsim.checking.world import set_up
+from craftsim.checking import setup
+from craftsim.checking.attempt import Thresholds
+from craftsim.checking.episode import perform
+from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
@@ -25,7 +25,7 @@ def test_calls_follow_each_other_and_are_the_attempts_of_a_world_that_was_set_up
 
 
 def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predicted(monkeypatch):
-    monkeypatch.setattr(world, "Executor", pushed(0, 0.004))
+    monkeypatch.setattr(setup, "Executor", pushed(0, 0.004))
     attempt = perform(Site(GRID), 0, Action.MOVE_RIGHT)
     assert 0.001 < attempt.bystander_displacement_m < 0.025
     assert (attempt.finding, attempt.result, attempt.agrees) == ("agrees", "side effect", False)

@@ -7,11 +7,10 @@ import pytest
 from drawn import draw
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.recipe import do
-from craftsim.checking.settings import Setup, nominal_gains
-from craftsim.checking.unexpected import under
-from craftsim.checking.world import set_up
+from craftsim.checking.contacts import under
+from craftsim.checking.episode import do
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import Setup, nominal_gains, set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import EXACT

@@ -4,7 +4,8 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from craftsim.checking.settings import RANDOMIZE, Thresholds, setup_of, widened
+from craftsim.checking.attempt import Thresholds
+from craftsim.checking.setup import RANDOMIZE, setup_of, widened
 from craftsim.errors import InputError
 from craftsim.models.imperfection import Floor
 from craftsim.models.randomization import NONE

@@ -1,9 +1,9 @@
-"""The verdict on an action: agreed, not executed, wrong place, side effect or unreadable, and what differs in words."""
+"""What is found of an action: agreed, not executed, wrong place, side effect or unreadable, and what differs in words."""
 
 import numpy as np
 import pytest
 
-from craftsim.checking.attempt import Finding, Verdict, compare
+from craftsim.checking.attempt import AGREES, Cause, compare
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Reading, describe_car, describe_differences, own_differences
 
@@ -27,7 +27,7 @@ def _changed(grid: Grid, *, cars=(), cells=()) -> Grid:
     return after
 
 
-def _compare(before: Grid, predicted: Grid, read: Grid, *problems: str) -> Verdict:
+def _compare(before: Grid, predicted: Grid, read: Grid, *problems: str) -> Cause:
     return compare(before, predicted, Reading(read, (), (), problems))
 
 
@@ -36,26 +36,26 @@ STEP = _changed(BEFORE, cars=[(0, CarField.X, 1)])
 
 
 def test_what_is_read_as_predicted_agrees():
-    assert _compare(BEFORE, STEP, STEP.copy()) == Verdict(Finding.AGREES)
-    assert _compare(BEFORE, STEP, STEP.copy()).agrees
+    assert _compare(BEFORE, STEP, STEP.copy()) == AGREES
+    assert _compare(BEFORE, STEP, STEP.copy())[0] == "agrees"
 
 
 def test_an_action_that_is_predicted_to_change_nothing_agrees_when_nothing_changes():
-    assert _compare(BEFORE, BEFORE.copy(), BEFORE.copy()).agrees
+    assert _compare(BEFORE, BEFORE.copy(), BEFORE.copy())[0] == "agrees"
 
 
 def test_marks_do_not_decide():
     read = STEP.copy()
     read.occupant[:] = 7
     read.landing[:] = True
-    assert _compare(BEFORE, STEP, read).agrees
+    assert _compare(BEFORE, STEP, read)[0] == "agrees"
 
 
 def test_no_change_at_all_is_not_executed():
-    verdict = _compare(BEFORE, STEP, BEFORE.copy())
-    assert verdict.finding is Finding.NOT_EXECUTED
-    assert verdict.differences == ("car 0: predicted 1,0,1 +x, read 0,0,1 +x",)
-    assert not verdict.agrees
+    cause = _compare(BEFORE, STEP, BEFORE.copy())
+    assert cause[0] == "not executed"
+    assert cause[1] == ("car 0: predicted 1,0,1 +x, read 0,0,1 +x",)
+    assert cause[0] != "agrees"
 
 
 @pytest.mark.parametrize(
@@ -63,16 +63,16 @@ def test_no_change_at_all_is_not_executed():
 )
 def test_the_acting_car_elsewhere_is_a_wrong_place(change):
     read = _changed(BEFORE, cars=[(0, *change)])
-    assert _compare(BEFORE, STEP, read).finding is Finding.WRONG_PLACE
+    assert _compare(BEFORE, STEP, read)[0] == "wrong place"
 
 
 def test_a_load_set_down_wrong_is_a_wrong_place():
     loaded = _changed(BEFORE, cars=[(0, CarField.LOAD, Kind.FLAG)])
     dropped = _changed(BEFORE, cells=[((0, 0, 1), Kind.FLAG)])
     read = _changed(BEFORE, cells=[((0, 0, 1), Kind.BLOCK)])
-    verdict = _compare(loaded, dropped, read)
-    assert verdict.finding is Finding.WRONG_PLACE
-    assert verdict.differences == ("cell (0, 0, 1): predicted flag yaw 0, read block yaw 0",)
+    cause = _compare(loaded, dropped, read)
+    assert cause[0] == "wrong place"
+    assert cause[1] == ("cell (0, 0, 1): predicted flag yaw 0, read block yaw 0",)
 
 
 @pytest.mark.parametrize(
@@ -87,22 +87,22 @@ def test_a_load_set_down_wrong_is_a_wrong_place():
     ids=["car pushed", "car turned", "block pushed", "slope opened", "block gone and car not moved"],
 )
 def test_a_change_of_what_the_action_leaves_alone_is_a_side_effect(read):
-    verdict = _compare(BEFORE, STEP, read)
-    assert verdict.finding is Finding.SIDE_EFFECT
-    assert verdict.differences
+    cause = _compare(BEFORE, STEP, read)
+    assert cause[0] == "side effect"
+    assert cause[1]
 
 
 def test_a_turned_thing_is_a_side_effect():
     read = STEP.copy()
     read.yaw[2, 2, 1] = 1
-    verdict = _compare(BEFORE, STEP, read)
-    assert verdict.finding is Finding.SIDE_EFFECT
-    assert verdict.differences == ("cell (2, 2, 1): predicted fslope yaw 0, read fslope yaw 1",)
+    cause = _compare(BEFORE, STEP, read)
+    assert cause[0] == "side effect"
+    assert cause[1] == ("cell (2, 2, 1): predicted fslope yaw 0, read fslope yaw 1",)
 
 
 def test_poses_that_are_no_grid_are_unreadable_whatever_the_grid_says():
-    verdict = _compare(BEFORE, STEP, STEP.copy(), "car 0 leans: pitch +0.30 rad, roll 0.00 rad")
-    assert verdict == Verdict(Finding.UNREADABLE, ("car 0 leans: pitch +0.30 rad, roll 0.00 rad",))
+    cause = _compare(BEFORE, STEP, STEP.copy(), "car 0 leans: pitch +0.30 rad, roll 0.00 rad")
+    assert cause == ("unreadable", ("car 0 leans: pitch +0.30 rad, roll 0.00 rad",))
 
 
 def test_every_difference_gets_its_line():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from craftsim.checking.settings import setup_of
+from craftsim.checking.setup import setup_of
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
 from craftsim.models.parameters import NOMINAL

@@ -11,8 +11,8 @@ from disturbances import push
 from gymnasium.utils.env_checker import check_env
 from platforms import platform
 
-from craftsim.checking.recipe import do, run_up
-from craftsim.checking.settings import Thresholds
+from craftsim.checking.attempt import Thresholds
+from craftsim.checking.episode import do, run_up
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import GYMNASIUM_IDS, parallel_env

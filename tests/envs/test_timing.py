@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from craftsim.checking.nominal import measure_durations
 from craftsim.cli import main
 from craftsim.commands import bench_calibration
 from craftsim.commands.bench_calibration import (
@@ -15,6 +14,7 @@ from craftsim.commands.bench_calibration import (
     measure,
     unit,
 )
+from craftsim.commands.bench_durations import measure_durations
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action

@@ -18,7 +18,7 @@ import pytest
 import torch
 from bags import write_bag
 
-from craftsim.checking.settings import Setup
+from craftsim.checking.setup import Setup
 from craftsim.cli import main
 from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.starts import save_starts

@@ -12,8 +12,7 @@ from discrete.worldgen import play, random_world
 
 import craftsim
 from craftsim import Action, Rules, make_task
-from craftsim.checking.settings import RANDOMIZE, nominal_gains, setup_of
-from craftsim.checking.world import Seed, set_up
+from craftsim.checking.setup import RANDOMIZE, Seed, nominal_gains, set_up, setup_of
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import design_text

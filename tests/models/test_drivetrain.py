@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import compile_world, set_up
+from craftsim.checking.setup import compile_world, set_up, setup_of
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.models.imperfection import IDEAL, Drivetrain

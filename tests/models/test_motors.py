@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import set_up
+from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.models.measuring import Motors

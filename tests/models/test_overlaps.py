@@ -4,8 +4,7 @@ import pytest
 from drawn import draw
 
 import craftsim
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import set_up
+from craftsim.checking.setup import Setup, set_up
 from craftsim.commands.validate import validate
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Kind

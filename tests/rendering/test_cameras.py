@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from craftsim import Trajectory
-from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.checking.forces import impact_limit_n
-from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.checking.contacts import impact_limit_n
+from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.cli import main
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.files.blueprint import blueprint_text

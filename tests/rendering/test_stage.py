@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from craftsim import Trajectory
-from craftsim.checking.recipe import Recipe, start
+from craftsim.checking.episode import Recipe, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.rendering.cameras import make_view

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from craftsim import Trajectory
-from craftsim.checking.recipe import Recipe, Step, do, start
-from craftsim.checking.settings import setup_of
+from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action

@@ -13,7 +13,7 @@ import pytest
 
 import craftsim
 from craftsim import Action, Executor, Grid, LiveView, Site, Trajectory, parallel_env, view
-from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.errors import InputError

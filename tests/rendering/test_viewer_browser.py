@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from craftsim import Action, Grid, LiveView, Trajectory
-from craftsim.checking.recipe import Recipe, Step, do, start
+from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import CarField
 from craftsim.rendering.recorder import Recorder

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from drawn import draw
 
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import judge_on, set_up
-from craftsim.models.world import Site
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import judge_on, set_up, setup_of
+from craftsim.models.site import Site
 from craftsim.robots.channel import Channel, Network
 from craftsim.robots.link import Link
 from craftsim.robots.mirror import Mirror

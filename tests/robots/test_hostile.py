@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from drawn import draw
 
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import set_up
+from craftsim.checking.setup import set_up, setup_of
 from craftsim.cli import main
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from drawn import draw
 
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import set_up
+from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import Seed
+from craftsim.checking.setup import Seed, setup_of
 from craftsim.cli import main
 from craftsim.commands.robots import robots_at
 from craftsim.discrete.kinds import Action
@@ -25,8 +24,8 @@ BUSY = ("--delay-ms", "30", "--jitter-ms", "10", "--loss", "0.02")
 DRIVE = """
 import os, signal
 import numpy as np
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import Seed
+from craftsim.checking.setup import setup_of
+from craftsim.checking.setup import Seed
 from craftsim.commands.robots import robots_at
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task

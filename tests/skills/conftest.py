@@ -5,9 +5,8 @@ from collections.abc import Callable
 import pytest
 from drawn import draw
 
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import set_up
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import Setup, set_up
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import Site
 

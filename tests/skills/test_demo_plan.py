@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import set_up
+from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.plan import read_plan

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import Seed, set_up
+from craftsim.checking.setup import Seed, Setup, set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import Seed, set_up
+from craftsim.checking.setup import Seed, set_up, setup_of
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import records

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drawn import draw
 
-from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.judge import CheckedSite
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from craftsim.checking.settings import RANDOMIZE
+from craftsim.checking.setup import RANDOMIZE
 from craftsim.cli import main
 from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError

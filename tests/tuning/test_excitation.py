@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from craftsim import SmartcarParameters
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import Seed
+from craftsim.checking.setup import Seed, setup_of
 from craftsim.errors import InputError
 from craftsim.tuning.driving_log import drive, free_area
 from craftsim.tuning.excitation import Area, excitation

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from tuning.analytic import BEST, opener
 
-from craftsim.checking.settings import setup_of
+from craftsim.checking.setup import setup_of
 from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.skills.gains import load_gains

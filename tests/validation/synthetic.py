@@ -2,19 +2,19 @@
 
 import numpy as np
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 
 VERBS = ("LIFT", "DROP", "FOLD", "UNFOLD", "ROTATE_LEFT", "ROTATE_RIGHT", "MOVE", "STOP")
 SECONDS = dict(zip(VERBS, (0.7, 0.7, 11.0, 11.0, 0.9, 0.9, 0.95, 0.04), strict=True))
 REASONS = {
-    Result.FAILED: "blocked: 41 mm behind the path",
-    Result.SIDE_EFFECT: "block 3 was moved by 12.4 mm (allowed 1.0)",
-    Result.UNSAFE: "car 0 tipped by 0.6 rad; slope 0 touched car 1 (212 N)",
-    Result.NUMERICS: "the solver gave up in 2 physics steps",
+    Verdict.FAILED: "blocked: 41 mm behind the path",
+    Verdict.SIDE_EFFECT: "block 3 was moved by 12.4 mm (allowed 1.0)",
+    Verdict.UNSAFE: "car 0 tipped by 0.6 rad; slope 0 touched car 1 (212 N)",
+    Verdict.SOLVER: "the solver gave up in 2 physics steps",
 }
 
 
-def attempt(result=Result.AS_PREDICTED, *, legal=True, performed=True, verb="MOVE", **changes):
+def attempt(result=Verdict.AS_PREDICTED, *, legal=True, performed=True, verb="MOVE", **changes):
     """Return an attempt with figures that are easy to recognise."""
     return {
         "tick": 0,
@@ -27,12 +27,12 @@ def attempt(result=Result.AS_PREDICTED, *, legal=True, performed=True, verb="MOV
         "legal": legal,
         "performed": performed,
         "result": str(result),
-        "finding": "agrees" if result == Result.AS_PREDICTED else "wrong place",
+        "finding": "agrees" if result == Verdict.AS_PREDICTED else "wrong place",
         "skill": "succeeded",
         "reason": REASONS.get(result, ""),
-        "differences": [] if result == Result.AS_PREDICTED else ["car 0: predicted 1,1,1 +x, read 0,1,1 +x"],
+        "differences": [] if result == Verdict.AS_PREDICTED else ["car 0: predicted 1,1,1 +x, read 0,1,1 +x"],
         "predicted": "1,1,1 +x",
-        "read": "1,1,1 +x" if result == Result.AS_PREDICTED else "0,1,1 +x",
+        "read": "1,1,1 +x" if result == Verdict.AS_PREDICTED else "0,1,1 +x",
         "car_error_m": 0.0002,
         "heading_error_rad": 0.001,
         "height_error_m": 0.0001,
@@ -47,7 +47,7 @@ def attempt(result=Result.AS_PREDICTED, *, legal=True, performed=True, verb="MOV
 
 def record(key, *attempts, group="plan", agrees=None, **changes):
     """Return the record of a trial."""
-    good = all(a["result"] == Result.AS_PREDICTED for a in attempts)
+    good = all(a["result"] == Verdict.AS_PREDICTED for a in attempts)
     return {
         "key": key,
         "index": 0,
@@ -66,8 +66,8 @@ def record(key, *attempts, group="plan", agrees=None, **changes):
 
 def drawn_attempt(rng, verb, works, *, legal=True):
     """Return an attempt that does as predicted with a probability of ``works``."""
-    bad = (Result.FAILED, Result.SIDE_EFFECT, Result.UNSAFE)
-    result = Result.AS_PREDICTED if rng.random() < works else bad[rng.choice(3, p=(0.7, 0.2, 0.1))]
+    bad = (Verdict.FAILED, Verdict.SIDE_EFFECT, Verdict.UNSAFE)
+    result = Verdict.AS_PREDICTED if rng.random() < works else bad[rng.choice(3, p=(0.7, 0.2, 0.1))]
     return attempt(
         result,
         legal=legal,

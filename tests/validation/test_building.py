@@ -7,9 +7,9 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from craftsim.checking import world
-from craftsim.checking.episode import Watch
-from craftsim.checking.settings import Setup, setup_of
+from craftsim.checking import setup
+from craftsim.checking.episode import EpisodeObserver
+from craftsim.checking.setup import Setup, setup_of
 from craftsim.discrete.grid import CarField, Grid, Kind, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -95,7 +95,7 @@ class _Built:
 
     def __init__(self, building: Building, order="sequential", setup=None, seed=0):
         worlds = []
-        self.building = building.run(setup or Setup(), seed, order, Watch(worlds.append))
+        self.building = building.run(setup or Setup(), seed, order, EpisodeObserver(worlds.append))
         self.reading = worlds[0].reading
 
 
@@ -184,12 +184,12 @@ def test_a_plan_that_does_not_build_the_goal_does_not_reach_it():
 
 
 def test_a_car_that_fails_is_named_with_the_steps_that_never_ran(monkeypatch):
-    class Weak(world.Executor):
+    class Weak(setup.Executor):
         def __init__(self, site, *args, **kwargs):
             super().__init__(site, *args, **kwargs)
             site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
 
-    monkeypatch.setattr(world, "Executor", Weak)
+    monkeypatch.setattr(setup, "Executor", Weak)
     building = _Built(read("strip"), "concurrent").building
     assert building.reached is False
     own = [attempt for attempt in building.attempts if attempt.car == 0]

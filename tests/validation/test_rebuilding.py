@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import SEED_0, set_up
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import SEED_0, set_up, setup_of
 from craftsim.cli import main
 from craftsim.discrete.files.blueprint import write_blueprint
 from craftsim.discrete.files.design import ANY_YAW, Design

@@ -9,9 +9,8 @@ import pytest
 from disturbances import pushed
 from drawn import draw
 
-from craftsim.checking import settings, world
-from craftsim.checking.attempt import Attempt
-from craftsim.checking.settings import Thresholds
+from craftsim.checking import setup
+from craftsim.checking.attempt import Attempt, Thresholds
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
@@ -67,7 +66,7 @@ def test_every_order_of_a_plan_leads_to_the_same_attempts_and_only_concurrency_s
 
 
 def test_a_bystander_that_moves_too_far_disagrees_whoever_asks(monkeypatch):
-    monkeypatch.setattr(world, "Executor", pushed(0, 0.004))
+    monkeypatch.setattr(setup, "Executor", pushed(0, 0.004))
     result = validate(GRID, plan=_plan(((0, RIGHT),)))
     (attempt,) = result.attempts
     assert 0.001 < attempt.bystander_displacement_m < 0.025
@@ -85,8 +84,8 @@ def test_a_bystander_that_moves_too_far_disagrees_whoever_asks(monkeypatch):
 
 
 def test_a_car_beyond_its_limit_disagrees(monkeypatch):
-    strict = (Thresholds(car_m=1e-9), *settings.RANDOMIZE["none"][1:])
-    monkeypatch.setitem(settings.RANDOMIZE, "none", strict)
+    strict = (Thresholds(car_m=1e-9), *setup.RANDOMIZE["none"][1:])
+    monkeypatch.setitem(setup.RANDOMIZE, "none", strict)
     result = validate(GRID, plan=_plan(((0, RIGHT),)))
     (attempt,) = result.attempts
     assert (attempt.result, attempt.finding, result.agrees) == ("failed", "agrees", False)
@@ -105,12 +104,12 @@ def test_what_the_rules_forbid_is_not_tried_and_named_with_rule_and_cells():
 
 
 def test_a_failing_car_stops_what_depends_on_it_and_nothing_else(monkeypatch):
-    class Weak(world.Executor):
+    class Weak(setup.Executor):
         def __init__(self, site, *args, **kwargs):
             super().__init__(site, *args, **kwargs)
             site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
 
-    monkeypatch.setattr(world, "Executor", Weak)
+    monkeypatch.setattr(setup, "Executor", Weak)
     result = validate(GRID, plan=MOVES, order="concurrent")
     first, other, last = result.attempts
     assert (first.performed, first.agrees) == (True, False)

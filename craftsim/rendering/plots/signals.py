@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.forces import impact_limit_n
+from craftsim.checking.contacts import impact_limit_n
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.rendering.shapes import Wanted
 from craftsim.rendering.trajectory import Trajectory

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.judge import CheckedSite
 from craftsim.discrete.grid import Cell
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.errors import InputError, suggestion

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.judge import CheckedSite
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.models.world import Site
 from craftsim.rendering.trajectory import Trajectory

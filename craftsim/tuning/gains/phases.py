@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.checking.settings import Setup
+from craftsim.checking.setup import Setup
 from craftsim.errors import InputError
 from craftsim.skills.gains import load_gains
 from craftsim.tuning.gains.goal import Goal

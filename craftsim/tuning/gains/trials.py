@@ -12,9 +12,8 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt
-from craftsim.checking.settings import Setup, Thresholds
-from craftsim.checking.world import Seed, compile_world, set_up
+from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Thresholds
+from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, StartError
@@ -32,7 +31,7 @@ WORLDS_KEPT: Final = 96
 
 @dataclass(frozen=True)
 class TriedAction:
-    """What one action showed; shares are of the limits (:class:`~craftsim.checking.settings.Thresholds`)."""
+    """What one action showed; shares are of the limits (:class:`~craftsim.checking.setup.Thresholds`)."""
 
     __pydantic_config__ = STRICT
     situation: str

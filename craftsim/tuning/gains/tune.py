@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.checking.settings import Setup
+from craftsim.checking.setup import Setup
 from craftsim.skills.gains import Gains
 from craftsim.tuning.gains.goal import Goal
 from craftsim.tuning.gains.knobs import Knob, Subject, turned

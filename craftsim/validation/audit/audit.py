@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from craftsim.checking.settings import Setup
+from craftsim.checking.setup import Setup
 from craftsim.report import write_report
 from craftsim.storage.folders import owning
 from craftsim.validation.audit.corrections import rows_by_flag

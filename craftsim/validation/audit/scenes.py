@@ -11,7 +11,7 @@ from typing import Final
 
 import yaml
 
-from craftsim.checking.recipe import Step
+from craftsim.checking.episode import Step
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import SECOND_PART, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action

@@ -10,9 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.recipe import Recipe, Step, do, run_up
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import Seed, compile_world, set_up
+from craftsim.checking.episode import Recipe, Step, do, run_up
+from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet

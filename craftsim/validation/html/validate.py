@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from typing import Final
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.validation.html.page import (
     Case,
     Headline,
@@ -27,11 +27,11 @@ MOST_CASES: Final = 1000
 """Disagreements that a page lists."""
 
 _TONES: Final = {
-    Result.AS_PREDICTED: Tone.GOOD,
-    Result.FAILED: Tone.CAUTION,
-    Result.SIDE_EFFECT: Tone.CAUTION,
-    Result.UNSAFE: Tone.BAD,
-    Result.NUMERICS: Tone.MUTED,
+    Verdict.AS_PREDICTED: Tone.GOOD,
+    Verdict.FAILED: Tone.CAUTION,
+    Verdict.SIDE_EFFECT: Tone.CAUTION,
+    Verdict.UNSAFE: Tone.BAD,
+    Verdict.SOLVER: Tone.MUTED,
 }
 
 
@@ -103,7 +103,7 @@ def _case(record: Record) -> Case | None:
     attempt = next((a for a in record["attempts"] if not as_predicted(a)), None)
     if attempt is None:
         return None
-    result = Result(attempt["result"])
+    result = Verdict(attempt["result"])
     return Case(
         title=f"{record['key']}: tick {attempt['tick']}, car {attempt['car']} {attempt['action']}",
         result=result.value,

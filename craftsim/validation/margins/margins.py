@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.settings import Setup
+from craftsim.checking.setup import Setup
 from craftsim.errors import InputError
 from craftsim.report import write_report
 from craftsim.storage.folders import owning

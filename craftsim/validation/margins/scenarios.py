@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.recipe import Step
+from craftsim.checking.episode import Step
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import CarField
 from craftsim.discrete.rules import RuleSet

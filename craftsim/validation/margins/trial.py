@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.recipe import Recipe, Step, do, start
-from craftsim.checking.settings import Setup, imperfect
-from craftsim.checking.world import Seed, compile_world
+from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.setup import Seed, Setup, compile_world, imperfect
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
 from craftsim.models.imperfection import Floor, Making

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.recipe import Recipe, check_recipe, do, run_up
+from craftsim.checking.episode import Recipe, check_recipe, do, run_up
+from craftsim.checking.judge import CheckedSite
 from craftsim.errors import InputError
 from craftsim.models.scene import write_scene
 from craftsim.models.world import Site

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.judge import CheckedSite
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.validation.replays.bundle import Recorded

@@ -10,9 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.recipe import Step
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import check_start
+from craftsim.checking.episode import Step
+from craftsim.checking.setup import Setup, check_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.files.plan import Plan, read_actions, read_plan
 from craftsim.discrete.files.shipped import shipped_plan

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.checked_site import CheckedSite
+from craftsim.checking.judge import CheckedSite
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kinds import Action

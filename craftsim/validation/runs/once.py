@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from craftsim.checking.settings import Setup
+from craftsim.checking.setup import Setup
 from craftsim.errors import InputError
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.validation.runs.choice import PLANNER, World, items_of, plan_pilot, policy_pilot, subjects_of

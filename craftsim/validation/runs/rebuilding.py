@@ -10,11 +10,9 @@ from typing import Final, Literal
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.episode import Ending, Episode, Watch
-from craftsim.checking.recipe import Recipe, Step, do
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import Seed, SetUp
+from craftsim.checking.episode import BuildResult, Episode, EpisodeObserver, Recipe, Step, do
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import Seed, SetUp, Setup
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
@@ -53,7 +51,7 @@ def rebuild(
     seeds: tuple[Seed, int],
     setup: Setup,
     asked: Rebuilding,
-    watch: Watch,
+    watch: EpisodeObserver,
     where: SetUp,
     observers: Sequence[Observer] = (),
 ) -> Episode:
@@ -84,7 +82,7 @@ def rebuild(
     ended, why = work.run(first)
     fleet = checked.executor.fleet
     disturbed = fleet.happened if isinstance(fleet, DisturbedFleet) else work.folded
-    ending = Ending(ended, why, work.replans, first.makespan_s, disturbed)
+    ending = BuildResult(ended, why, work.replans, first.makespan_s, disturbed)
     return Episode(
         *(work.recipe, tuple(work.found), ended == "built", True),
         *(checked.site.time_s, checked.problems, ending),
@@ -104,7 +102,7 @@ class _Work:
     checked: CheckedSite
     recipe: Recipe
     asked: Rebuilding
-    watch: Watch
+    watch: EpisodeObserver
     seed: int
     found: list[tuple[Attempt, ...]] = field(default_factory=list)
     replans: int = 0

@@ -10,11 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from craftsim.checking.checked_site import CheckedSite
-from craftsim.checking.episode import UNWATCHED, Episode, Watch
-from craftsim.checking.recipe import Recipe, Step, do
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import Seed, SetUp, set_up
+from craftsim.checking.episode import UNOBSERVED, Episode, EpisodeObserver, Recipe, Step, do
+from craftsim.checking.judge import CheckedSite
+from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
 from craftsim.discrete.files.plan import write_plan
 from craftsim.discrete.grid import Grid
@@ -124,10 +122,10 @@ def do_run(run: Run) -> Done:
     drawn = _Drawn.of(run)
     try:
         if run.terms.record:
-            _save_recording(run, recording := _record(run, drawn, UNWATCHED))
+            _save_recording(run, recording := _record(run, drawn, UNOBSERVED))
             episode = recording.episode
         else:
-            episode = _run(run, drawn, UNWATCHED)
+            episode = _run(run, drawn, UNOBSERVED)
     except StartError as error:
         if drawn.played is None:
             raise
@@ -169,12 +167,12 @@ class Recording:
     """By car."""
 
 
-def record_episode(run: Run, watch: Watch = UNWATCHED) -> Recording:
+def record_episode(run: Run, watch: EpisodeObserver = UNOBSERVED) -> Recording:
     """Run in physics, and by the rules alone, and return the episode with what was recorded of it."""
     return _record(run, _Drawn.of(run), watch)
 
 
-def _record(run: Run, drawn: _Drawn, watch: Watch) -> Recording:
+def _record(run: Run, drawn: _Drawn, watch: EpisodeObserver) -> Recording:
     recorder, logs = Recorder(), list[LogRecorder]()
 
     def begin(checked: CheckedSite) -> None:
@@ -187,7 +185,7 @@ def _record(run: Run, drawn: _Drawn, watch: Watch) -> Recording:
     return Recording(episode, trajectory, logs[-1].logs())
 
 
-def _run(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
+def _run(run: Run, drawn: _Drawn, watch: EpisodeObserver) -> Episode:
     if run.play is not None and drawn.played is not None:
         return _follow(run, drawn, steps_of(drawn.played.ticks, run.play), watch)
     if run.rebuilding is not None:
@@ -201,7 +199,7 @@ def _run(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
     return _rolled_out(run, drawn, watch)
 
 
-def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: Watch) -> Episode:
+def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: EpisodeObserver) -> Episode:
     """Carry out a plan, each step from what was read before it."""
     task, setup = drawn.task, run.terms.setup
     recipe = Recipe(blueprint_text(drawn.grid), (), setup, drawn.physics, tuple(task.goal_cells))
@@ -233,12 +231,12 @@ def _predict(steps: Sequence[Step], grid: Grid, rules: Rules) -> Grid:
     return grid
 
 
-def _rolled_out(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
+def _rolled_out(run: Run, drawn: _Drawn, watch: EpisodeObserver) -> Episode:
     """Let a policy play an episode in physics, and one by the rules alone."""
     task, setup = drawn.task, run.terms.setup
     backend = PhysicsBackend(setup, None, task.goal_cells, watch_contacts=True)
     reached = _rollout(run, drawn, backend, watch)
-    by_rules = _rollout(run, drawn, None, UNWATCHED) if task.has_goal else None
+    by_rules = _rollout(run, drawn, None, UNOBSERVED) if task.has_goal else None
     checked = backend.checked
     return Episode(
         backend.recipe,
@@ -250,7 +248,7 @@ def _rolled_out(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
     )
 
 
-def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: Watch) -> bool:
+def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: EpisodeObserver) -> bool:
     """Play an episode; return whether it ends in success."""
     env = ParallelConstruction(drawn.task, Options("grid", rule_set=run.terms.setup.rules), backend)
     policy = run.policy

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from craftsim.checking.recipe import Step
+from craftsim.checking.episode import Step
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Constraints
 

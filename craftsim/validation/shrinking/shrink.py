@@ -12,11 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from craftsim.checking.attempt import Attempt
-from craftsim.checking.recipe import Recipe, do, start
-from craftsim.checking.settings import Setup, Thresholds
-from craftsim.checking.timekeeper import OverrunError, Timekeeper
-from craftsim.checking.world import SEED_0, Seed, set_up
+from craftsim.checking.attempt import Attempt, Thresholds
+from craftsim.checking.episode import OverrunError, Recipe, TimeLimit, do, start
+from craftsim.checking.setup import SEED_0, Seed, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
@@ -86,7 +84,7 @@ def failing_actions(recipe: Recipe, attempts: Sequence[Attempt], most_s: float =
     if not wrong:
         raise InputError("no action that the rules allow fails there; only such a failure can be shrunk")
     step, checked = recipe.steps[-1], start(recipe)
-    Timekeeper(checked, most_s, "what comes before the last step")
+    TimeLimit(checked, most_s, "what comes before the last step")
     for earlier in recipe.steps[:-1]:
         do(checked, earlier)
     ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
@@ -181,7 +179,7 @@ class _Search:
         if checked.problems or not checked.grid.same_visible(grid):
             return False
         self.trials += 1
-        time = Timekeeper(checked, self.left_s, action.name)
+        time = TimeLimit(checked, self.left_s, action.name)
         try:
             attempt = checked.perform(0, action)
         except OverrunError:

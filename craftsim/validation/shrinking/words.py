@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
@@ -18,9 +18,9 @@ _DOWN: Final = ("ahead", "to the left", "backwards", "to the right")
 _NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 _LOADS: Final = {Kind.BLOCK: "a block", Kind.FLAG: "a flag", Kind.FSLOPE: "a folded slope"}
 _RESULTS: Final = {
-    Result.FAILED: "it fails",
-    Result.SIDE_EFFECT: "it moves something else",
-    Result.UNSAFE: "it is unsafe",
+    Verdict.FAILED: "it fails",
+    Verdict.SIDE_EFFECT: "it moves something else",
+    Verdict.UNSAFE: "it is unsafe",
 }
 _CLIMBS: Final = {
     (0, 1): " onto a ramp's foot",
@@ -39,7 +39,7 @@ def sentence(smallest: Smallest) -> str:
     after = Rules(smallest.setup.rules).apply(grid, 0, smallest.action)
     around = list(_around(me, others))
     fails = _RESULTS.get(
-        Result(smallest.attempt.result), f"it is not as predicted ({smallest.attempt.result})"
+        Verdict(smallest.attempt.result), f"it is not as predicted ({smallest.attempt.result})"
     )
     when = f" when {'; and '.join(around)}" if around else " with nothing around"
     return f"car 0 {_acts(me, grid, after, smallest.action)}; {fails}{when}"

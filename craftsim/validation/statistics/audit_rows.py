@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.validation.statistics.proportions import wilson
 from craftsim.validation.statistics.records import RESULTS, Record, worst
 
@@ -121,7 +121,7 @@ def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> 
 class _Group:
     """What is counted of the trials of one row."""
 
-    results: Counter[Result] = field(default_factory=Counter)
+    results: Counter[Verdict] = field(default_factory=Counter)
     errors: int = 0
     legal: bool = True
     bundles: list[str] = field(default_factory=list)
@@ -137,7 +137,7 @@ class _Group:
             self.errors += 1
         elif (result := worst(record)) is not None:
             self.results[result] += 1
-            if result is not Result.AS_PREDICTED:
+            if result is not Verdict.AS_PREDICTED:
                 reason = next(a["reason"] for a in record["attempts"] if a["result"] == result)
                 self.reasons.setdefault(kind_of(reason), reason)
                 self.kinds[kind_of(reason)] += 1

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.validation.statistics.durations import Duration, duration_table
 from craftsim.validation.statistics.matrix import LegalityMatrix, MatrixRow, Results, legality_matrix
 from craftsim.validation.statistics.precision import Distribution, Precision, drift, precision
@@ -70,7 +70,7 @@ def campaign_figures(records: Iterable[Record], seed: int) -> Figures:
         groups[record["group"]].add(record)
         for attempt in record["attempts"]:
             if attempt["legal"]:
-                verbs[attempt["verb"]][Result(attempt["result"])] += 1
+                verbs[attempt["verb"]][Verdict(attempt["result"])] += 1
     scores = policy_scores(known)
     return Figures(
         trials=sum(1 for _ in known),
@@ -105,7 +105,7 @@ class _Tally:
     def add(self, record: Record) -> None:
         self.runs += 1
         self.agree += record["agrees"]
-        self.legal.update(Result(attempt["result"]) for attempt in record["attempts"] if attempt["legal"])
+        self.legal.update(Verdict(attempt["result"]) for attempt in record["attempts"] if attempt["legal"])
 
     def figures(self) -> GroupFigures:
         return GroupFigures(Proportion.of(self.agree, self.runs), MatrixRow.counted(self.legal).success)

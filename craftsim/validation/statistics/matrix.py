@@ -7,11 +7,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import RESULTS, AttemptRecord
 
-Results: TypeAlias = Counter[Result]
+Results: TypeAlias = Counter[Verdict]
 """How many attempts had each result."""
 
 
@@ -31,7 +31,7 @@ class MatrixRow:
     @classmethod
     def of(cls, attempts: Iterable[AttemptRecord]) -> MatrixRow:
         """Count the results of some attempts."""
-        return cls.counted(Counter(Result(attempt["result"]) for attempt in attempts))
+        return cls.counted(Counter(Verdict(attempt["result"]) for attempt in attempts))
 
     @classmethod
     def counted(cls, found: Results) -> MatrixRow:
@@ -55,5 +55,5 @@ def legality_matrix(attempts: Iterable[AttemptRecord]) -> LegalityMatrix:
     forbidden: Results = Counter()
     for attempt in attempts:
         if attempt["legal"] or attempt["performed"]:
-            (legal if attempt["legal"] else forbidden)[Result(attempt["result"])] += 1
+            (legal if attempt["legal"] else forbidden)[Verdict(attempt["result"])] += 1
     return LegalityMatrix(MatrixRow.counted(legal), MatrixRow.counted(forbidden))

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final, TypeAlias, TypeVar
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.validation.campaign.items import TrialRecord
 
 Record: TypeAlias = TrialRecord
@@ -14,7 +14,7 @@ Record: TypeAlias = TrialRecord
 AttemptRecord: TypeAlias = Mapping[str, Any]
 """One attempt of a trial, an :class:`~craftsim.checking.attempt.Attempt` as a mapping."""
 
-RESULTS: Final = (Result.AS_PREDICTED, Result.FAILED, Result.SIDE_EFFECT, Result.UNSAFE, Result.NUMERICS)
+RESULTS: Final = (Verdict.AS_PREDICTED, Verdict.FAILED, Verdict.SIDE_EFFECT, Verdict.UNSAFE, Verdict.SOLVER)
 """Results from the best to the worst, the order of columns and of :func:`worst`; the last proves nothing."""
 
 
@@ -33,12 +33,12 @@ def attempts_of(records: Iterable[Record]) -> Iterator[AttemptRecord]:
 
 def as_predicted(attempt: AttemptRecord) -> bool:
     """Return whether an attempt did what was predicted, and nothing else."""
-    return bool(attempt["result"] == Result.AS_PREDICTED)
+    return bool(attempt["result"] == Verdict.AS_PREDICTED)
 
 
-def worst(record: Record) -> Result | None:
+def worst(record: Record) -> Verdict | None:
     """Return the worst result among a trial's attempts, None when there is none."""
-    results = [Result(attempt["result"]) for attempt in record["attempts"]]
+    results = [Verdict(attempt["result"]) for attempt in record["attempts"]]
     return max(results, key=RESULTS.index, default=None)
 
 

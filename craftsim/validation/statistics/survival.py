@@ -8,7 +8,7 @@ from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from craftsim.checking.attempt import Finding, Result
+from craftsim.checking.attempt import Verdict
 from craftsim.validation.statistics.proportions import CONFIDENCE
 from craftsim.validation.statistics.records import AttemptRecord, Record, as_predicted, carried_out
 
@@ -59,8 +59,8 @@ def life_with_resync(record: Record) -> Life:
 
 
 def _ends_all(attempt: AttemptRecord) -> bool:
-    unreadable = attempt["finding"] in (Finding.UNREADABLE, Finding.NUMERICS, Finding.DIVERGED)
-    return not attempt["legal"] or attempt["result"] == Result.UNSAFE or unreadable
+    unreadable = attempt["finding"] in ("unreadable", "numerics", "diverged")
+    return not attempt["legal"] or attempt["result"] == Verdict.UNSAFE or unreadable
 
 
 def _life(record: Record, ends: Sequence[bool]) -> Life:

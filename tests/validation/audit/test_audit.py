@@ -6,7 +6,7 @@ import pytest
 
 from craftsim import cli
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.settings import setup_of
+from craftsim.checking.setup import setup_of
 from craftsim.errors import InputError
 from craftsim.models.compiled import compiled_parts
 from craftsim.validation.audit import rows

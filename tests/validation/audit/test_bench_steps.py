@@ -4,7 +4,7 @@ import json
 
 from synthetic import attempt
 
-from craftsim.checking.attempt import Attempt, Result
+from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.commands.bench import bench
 from craftsim.commands.bench_steps import STEPS_S, Outcomes
 
@@ -14,7 +14,9 @@ def _outcomes(*attempts):
 
 
 def test_trials_are_compared_one_by_one_with_the_finest_step():
-    finest = _outcomes(attempt(car_error_m=0.001, duration_s=1.0, peak_force_n=100.0), attempt(Result.FAILED))
+    finest = _outcomes(
+        attempt(car_error_m=0.001, duration_s=1.0, peak_force_n=100.0), attempt(Verdict.FAILED)
+    )
     coarse = _outcomes(attempt(car_error_m=0.003, duration_s=1.5, peak_force_n=150.0), attempt())
     found = coarse.against(finest)
     assert found["verdicts_alike"] == 0.5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from craftsim.checking.settings import setup_of
+from craftsim.checking.setup import setup_of
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import describe_car

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from craftsim.checking.settings import Thresholds, setup_of
+from craftsim.checking.attempt import Thresholds
+from craftsim.checking.setup import setup_of
 from craftsim.validation.audit.trial import Trial, try_it
 from craftsim.validation.contexts.context import Verb
 from craftsim.validation.contexts.survey import survey

@@ -17,7 +17,7 @@ from statistics import median
 
 import cheap_work
 
-from craftsim.checking.settings import setup_of
+from craftsim.checking.setup import setup_of
 from craftsim.validation.campaign import Header, Item, TrialRecord, run_campaign
 from craftsim.validation.runs.choice import PLAY, items_of, policy_pilot, subjects_of
 from craftsim.validation.runs.policies import RANDOM

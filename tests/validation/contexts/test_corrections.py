@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from drawn import draw
 
-from craftsim.checking.attempt import Finding
-from craftsim.checking.settings import Setup, setup_of
-from craftsim.checking.world import Seed, compile_world, set_up
+from craftsim.checking.setup import Seed, Setup, compile_world, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action, Correction
 from craftsim.discrete.rules import RULE_SETS, Rules
@@ -109,7 +107,7 @@ def _run(world, car, action, rules) -> tuple[bool, float]:
     attempt = checked.perform(car, action)
     assert attempt.legal
     own_load = max((p.offset_m for p in checked.reading.objects if p.carrier == car), default=0.0)
-    reads_as_predicted = attempt.skill == "succeeded" and attempt.finding == Finding.AGREES
+    reads_as_predicted = attempt.skill == "succeeded" and attempt.finding == "agrees"
     return reads_as_predicted, max(attempt.bystander_displacement_m, own_load)
 
 
@@ -152,7 +150,7 @@ def test_two_gears_in_one_cell_are_what_physical_says():
     grid.yaw[2, 1, 1] = 0
     for rules, agrees in ((PUBLISHED, False), (PHYSICAL, True)):
         attempt = set_up(grid, Setup(rules)).perform(0, Action.LIFT)
-        assert (attempt.finding == Finding.AGREES) is agrees
+        assert (attempt.finding == "agrees") is agrees
 
 
 OFF_THE_FOOT = [(2, 1, 1, 0, 0, 0, 1)], [*RAMP, (BLOCK, (3, 1, 1))]
@@ -177,7 +175,7 @@ def test_a_block_right_behind_a_foot_is_shoved_by_who_comes_off_it_and_no_other_
         tried = [
             set_up(grid, setup, Seed((seed,)), reuse=site).perform(0, Action.MOVE_RIGHT) for seed in range(8)
         ]
-        assert all(attempt.finding == Finding.AGREES for attempt in tried)
+        assert all(attempt.finding == "agrees" for attempt in tried)
         return [attempt.bystander_displacement_m for attempt in tried]
 
     shoved = shoves_m(OFF_THE_FOOT)

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import pytest
 from synthetic import attempt, audit, episodes, record
 
-from craftsim.checking.attempt import Result
-from craftsim.checking.recipe import Recipe, Step, do, start
-from craftsim.checking.settings import Setup
+from craftsim.checking.attempt import Verdict
+from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.setup import Setup
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
@@ -125,7 +125,7 @@ def test_equal_data_give_equal_files(tmp_path):
 
 
 def test_text_from_files_and_policies_is_escaped(tmp_path):
-    bad = attempt(Result.FAILED, reason=HOSTILE, differences=[HOSTILE])
+    bad = attempt(Verdict.FAILED, reason=HOSTILE, differences=[HOSTILE])
     extra = {"grid_success": True, "physics_success": False}
     records = [
         record(HOSTILE, bad, group=HOSTILE + str(i), bundle="b'; rm -rf ~; '", extra=extra) for i in range(3)
@@ -146,7 +146,7 @@ def _with_films(out, sizes):
     for name, size in sizes.items():
         (out / name).mkdir(parents=True)
         (out / name / "film.mp4").write_bytes(name[-1].encode() * size)
-        records.append(record(name, attempt(Result.FAILED), bundle=name))
+        records.append(record(name, attempt(Verdict.FAILED), bundle=name))
     return records
 
 
@@ -164,7 +164,7 @@ def test_films_are_within_the_page_while_there_is_room_and_then_beside_it(tmp_pa
 
 def test_a_film_outside_of_the_page_s_folder_is_not_taken_in(tmp_path):
     _with_films(tmp_path, {"elsewhere": 10})
-    records = [record("a", attempt(Result.FAILED), bundle="../elsewhere")]
+    records = [record("a", attempt(Verdict.FAILED), bundle="../elsewhere")]
     assert "data:video" not in validate_html(tmp_path / "out", records)
 
 
@@ -173,7 +173,7 @@ def test_a_film_outside_of_the_page_s_folder_is_not_taken_in(tmp_path):
     [
         ([], "Nothing to judge"),
         ([record("a", attempt())], "Agrees"),
-        ([record("a", attempt(Result.FAILED))], "Disagrees"),
+        ([record("a", attempt(Verdict.FAILED))], "Disagrees"),
         ([record("a", error="killed", agrees=False)], "Nothing to judge"),
     ],
 )
@@ -185,7 +185,7 @@ FORBIDDEN = {"legal": False, "performed": False, "reason": "the rules forbid it:
 
 
 def test_what_the_rules_forbid_and_was_not_tried_is_no_disagreement_of_physics(tmp_path):
-    records = [record("a", attempt(), attempt(Result.FAILED, verb="LIFT", **FORBIDDEN))]
+    records = [record("a", attempt(), attempt(Verdict.FAILED, verb="LIFT", **FORBIDDEN))]
     page = validate_html(tmp_path, records)
     assert '<span class="verdict">Forbidden by the rules</span>' in page
     text = Reader(page).text
@@ -199,15 +199,15 @@ def test_tables_have_no_negative_zero_and_no_figures_of_nothing(tmp_path):
     tiny = {"heading_error_rad": -1e-12, "height_error_m": -1e-12, "car_error_m": 0.0}
     page = validate_html(tmp_path / "tiny", [record("a", attempt(**tiny), attempt(duration_s=0.999))])
     assert not re.search(r"-0\.0+\b", Reader(page).text.split("Thresholds and provenance")[0])
-    text = Reader(validate_html(tmp_path / "none", [record("a", attempt(Result.FAILED))])).text
+    text = Reader(validate_html(tmp_path / "none", [record("a", attempt(Verdict.FAILED))])).text
     assert "car's error, median" not in text
     assert not re.search(r"median 0(\.0+)? mm", text)
 
 
 def test_what_the_rules_forbid_does_not_hide_where_physics_disagrees(tmp_path):
     records = [
-        record("a", attempt(Result.FAILED, verb="LIFT", **FORBIDDEN)),
-        record("b", attempt(Result.FAILED)),
+        record("a", attempt(Verdict.FAILED, verb="LIFT", **FORBIDDEN)),
+        record("b", attempt(Verdict.FAILED)),
     ]
     text = Reader(validate_html(tmp_path, records)).text
     assert "In 1 of 2 runs physics disagrees with the rules" in text
@@ -218,7 +218,7 @@ def test_what_the_rules_forbid_does_not_hide_where_physics_disagrees(tmp_path):
     ("records", "badge"),
     [
         ([record("a", attempt(), group="LIFT/x")], "Sound"),
-        ([record("a", attempt(Result.FAILED), group="LIFT/x")], "Unsound"),
+        ([record("a", attempt(Verdict.FAILED), group="LIFT/x")], "Unsound"),
         ([record("a", attempt(legal=False), group="LIFT/x")], "Not decided"),
         ([record("a", group="LIFT/x", error="killed")], "Not decided"),
     ],
@@ -228,16 +228,21 @@ def test_the_badge_of_an_audit(tmp_path, records, badge):
 
 
 def test_all_disagreements_are_on_the_page(tmp_path):
-    records = [record(f"run-{i}-end", attempt(Result.FAILED), bundle=f"bundles/{i}") for i in range(40)]
+    records = [record(f"run-{i}-end", attempt(Verdict.FAILED), bundle=f"bundles/{i}") for i in range(40)]
     text = Reader(validate_html(tmp_path, records)).text
     assert all(f"run-{i}-end" in text for i in range(40))
     assert "16 more disagreements" in text
 
 
 def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first(tmp_path):
-    results = {"FOLD/a": Result.FAILED, "FOLD/b": Result.UNSAFE, "LIFT/c": Result.SIDE_EFFECT, "LIFT/d": None}
+    results = {
+        "FOLD/a": Verdict.FAILED,
+        "FOLD/b": Verdict.UNSAFE,
+        "LIFT/c": Verdict.SIDE_EFFECT,
+        "LIFT/d": None,
+    }
     records = [
-        record(name, attempt(result or Result.AS_PREDICTED), group=name, bundle=f"bundles/{name[-1]}")
+        record(name, attempt(result or Verdict.AS_PREDICTED), group=name, bundle=f"bundles/{name[-1]}")
         for name, result in results.items()
     ]
     page = audit_html(tmp_path, records)
@@ -253,7 +258,7 @@ def test_films_stand_in_the_group_of_their_action(tmp_path):
     for entry in records:
         entry["group"] = f"FOLD/{entry['key']}"
     page = audit_html(
-        tmp_path, [*records, record("c", attempt(Result.FAILED), group="FOLD/c", bundle="bundles/c")]
+        tmp_path, [*records, record("c", attempt(Verdict.FAILED), group="FOLD/c", bundle="bundles/c")]
     )
     group = page[page.index("<summary>FOLD: 3 of 3") :]
     assert group.count("<video") == 2
@@ -273,7 +278,7 @@ def _recorded(out, names):
         recorder.trajectory(HOSTILE, recipe, attempts).write(out / TRAJECTORIES / f"{name}.npz")
         job = SimpleNamespace(file_name=name, terms=SimpleNamespace(record=True))
         items.append(Item(f"<b>{name}", "planner", 0, job))
-        records.append(record(name, attempt(Result.FAILED if name == names[-1] else Result.AS_PREDICTED)))
+        records.append(record(name, attempt(Verdict.FAILED if name == names[-1] else Verdict.AS_PREDICTED)))
         records[-1]["agrees"] = name != names[-1]
     return items, records
 
@@ -305,10 +310,10 @@ def test_the_disagreements_of_an_audit_that_were_recorded_are_drawn_and_linked(t
     monkeypatch.setattr("craftsim.validation.html.recorded.MOST_RUNS", 2)
     _recorded(tmp_path, ["one"])
     results = {
-        "LIFT/a": Result.FAILED,
-        "LIFT/b": Result.FAILED,
-        "FOLD/c": Result.UNSAFE,
-        "LIFT/d": Result.FAILED,
+        "LIFT/a": Verdict.FAILED,
+        "LIFT/b": Verdict.FAILED,
+        "FOLD/c": Verdict.UNSAFE,
+        "LIFT/d": Verdict.FAILED,
     }
     bundles = {name: f"bundles/{name[-1]} 1" for name in results}
     for name in ("LIFT/a", "LIFT/b", "FOLD/c"):

@@ -4,7 +4,8 @@ from dataclasses import fields, is_dataclass
 
 import pytest
 
-from craftsim.checking.settings import RANDOMIZE, Setup, Thresholds, imperfect, setup_of
+from craftsim.checking.attempt import Thresholds
+from craftsim.checking.setup import RANDOMIZE, Setup, imperfect, setup_of
 from craftsim.errors import InputError
 from craftsim.models.randomization import NONE, DomainRandomization
 from craftsim.validation.margins.axes import axes, axes_of

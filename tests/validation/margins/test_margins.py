@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from craftsim import cli
-from craftsim.checking.settings import setup_of
+from craftsim.checking.setup import setup_of
 from craftsim.validation.contexts.context import Context
 from craftsim.validation.contexts.survey import survey
 from craftsim.validation.margins.axes import axes_of

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from craftsim.checking.settings import setup_of
+from craftsim.checking.setup import setup_of
 from craftsim.cli import main
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.geometry import CELL_PITCH_M

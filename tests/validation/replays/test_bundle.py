@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from craftsim import cli
-from craftsim.checking.recipe import Recipe, Step, do, run_up
-from craftsim.checking.settings import Setup, setup_of
-from craftsim.checking.world import Seed, compile_world
+from craftsim.checking.episode import Recipe, Step, do, run_up
+from craftsim.checking.setup import Seed, Setup, compile_world, setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action

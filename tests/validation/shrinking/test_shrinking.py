@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from craftsim import cli
-from craftsim.checking.recipe import Recipe, Step
-from craftsim.checking.settings import Setup
+from craftsim.checking.episode import Recipe, Step
+from craftsim.checking.setup import Setup
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action

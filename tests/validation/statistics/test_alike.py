@@ -3,7 +3,7 @@
 import pytest
 from synthetic import attempt, record
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.validation.statistics.alike import alike
 
 
@@ -14,9 +14,9 @@ def test_actions_are_paired_in_order_for_as_long_as_both_runs_try_the_same():
 
 
 def test_what_differs_is_told_by_kind_with_an_example():
-    first = [record(key, attempt(slope=True)) for key in "abc"] + [record("d", attempt(Result.FAILED))]
-    second = [record(key, attempt(Result.FAILED, slope=True)) for key in "ab"]
-    second += [record("c", attempt(slope=True)), record("d", attempt(Result.UNSAFE))]
+    first = [record(key, attempt(slope=True)) for key in "abc"] + [record("d", attempt(Verdict.FAILED))]
+    second = [record(key, attempt(Verdict.FAILED, slope=True)) for key in "ab"]
+    second += [record("c", attempt(slope=True)), record("d", attempt(Verdict.UNSAFE))]
     found = alike(first, second)
     assert (found.actions, found.as_predicted_alike, found.share) == (4, 2, 0.5)
     (one,) = found.differences
@@ -32,7 +32,7 @@ def test_what_differs_is_told_by_kind_with_an_example():
 def test_what_the_rules_allow_is_counted_by_itself():
     first = [record("a", attempt(), attempt(legal=False, tick=1), attempt(tick=2))]
     second = [
-        record("a", attempt(), attempt(Result.FAILED, legal=False, tick=1), attempt(Result.FAILED, tick=2))
+        record("a", attempt(), attempt(Verdict.FAILED, legal=False, tick=1), attempt(Verdict.FAILED, tick=2))
     ]
     found = alike(first, second)
     assert (found.actions, found.as_predicted_alike) == (3, 1)
@@ -49,7 +49,7 @@ def test_ratios_are_medians_over_actions_as_predicted_in_both():
             "a",
             attempt(duration_s=1.1),
             attempt(tick=1, duration_s=2.4),
-            attempt(Result.FAILED, tick=2, duration_s=40.0),
+            attempt(Verdict.FAILED, tick=2, duration_s=40.0),
         )
     ]
     found = alike(first, second)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from synthetic import attempt, audit, episodes, record
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
 from craftsim.report import write_report
 from craftsim.validation.statistics.audit_rows import (
@@ -30,8 +30,8 @@ from craftsim.validation.statistics.precision import precision
 
 def test_errors_are_of_what_did_as_predicted_and_forces_of_all():
     attempts = [attempt(car_error_m=0.001 * i, peak_force_n=10.0 * i) for i in range(1, 5)]
-    attempts.append(attempt(Result.UNSAFE, car_error_m=0.5, peak_force_n=900.0))
-    attempts.append(attempt(Result.FAILED, car_error_m=None, peak_force_n=None))
+    attempts.append(attempt(Verdict.UNSAFE, car_error_m=0.5, peak_force_n=900.0))
+    attempts.append(attempt(Verdict.FAILED, car_error_m=None, peak_force_n=None))
     found = precision(attempts)
     assert (found.car_error_mm.n, found.car_error_mm.median, found.car_error_mm.max) == pytest.approx(
         (4, 2.5, 4.0)
@@ -56,7 +56,7 @@ def test_the_file_of_durations_has_no_digits_that_say_nothing(tmp_path):
 
 
 def test_figures_of_nothing_are_none_and_no_zero():
-    found = campaign_figures([record("a", attempt(Result.FAILED)), record("b", error="killed")], seed=0)
+    found = campaign_figures([record("a", attempt(Verdict.FAILED)), record("b", error="killed")], seed=0)
     errors = asdict(found.precision)
     assert errors.pop("peak_force_n") is not None
     assert set(errors.values()) == {None}
@@ -68,8 +68,8 @@ def test_figures_of_nothing_are_none_and_no_zero():
 
 
 def test_what_was_not_tried_is_not_counted_as_tried_on_purpose():
-    told = attempt(Result.FAILED, legal=False, performed=False)
-    tried = attempt(Result.FAILED, legal=False)
+    told = attempt(Verdict.FAILED, legal=False, performed=False)
+    tried = attempt(Verdict.FAILED, legal=False)
     matrix = campaign_figures([record("a", told, tried, attempt())], seed=0).matrix
     assert (matrix.legal.trials, matrix.forbidden.trials, matrix.forbidden.failed) == (1, 1, 1)
 
@@ -77,7 +77,7 @@ def test_what_was_not_tried_is_not_counted_as_tried_on_purpose():
 def test_a_table_of_durations_survives_its_file(tmp_path):
     attempts = [attempt(duration_s=s, level=2, load="block", slope=True) for s in (1.0, 2.0, 6.0)]
     table = duration_table(
-        [*attempts, attempt(verb="LIFT", duration_s=0.7), attempt(Result.FAILED, duration_s=99)]
+        [*attempts, attempt(verb="LIFT", duration_s=0.7), attempt(Verdict.FAILED, duration_s=99)]
     )
     known = read_durations(write_durations(tmp_path / "new", table))
     row = known[DurationKey("MOVE", "block", 2, True)]
@@ -129,11 +129,11 @@ def test_verdicts_on_rules(legal, has_prediction, trials, good, verdict):
 
 
 def test_a_row_counts_the_worst_attempt_of_each_trial_and_tells_the_commonest_reason():
-    touched = [attempt(Result.FAILED, reason=f"slope 0 touched block {i} ({20 + i} N)") for i in range(3)]
+    touched = [attempt(Verdict.FAILED, reason=f"slope 0 touched block {i} ({20 + i} N)") for i in range(3)]
     records = [record(str(i), attempt(), bad, group="FOLD/level=1") for i, bad in enumerate(touched)]
     records += [
         record(
-            "3", attempt(Result.FAILED), attempt(Result.UNSAFE, reason="car 0 tipped"), group="FOLD/level=1"
+            "3", attempt(Verdict.FAILED), attempt(Verdict.UNSAFE, reason="car 0 tipped"), group="FOLD/level=1"
         ),
         record("4", attempt(), attempt(), group="FOLD/level=1"),
         record("5", group="FOLD/level=1", error="TimeoutError", agrees=False),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic import attempt, record
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.validation.statistics.matrix import legality_matrix
 from craftsim.validation.statistics.paired import compare_paired
 from craftsim.validation.statistics.proportions import Proportion, wilson
@@ -34,8 +34,8 @@ def test_the_share_of_nothing_is_not_known():
 
 
 def test_the_matrix_counts_results_by_legality():
-    attempts = [attempt()] * 5 + [attempt(Result.UNSAFE)] * 2 + [attempt(Result.FAILED, legal=False)] * 3
-    matrix = legality_matrix([*attempts, attempt(Result.SIDE_EFFECT, legal=False)])
+    attempts = [attempt()] * 5 + [attempt(Verdict.UNSAFE)] * 2 + [attempt(Verdict.FAILED, legal=False)] * 3
+    matrix = legality_matrix([*attempts, attempt(Verdict.SIDE_EFFECT, legal=False)])
     legal, forbidden = matrix.legal, matrix.forbidden
     assert (legal.trials, legal.as_predicted, legal.failed, legal.side_effect, legal.unsafe) == (
         7,

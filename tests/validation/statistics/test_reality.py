@@ -6,7 +6,7 @@ import pytest
 from synthetic import attempt, record
 
 from craftsim import cli
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
 from craftsim.validation.campaign import FinishedCampaign
 from craftsim.validation.statistics.reality import compare_with_reality, read_run
@@ -21,7 +21,7 @@ def _runs(tmp_path, share, seconds=1.0):
     made = [
         record(
             f"{plan}#{n}",
-            attempt(Result.FAILED if n >= good else Result.AS_PREDICTED, duration_s=seconds),
+            attempt(Verdict.FAILED if n >= good else Verdict.AS_PREDICTED, duration_s=seconds),
             group=plan,
         )
         for plan, good in share.items()

@@ -3,7 +3,7 @@
 import pytest
 from synthetic import attempt, episodes, record
 
-from craftsim.checking.attempt import Result
+from craftsim.checking.attempt import Verdict
 from craftsim.validation.statistics.ranking import (
     PolicyScore,
     mean_maximum_rank_violation,
@@ -43,12 +43,12 @@ def test_where_nothing_or_everything_ended_there_is_no_band():
 
 
 def test_a_run_without_resync_ends_with_its_first_disagreement_and_with_it_when_it_cannot_go_on():
-    good, failed = attempt(), attempt(Result.FAILED)
+    good, failed = attempt(), attempt(Verdict.FAILED)
     assert life_without_resync(record("a", good, failed, good)) == Life(2, True)
     assert life_with_resync(record("a", good, failed, good)) == Life(3, False)
     assert life_with_resync(record("a", failed, attempt(legal=False))) == Life(2, True)
-    assert life_with_resync(record("a", attempt(Result.UNSAFE), good)) == Life(1, True)
-    assert life_with_resync(record("a", attempt(Result.FAILED, finding="unreadable"))) == Life(1, True)
+    assert life_with_resync(record("a", attempt(Verdict.UNSAFE), good)) == Life(1, True)
+    assert life_with_resync(record("a", attempt(Verdict.FAILED, finding="unreadable"))) == Life(1, True)
     assert life_without_resync(record("a", good)) == Life(1, False)
 
 

@@ -7,8 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.settings import Setup
-from craftsim.checking.world import set_up
+from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action

@@ -1,73 +1,42 @@
-"""What decides a world in physics besides its Grid and its seed: limits, noise and what cars assume of it, gains."""
+"""What decides a world in physics besides its Grid: limits, noise and what cars assume of it, gains, the seed;
+and the one place where a world is set up from all of it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Final, Literal, cast
 
+import numpy as np
+
+from craftsim.checking.attempt import Thresholds
+from craftsim.checking.judge import CheckedSite
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.discrete.rules import RuleSet
-from craftsim.errors import InputError, suggestion
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.errors import InputError, StartError, suggestion
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Drivetrain, Floor, Making
+from craftsim.models.motors import Motors
+from craftsim.models.noise import ASSUMED, MILD, NOISY, SensorNoise
+from craftsim.models.overlaps import ALLOWED_M
 from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, Drive, Machines
-from craftsim.models.randomization import NONE, DomainRandomization, load_noise, load_randomization
-from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise
-from craftsim.report import LEFT_OUT_IF_EMPTY
-from craftsim.skills.disturbances import Disturbance
+from craftsim.models.randomization import NONE, DomainRandomization, RandomizedSite
+from craftsim.models.randomization_files import load_noise, load_randomization
+from craftsim.models.sensing import Sensors
+from craftsim.models.site import Site
+from craftsim.skills.executor import Executor
+from craftsim.skills.fleet import Fleet
 from craftsim.skills.gains import Gains, load_gains
-from craftsim.skills.library import OwnSkill, SkillChoice, own_skills
+from craftsim.skills.planted import Disturbance, DisturbedFleet
 
 nominal_gains = cache(load_gains)
 
 _BASE_M: Final = 0.2
 """How far apart a car's axles, or the feet of what stands, are at least."""
-
-
-@dataclass(frozen=True)
-class Thresholds:
-    """The largest errors with which an action still agrees with its prediction; set before anything is run.
-
-    Things in neighbouring cells stand 2.5 mm apart: a cell is 322.5 mm wide, a block or slope 320. So each may come
-    nearer to the other by half of that, 1.25 mm, all taken together: place, heading times half a cell, and lean times
-    a level (:attr:`craftsim.discrete.readback.CellFit.reach_m`). That is ``placed_m``, for what is set down, what is
-    carried and what stands; a car alone is far narrower than its cell. A heading off by ``placed_heading_rad`` takes
-    0.8 mm of the 1.25, and leaning by ``tilt_rad`` more than all of it.
-
-    Raises InputError for what is no finite number.
-    """
-
-    car_m: float = 0.001
-    """Distance of the car from its cell's centre."""
-    heading_rad: float = 0.003
-    placed_m: float = 0.00125
-    """Of what was set down, folded or unfolded its distance from its cell's centre, and of what is carried that from
-    its seat; of these, and of all that stands, how much nearer it comes to a neighbouring cell."""
-    bystander_m: float = 0.001
-    """Displacement of anything that the action does not concern, from the action's start to its end; and from where it
-    was left by what last handled it, at any time since the action began."""
-    height_m: float = 0.002
-    """Of the car above the ground, of what was set down above the floor, of a load above its seat."""
-    tilt_rad: float = 0.010
-    """Lean of the car, and of all that stands or is carried, away from level or from the incline; and by how much a
-    slope's hinge is short of its end. Over the 0.2 m between a car's axles it is ``height_m``."""
-    placed_heading_rad: float = 0.005
-    """Of what was set down, folded or unfolded against the grid, and of what is carried against its car."""
-    bystander_rad: float = 0.004
-    """Turn about any axis of the same over the same times: a corner, 0.23 m from the middle, then moves by 0.9 mm."""
-    force: float = 1.0
-    """The hardest that two machines may press on each other, as a share of what weights and motors of the nominal
-    machines can do (:func:`craftsim.checking.forces.impact_limit_n`)."""
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            if not math.isfinite(getattr(self, f.name)):
-                raise InputError(f"Thresholds.{f.name} must be a finite number, not {getattr(self, f.name)}")
 
 
 @dataclass(frozen=True)
@@ -293,3 +262,121 @@ def _check_file(given: str | Path, what: str) -> None:
         raise InputError(
             f"unknown {what} '{given}'{suggestion(str(given), RANDOMIZE)}; there are {known}, or give a YAML file"
         )
+
+
+MAX_WORDS: Final = 64
+"""Numbers in a seed."""
+
+
+@dataclass(frozen=True)
+class Seed:
+    """Where a random generator starts: entropy and spawn key of NumPy's SeedSequence.
+
+    Raises InputError for what NumPy does not take.
+    """
+
+    entropy: tuple[int, ...]
+    spawn_key: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if min((*self.entropy, *self.spawn_key), default=0) < 0 or max(self.spawn_key, default=0) >= 2**32:
+            raise InputError("a seed's entropy must be 0 or more, and its spawn key from 0 to 2**32 - 1")
+        if len(self.entropy) + len(self.spawn_key) > MAX_WORDS:
+            raise InputError(f"a seed of more than {MAX_WORDS} numbers")
+
+    @classmethod
+    def of(cls, sequence: np.random.SeedSequence) -> Seed:
+        """Return the seed of a sequence, spawned or not."""
+        entropy = sequence.entropy
+        words = (entropy,) if isinstance(entropy, int) else tuple(entropy or ())
+        return cls(tuple(int(word) for word in words), tuple(sequence.spawn_key))
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Seed:
+        """Return a seed that a generator decides."""
+        return cls(tuple(rng.integers(0, 2**32, 4).tolist()))
+
+    def sequence(self) -> np.random.SeedSequence:
+        """Return a fresh sequence."""
+        return np.random.SeedSequence(self.entropy, spawn_key=self.spawn_key)
+
+
+SEED_0: Final = Seed((0,))
+SetUp = Callable[[Grid, Setup, Seed, Sequence[Cell]], CheckedSite]
+"""Sets up a world from its start, its configuration, its seed and the cells to mark, as :func:`set_up` does."""
+
+
+def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> RandomizedSite:
+    """Return the compiled world of a grid, to be set up again and again; it stands nowhere yet."""
+    floor = setup.randomization.floor
+    site = Site(grid, setup.simulation, goals, reset=False, machines=setup.machines, floor=floor)
+    return RandomizedSite(site, (_visible(grid), tuple(goals), setup.simulation, setup.machines, floor))
+
+
+def _visible(grid: Grid) -> tuple[bytes, ...]:
+    """Return all of a grid that stands somewhere in physics."""
+    return tuple(array.tobytes() for array in (np.array(grid.size), grid.kind, grid.yaw, grid.cars))
+
+
+def set_up(
+    grid: Grid,
+    setup: Setup,
+    seed: Seed = SEED_0,
+    goals: Sequence[Cell] = (),
+    reuse: RandomizedSite | None = None,
+    watch_contacts: bool = True,
+) -> CheckedSite:
+    """Return a world in physics, ready for actions.
+
+    Args:
+        grid: the start.
+        setup: everything that is configured.
+        seed: decides the physics and the noise that are drawn.
+        goals: cells to mark.
+        reuse: a Site of an equal grid, simulation, floor and goals to be used again, which saves compiling; its
+            numbers are the same as those of a fresh one.
+        watch_contacts: as of :class:`CheckedSite`.
+
+    Raises StartError where something would stand in something else.
+    """
+    physics, sensors, hits = (np.random.default_rng(s) for s in seed.sequence().spawn(3))
+    world = reuse or compile_world(grid, setup, goals)
+    if setup.randomization.nominal:
+        world.restore()
+    else:
+        world.draw(setup.randomization, physics)
+    measured = Sensors(world.site, setup.randomization.sensors, sensors)
+    fleet = None
+    if setup.disturbance is not None:
+        motors = Motors(world.site, setup.randomization.sensors.motor_lag_s)
+        fleet = DisturbedFleet(world.site, measured, motors, setup.disturbance, hits)
+    return judge_on(world.site, setup, measured, watch_contacts, fleet)
+
+
+def check_start(site: Site) -> None:
+    """Raise StartError where something stood in something else when a Site was reset."""
+    if site.overlaps:
+        raise StartError(
+            f"this world cannot be: {'; '.join(map(str, site.overlaps))} (allowed {1e3 * ALLOWED_M:.0f} mm); "
+            "move or turn one of them, or unload the car"
+        )
+
+
+def judge_on(
+    site: Site,
+    setup: Setup,
+    sensors: Sensors | None = None,
+    watch_contacts: bool = True,
+    fleet: Fleet | None = None,
+) -> CheckedSite:
+    """Return the judge on a Site as it stands, whose machines and simulation are its own; sensors are exact if None.
+
+    A ``fleet`` are robots elsewhere, of which the Site shows where they are.
+
+    Raises StartError where something stood in something else when the Site was reset.
+    """
+    check_start(site)
+    site.set_drivetrain(setup.randomization.drivetrain)
+    motors = Motors(site, setup.randomization.sensors.motor_lag_s)
+    executor = Executor(site, setup.gains, None, sensors, motors, setup.assumed, fleet)
+    return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

@@ -1,0 +1,481 @@
+"""What touches what while an action runs, how hard, how far things lean and how fast they fall; and what is unsafe.
+
+The log looks at contacts after every physics step, and at motion between control periods, at 50 Hz: a thing that falls
+by 25 mm or more is faster than 0.5 m/s when it is looked at.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Collection, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.footprint import cell_of
+from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
+from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
+from craftsim.models.measuring import Floats
+from craftsim.models.overlaps import GROUND, WALL
+from craftsim.models.parameters import NOMINAL, ContactParameters, Machines
+from craftsim.models.site import Site
+from craftsim.skills.state import GRAVITY
+from craftsim.storage.writing import whole
+
+TIPPED_RAD: Final = INCLINE_RAD + TILT_TOLERANCE_RAD
+"""How far anything may lean, 0.33 rad: the incline, and as much more as still counts as standing on it. What should
+stand still is held against narrower limits (:class:`craftsim.checking.judge.Drift`)."""
+FALL_M_S: Final = 0.5
+"""How fast anything may move down: a drop of 13 mm. Descents and boards stay below 0.14 m/s."""
+
+Hazard = tuple[tuple[str, ...], str]
+"""Something unsafe that happened: the names of the machines concerned, and a text with what was allowed."""
+Numbers = NDArray[np.integer]
+
+PAIR: Final = np.dtype(
+    [
+        *(("since_s", "f8"), ("peak_n", "f8"), ("x", "f8"), ("y", "f8"), ("z", "f8")),
+        *(("touching", "i8"), ("touched", "i8"), ("blow", "i8")),
+    ],
+    align=True,
+)
+"""Two machines, a < b, as record a * n_machines + b: when they were first seen to touch (inf for never) and the hardest
+force so far; the net force while it is summed up, and whether they touch. ``touched`` and ``blow`` are lists of pairs
+that start at the first record, whichever pair that is."""
+MOTION: Final = np.dtype([("qpos", "i8"), ("qvel", "i8"), ("down_m_s", "f8"), ("upright", "f8")], align=True)
+"""A machine: where its free joint lies in qpos and in qvel, its least vertical speed and the least cosine of its tilt
+so far."""
+WORST: Final = np.dtype(
+    [
+        *(("n_machines", "i8"), ("limit_n", "f8"), ("hardest_n", "f8"), ("recent_n", "f8")),
+        *(("down_m_s", "f8"), ("upright", "f8")),
+    ],
+    align=True,
+)
+"""Of all machines: how many there are, what counts as a blow, the hardest force since the log began and since the last
+control period, and the least of both fields of MOTION."""
+
+_REACH_M: Final = 1.5 * CELL_PITCH_M
+"""How far any part of a machine is from the middle of the machine at most: that of a flap's tip."""
+
+
+class Contact(NamedTuple):
+    """Two machines that touched each other."""
+
+    first: str
+    """Name of a machine, such as ``car 0``, ``block 3``, ``slope 1``, ``flag 0``, ``wall`` or ``ground``."""
+    second: str
+    since_s: float
+    """Simulated time at which they were first seen to touch."""
+    peak_n: float
+    """Largest net normal force: the vector sum over all their points of contact."""
+    at_start: bool
+    """Whether they touched when the log began."""
+
+
+class ContactLog:
+    """Contacts between the machines of a Site, and their motion, from :meth:`begin` on.
+
+    Contacts inside one machine, such as of a slope's flap with its base, are left out.
+    """
+
+    def __init__(self, site: Site, force: float = 1.0) -> None:
+        """Prepare for a Site, and begin; ``force`` is the share of :func:`impact_limit_n` that is no blow yet."""
+        self.site = site
+        machines, model = site.machine_names, site.model
+        self.names, self._machine = machines.names, machines.of_geom
+        """Of all machines: what is fixed first, then those that move in the order of their bodies."""
+        self._place = {name: at for at, name in enumerate(self.names)}
+        self._roots = list(machines.roots)
+        self._weigh()
+        joints = model.body_jntadr[self._roots]
+        self._pairs, self._motion = records(len(self.names) ** 2, PAIR), records(len(self._roots), MOTION)
+        self._motion["qpos"], self._motion["qvel"] = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        self._worst = records(1, WORST)
+        self._worst["n_machines"] = len(self.names)
+        self._worst["limit_n"] = self.limit_n = force * impact_limit_n(site.machines)
+        """What counts as a blow."""
+        self.period_n = 0.0
+        """The largest force between any two machines in the last control period."""
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget everything, and note what touches now."""
+        self._impossible: dict[int, tuple[float, float]] = {}
+        self._motion["down_m_s"], self._motion["upright"] = 0.0, 1.0
+        for name, nothing in (("hardest_n", 0.0), ("recent_n", 0.0), ("down_m_s", 0.0), ("upright", 1.0)):
+            self._worst[name] = nothing
+        self._pairs["since_s"], self._pairs["peak_n"] = math.inf, 0.0
+        self._begun_s, self._awake = self.site.data.time, self.site.awake_copy()
+        self._note(self._awake)
+        self._looked_s = math.nan
+        self._at_start = np.isfinite(self._pairs["since_s"])
+
+    def begin_with(self, machines: Collection[str]) -> None:
+        """Forget what these touched, and note what they touch now: an action with them begins while others run."""
+        n = len(self.names)
+        rows = [self._place[name] for name in machines]
+        own = np.zeros((n, n), np.bool_)
+        own[rows], own[:, rows] = True, True
+        self._pairs["since_s"][own.ravel()], self._pairs["peak_n"][own.ravel()] = math.inf, 0.0
+        if self._begun_s != self.site.data.time:
+            self._begun_s, self._awake = self.site.data.time, self.site.awake_copy()
+        self._note(self._awake)
+        self._at_start[own.ravel()] = np.isfinite(self._pairs["since_s"][own.ravel()])
+
+    def look(self) -> None:
+        """Note what touches and how hard; call it after each physics step, such as by being an executor's observer."""
+        data = self.site.data
+        self._looked_s = data.time
+        self._note(data)
+
+    def sample(self, _: Site | None = None) -> None:
+        """Note contacts and motion; call it after each control period, such as by being an executor's observer."""
+        data = self.site.data
+        if self._looked_s != data.time:
+            self.look()
+        self._begun_s = math.nan
+        self.period_n, self._worst["recent_n"] = float(self._worst["recent_n"][0]), 0.0
+        note_motion(data.qpos, data.qvel, self._motion, self._worst)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """All that touched, those first that touched first."""
+        return self._contacts(np.isfinite(self._pairs["since_s"]))
+
+    def news(self, machines: Collection[str]) -> tuple[Contact, ...]:
+        """Return the contacts of these machines that were not there when the log began, the first one first."""
+        n = len(self.names)
+        new = (np.isfinite(self._pairs["since_s"]) & ~self._at_start).reshape(n, n)
+        if not new.any():
+            return ()
+        rows = [self._place[name] for name in machines]
+        own = np.zeros_like(new)
+        own[rows], own[:, rows] = new[rows], new[:, rows]
+        return self._contacts(own.ravel())
+
+    def _contacts(self, chosen: NDArray[np.bool_]) -> tuple[Contact, ...]:
+        n, since, peak = len(self.names), self._pairs["since_s"], self._pairs["peak_n"]
+        found = [
+            Contact(
+                self.names[pair // n],
+                self.names[pair % n],
+                float(since[pair]),
+                float(peak[pair]),
+                bool(self._at_start[pair]),
+            )
+            for pair in np.flatnonzero(chosen).tolist()
+        ]
+        return tuple(sorted(found, key=lambda contact: contact.since_s))
+
+    @property
+    def peak_n(self) -> float:
+        """The largest force between any two machines, the ground included; 0 where nothing touched."""
+        return float(self._worst["hardest_n"][0])
+
+    @property
+    def impossible(self) -> tuple[str, ...]:
+        """A line for each force that nothing here could have produced."""
+        n = len(self.names)
+        return tuple(
+            f"{self.names[pair // n]} and {self.names[pair % n]} press on each other with {force:.0f} N, more than "
+            f"weights, motors and motion could ({possible:.0f} N)"
+            for pair, (force, possible) in self._impossible.items()
+        )
+
+    @property
+    def fall_m_s(self) -> float:
+        """The fastest that any machine moved down."""
+        return -float(self._worst["down_m_s"][0])
+
+    @property
+    def tilt_rad(self) -> float:
+        """The furthest that any machine leaned."""
+        return math.acos(max(-1.0, float(self._worst["upright"][0])))
+
+    @property
+    def falls_m_s(self) -> dict[str, float]:
+        """The fastest that each machine moved down."""
+        return dict(zip(self.names[2:], (-self._motion["down_m_s"]).tolist(), strict=True))
+
+    @property
+    def tilts_rad(self) -> dict[str, float]:
+        """The furthest that each machine leaned."""
+        tilts = np.arccos(np.clip(self._motion["upright"], -1.0, 1.0))
+        return dict(zip(self.names[2:], tilts.tolist(), strict=True))
+
+    def is_unsafe(self) -> bool:
+        """Return whether anything was unsafe since the log began."""
+        return self.tilt_rad > TIPPED_RAD or self.fall_m_s > FALL_M_S or self.peak_n > self.limit_n
+
+    def hazards(self) -> tuple[Hazard, ...]:
+        """Return all that was unsafe since the log began, each with what was allowed."""
+        if not self.is_unsafe():
+            return ()
+        tilts, falls = self.tilts_rad.items(), self.falls_m_s.items()
+        found = [
+            ((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})")
+            for name, tilt in tilts
+            if tilt > TIPPED_RAD
+        ]
+        found += [
+            ((name,), f"{name} fell ({speed:.1f} m/s, allowed {FALL_M_S:.1f})")
+            for name, speed in falls
+            if speed > FALL_M_S
+        ]
+        hits = [
+            ((a, b), f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})")
+            for a, b, _, force, _ in self.contacts
+            if force > self.limit_n
+        ]
+        return (*found, *hits)
+
+    def write(self, path: Path) -> None:
+        """Write the contacts as CSV with a line of headings; raise InputError where the disk does not take it."""
+        with whole(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(Contact._fields)
+            writer.writerows(self.contacts)
+
+    def _note(self, data: mujoco.MjData) -> None:
+        """Note what touches, and how hard; look closer at forces as hard as a hazard that are new peaks."""
+        if not data.ncon:
+            return
+        contact = data.contact
+        n_blows = note_contacts(
+            *(contact.geom1, contact.geom2, contact.frame, contact.efc_address, data.efc_force, data.time),
+            *(self._machine, self._pairs, self._worst),
+        )
+        for pair in self._pairs["blow"][:n_blows].tolist():
+            machines = [machine - 2 for machine in divmod(pair, len(self.names)) if machine >= 2]
+            possible, force = self._possible_n(machines), float(self._pairs["peak_n"][pair])
+            if force > possible:
+                self._impossible[pair] = force, possible
+
+    def _weigh(self) -> None:
+        """Take masses and motors of the Site as they are drawn."""
+        site, model = self.site, self.site.model
+        self._mass = model.body_subtreemass[self._roots]
+        self._dof = model.body_dofadr[self._roots].astype(np.intp)
+        self._tree = model.dof_treeid[self._dof]
+        at_tree = {int(tree): i for i, tree in enumerate(self._tree)}
+        self._rest = GRAVITY * self._mass
+        limit = model.actuator_forcerange[:, 1]
+        for car in site.cars:
+            wheels = limit[car.wheel_actuators].sum() / car.parameters.wheel_radius_m
+            self._rest[at_tree[car.base.tree]] += wheels + limit[car.board.actuator]
+        for slope in site.slopes:
+            self._rest[at_tree[slope.base.tree]] += (
+                limit[slope.hinge.actuator] / site.machines.slope.gear_radius_m
+            )
+
+    def _possible_n(self, machines: Sequence[int]) -> float:
+        """Return the largest force in the last step between machines that weights, motors and motion account for.
+
+        A force is passed on along machines that touch, so all of one island count. Weights, wheels, boards and hinges,
+        the last by the lever of the gear, load a contact up to twice as much when they are put on at once. What moves
+        has its momentum to lose, and loses it over one physics step at least: m v / h, times :func:`stopping_ratio`. A
+        solver that has not converged knows none of these limits, and forces above are its doing.
+        """
+        data, step = self.site.data, self.site.config.timestep_s
+        islands = data.tree_island[self._tree]
+        touching = np.isin(islands, islands[list(machines)])
+        dofs = self._dof[touching, None] + np.arange(6)
+        speed = data.qvel[dofs] - step * data.qacc[dofs]  # before the step
+        motion = np.linalg.norm(speed[:, :3], axis=1) + _REACH_M * np.linalg.norm(speed[:, 3:], axis=1)
+        rest, momentum = self._rest[touching].sum(), (self._mass[touching] * motion).sum()
+        return float(2 * rest + stopping_ratio(self.site.machines.contact, step) / step * momentum)
+
+
+@lru_cache(maxsize=16)
+def impact_limit_n(machines: Machines = NOMINAL) -> float:
+    """Return how hard two machines may press on each other, in newtons; 461 N for the nominal ones.
+
+    The heaviest loaded car weighs W = 112 N, and its wheel motors push with F = 202 N at most. The weight acts down and
+    the wheels push along the ground, so both together are sqrt(W^2 + F^2) = 231 N. What is put on at once loads a stiff
+    contact up to twice as much as it does at rest: 461 N. More can only come from the motion of something that is
+    stopped: a blow.
+    """
+    load = max(machines.block.mass_kg, machines.slope.mass_kg)
+    return max(
+        2 * math.hypot((car.mass_kg + load) * GRAVITY, 4 * car.wheel_torque_nm / car.wheel_radius_m)
+        for car in machines.cars
+    )
+
+
+def stopping_ratio(contact: ContactParameters, timestep_s: float) -> float:
+    """Return the speed that a contact takes from a thing in one step, by the speed at which it came.
+
+    MuJoCo's contact is a spring and damper per unit of mass, b = 2 / (d T) and k = 1 / (d T z)^2, of time constant T,
+    damping ratio z and largest impedance d (its documentation, "Solver parameters"). At a depth of one step's way it
+    takes b v h + k v h^2 in a step of length h: 1.27 v with the nominal figures.
+    """
+    step = timestep_s / (contact.impedance_max * contact.time_constant_s)
+    return 2 * step + (step / contact.damping_ratio) ** 2
+
+
+@compiled
+def note_contacts(
+    geom1: Numbers,
+    geom2: Numbers,
+    frame: Floats,
+    efc_address: Numbers,
+    efc_force: Floats,
+    time_s: float,
+    machine: Numbers,
+    pairs: Record,
+    worst: Record,
+) -> int:
+    """Note the pairs of machines of all contacts, and the net force of each.
+
+    Normal forces are summed as vectors. A boss that is wedged between pads presses on them with forces that cancel
+    out: they squeeze the two machines, and move neither.
+
+    Args:
+        geom1: of MuJoCo's contacts, as the next three.
+        geom2: the geom that the normal points at.
+        frame: (n, 9) the normal and two tangents.
+        efc_address: of the first row; with elliptic cones that is the normal force (MuJoCo, mj_contactForce).
+        efc_force: MjData.efc_force.
+        time_s: simulated time.
+        machine: (n_geom,) the machine of each geom.
+        pairs: (n_machines ** 2,) of PAIR; net forces are zero before and after.
+        worst: (1,) of WORST.
+
+    Returns:
+        How many blows there are that are new peaks; their pairs are in ``pairs``.
+    """
+    n_touched, n_machines = 0, worst[0].n_machines
+    for i in range(len(geom1)):
+        row, one, other = efc_address[i], machine[geom1[i]], machine[geom2[i]]
+        if row < 0 or one == other:
+            continue
+        pair = min(one, other) * n_machines + max(one, other)
+        if not pairs[pair].touching:
+            pairs[pair].touching = 1
+            pairs[n_touched].touched = pair
+            n_touched += 1
+        push = efc_force[row] if one < other else -efc_force[row]
+        pairs[pair].x += push * frame[i, 0]
+        pairs[pair].y += push * frame[i, 1]
+        pairs[pair].z += push * frame[i, 2]
+    n_blows, hardest = 0, 0.0
+    for i in range(n_touched):
+        pair = pairs[i].touched
+        x, y, z = pairs[pair].x, pairs[pair].y, pairs[pair].z
+        force = math.sqrt(x * x + y * y + z * z)
+        pairs[pair].x, pairs[pair].y, pairs[pair].z, pairs[pair].touching = 0.0, 0.0, 0.0, 0
+        pairs[pair].since_s = min(pairs[pair].since_s, time_s)
+        hardest = max(hardest, force)
+        if force > pairs[pair].peak_n:
+            pairs[pair].peak_n = force
+            if force > worst[0].limit_n:
+                pairs[n_blows].blow = pair
+                n_blows += 1
+    worst[0].hardest_n = max(worst[0].hardest_n, hardest)
+    worst[0].recent_n = max(worst[0].recent_n, hardest)
+    return n_blows
+
+
+@compiled
+def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> None:
+    """Note how fast each machine moves down, and how upright it is.
+
+    Args:
+        qpos: MjData.qpos.
+        qvel: MjData.qvel.
+        motion: (n,) of MOTION.
+        worst: (1,) of WORST.
+    """
+    for i in range(len(motion)):
+        at = motion[i].qpos
+        tilt_x, tilt_y = qpos[at + 4], qpos[at + 5]
+        motion[i].down_m_s = min(motion[i].down_m_s, qvel[motion[i].qvel + 2])
+        motion[i].upright = min(motion[i].upright, 1 - 2 * (tilt_x * tilt_x + tilt_y * tilt_y))
+        worst[0].down_m_s = min(worst[0].down_m_s, motion[i].down_m_s)
+        worst[0].upright = min(worst[0].upright, motion[i].upright)
+
+
+def unexpected_contacts(
+    contacts: Collection[Contact],
+    names: Sequence[str],
+    before: Reading,
+    predicted: Grid,
+    cars: Collection[int],
+) -> tuple[Contact, ...]:
+    """Return those of some contacts that the prediction does not explain, hardest first.
+
+    A car and what it handles may touch each other, and what bears them where they are and where they should be.
+
+    Args:
+        contacts: what touched and did not at the start.
+        names: of the objects.
+        before: the start as it was read.
+        predicted: the world that the rules predict.
+        cars: those that act.
+    """
+    if not contacts:
+        return ()
+    bearers = _bearers(names, before)
+    known: set[frozenset[str]] = set()
+    for car in cars:
+        name = f"car {car}"
+        way = [cell_of(before.grid, car), cell_of(predicted, car)]
+        places = {name: way}
+        for index in handled(before, predicted, car):
+            places[names[index]] = [part for cell in way for part in cells_at(predicted, cell)]
+            places[names[index]] += cells_at(before.grid, way[0])
+        known |= {frozenset((a, b)) for a in places for b in places}
+        for thing, cells in places.items():
+            below = [(x, y, z - 1) for x, y, z in cells]
+            known |= {frozenset((thing, bearers[cell])) for cell in below if cell in bearers}
+        ramps = [cell for cell in way if before.grid.kind_at(cell) in (Kind.FOOT, Kind.BODY)]
+        known |= {frozenset((name, bearers[cell])) for cell in ramps}
+    strange = [c for c in contacts if frozenset((c.first, c.second)) not in known]
+    return tuple(sorted(strange, key=lambda contact: -contact.peak_n))
+
+
+def handled(before: Reading, predicted: Grid, car: int) -> list[int]:
+    """Return the objects, by their index, that an action is about: the car's load, what it takes, turns or shoves."""
+    here, there = cell_of(before.grid, car), cell_of(predicted, car)
+    loads = [index for index, thing in enumerate(before.objects) if thing.carrier == car]
+    shoved = [] if there == here else _changing(before, predicted, there)
+    return [*loads, *_changing(before, predicted, here), *shoved]
+
+
+def under(before: Reading, predicted: Grid, car: int) -> list[int]:
+    """Return the objects, by their index, that a car stands and drives on, down to the ground.
+
+    A car on the foot of a slope is in the same cell as the foot, and on the slope all the same.
+    """
+    stands = sorted((cell_of(before.grid, car), cell_of(predicted, car)))
+    tops = {cell[:2]: cell[2] for cell in stands}
+    return [
+        index
+        for index, cell, foot in before.standing
+        if cell[2] < tops.get(cell[:2], 0) or (foot is not None and foot in stands)
+    ]
+
+
+def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
+    """Return the objects that stand in a cell which should hold something else afterwards."""
+    if before.grid.kind_at(cell) == predicted.kind_at(cell):
+        return []
+    return [index for index, place, _ in before.standing if place == cell]
+
+
+def _bearers(names: Sequence[str], reading: Reading) -> dict[Cell, str]:
+    """Return the name of what fills each cell, the ground included; a carried object fills none."""
+    grid = reading.grid
+    found: dict[Cell, str] = {(int(x), int(y), 0): GROUND for x, y in np.ndindex(*grid.kind.shape[:2])}
+    found |= {(int(x), int(y), int(z)): WALL for x, y, z in np.argwhere(grid.kind == Kind.WALL)}
+    for index, cell, _ in reading.standing:
+        found |= dict.fromkeys(cells_at(grid, cell), names[index])
+    return found

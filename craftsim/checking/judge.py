@@ -1,0 +1,482 @@
+"""A Site whose every action is predicted by the rules, performed by skills, read from poses, and judged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.checking.attempt import (
+    AGREES,
+    Attempt,
+    Cause,
+    Thresholds,
+    Watched,
+    attempt_of,
+    capped_text,
+    compare,
+)
+from craftsim.checking.contacts import ContactLog, handled, under, unexpected_contacts
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.readback import (
+    PLACE_TOLERANCE_M,
+    Poses,
+    Reading,
+    describe_car,
+    own_differences,
+    read_grid,
+)
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
+from craftsim.models.measuring import Floats
+from craftsim.models.placement import lift_m
+from craftsim.models.sensing import PoseReader
+from craftsim.models.site import Site
+from craftsim.skills.executor import Executor
+from craftsim.skills.outcome import Outcome
+from craftsim.skills.skill import Terrain
+
+SETTLED_M_S: Final = 0.01
+"""Below this speed a thing counts as at rest: eight times what was seen at the end of any good action."""
+SETTLE_S: Final = 1.0
+"""How long what still moves when nothing is commanded may take to come to rest before the world is read."""
+
+Joint = Sequence[tuple[int, Action]]
+"""(car, action) in acting order."""
+OnChange = Callable[[dict[int, ScheduledAction]], None]
+"""Called with the running actions by car whenever one begins or ends."""
+
+
+_BYSTANDERS: Final = (
+    *("bystander_displacement_m", "bystander_turn_rad", "drift_m", "drift_rad"),
+    *("bystander_reach_m", "bystander_tilt_rad"),
+)
+"""Errors of what an action does not concern; the last two are those of the reading."""
+
+
+class CheckedSite:
+    """The one judge: performs actions on a Site and returns an :class:`Attempt` for each.
+
+    Everything ends as soon as something unsafe happens: all motors stop, and the world is read as it is then. Each
+    prediction starts from what was read last.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        rules: Rules,
+        thresholds: Thresholds | None = None,
+        watch_contacts: bool = True,
+    ) -> None:
+        """Read the start from poses.
+
+        Args:
+            executor: moves the cars; nothing else may command its Site.
+            rules: predict.
+            thresholds: limits of the errors; the default ones unless given.
+            watch_contacts: False saves the contact log, 3 % of the time; then nothing is found to be unsafe.
+        """
+        self.executor, self.site, self.rules = executor, executor.site, rules
+        self.thresholds = thresholds or Thresholds()
+        self.on_change: OnChange = lambda running: None
+        self.log = ContactLog(self.site, self.thresholds.force) if watch_contacts else None
+        """Since an action last began while no other ran; of a car and its things since its own last action began."""
+        if self.log is not None:
+            executor.observers.append(self.log.sample)
+            executor.step_observer = self.log.look
+            # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
+            executor.guard = self.log.is_unsafe
+        self._poses = PoseReader(self.site)
+        self._drift = Drift(self.site, self._poses.places)
+        executor.observers.append(self._drift.look)
+        if self.site.uneven:
+            drift = self._drift
+            executor.observers.append(lambda _: drift.stray(executor.paths()))
+        self._look()
+        n_cars = len(self.site.cars)
+        self._names = [
+            *(f"car {car}" for car in range(n_cars)),
+            *map(self.poses.name, range(len(self.poses.kinds))),
+        ]
+        """Of cars and objects."""
+        self._known = self._beyond()
+        """(n, 2): which objects are not as they should stand or be carried, and have been reported so."""
+
+    @property
+    def grid(self) -> Grid:
+        """The world as it was read last."""
+        return self.reading.grid
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why the world cannot be read as a grid any more; empty when it can."""
+        broken = ("the simulation broke down",) if self.site.diverged else ()
+        return (*broken, *self.reading.problems)
+
+    def perform(self, car: int, action: Action, intended: Grid | None = None, tick: int = 0) -> Attempt:
+        """Perform one action and return the attempt.
+
+        An action that the rules forbid is performed only where ``intended`` says what it should lead to.
+        """
+        if intended is None:
+            return self.perform_tick([(car, action)], tick=tick)[0]
+        step = ScheduledAction(tick, car, action, self.grid, intended)
+        legal = self.rules.legal(self.grid, car, action)
+        return self._perform(Schedule((step,), (), intended, ((tick, car),)), legal=legal)[0]
+
+    def perform_tick(
+        self, joint: Joint, order: Concurrency = "concurrent", tick: int = 0
+    ) -> tuple[Attempt, ...]:
+        """Perform one tick of many cars, each as early as ``order`` lets it; return the attempts in acting order."""
+        return self._perform(make_schedule(self.grid, [joint], self.rules, order, tick))
+
+    def perform_plan(
+        self, ticks: Iterable[Joint], order: Concurrency, after: Constraints | None = None
+    ) -> tuple[Attempt, ...]:
+        """Perform the ticks of a plan as one schedule and return an attempt for each action, in their order.
+
+        ``after`` are order constraints of the plan, as of :func:`craftsim.discrete.schedule.make_schedule`.
+
+        A car whose action fails stops there, and what depends on it is not performed; the others finish. An action
+        whose own part reads as predicted agrees, unless nobody's part is wrong and something else is: that is then
+        held against all.
+        """
+        schedule = make_schedule(self.grid, ticks, self.rules, order, after=after)
+        return self._perform(schedule, halts=order == "until-wrong")
+
+    def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
+        before, steps, capped = self.grid, schedule.steps, self.site.capped_steps
+        waiting = dict(enumerate(steps))
+        running: dict[int, Watched] = {}
+        found: list[Watched] = []
+        settled = True
+        if steps:
+            self._drift.settle(slice(None))
+            if self.log is not None:
+                self.log.begin()
+        while True:
+            done = {one.index for one in found if one.outcome and one.outcome.succeeded}
+            halted = halts and any(map(_is_wrong, found))
+            for index, step in [] if halted else list(waiting.items()):
+                if step.waits_for <= done and step.car not in running:
+                    running[step.car] = self._begin(index, waiting.pop(index), running)
+            self.on_change({car: one.step for car, one in running.items()})
+            if not running:
+                break
+            ended = self._ended()
+            if len(ended) == len(running):
+                settled = self._settle()
+            self._look()
+            acting = set(running)
+            over = [running.pop(car) for car in ended]
+            swaying = {index for one in running.values() for index in one.below}
+            # What swayed under a car has its place again once that has come to its end.
+            self._drift.settle([len(self.site.cars) + index for one in over for index in one.below])
+            for one in over:
+                one.legal = legal
+                self._measure(one, ended[one.step.car], acting, swaying)
+                for other in running.values():
+                    self._expect_rest(other, one)
+            found += over
+            self._leave(over, swaying)
+        found += [self._unbegun(step, True) for step in waiting.values()]
+        found += [self._unbegun(step, False) for step in schedule.forbidden]
+        world = self._world_cause(before, schedule.final, settled, capped)
+        attempts = [attempt_of(one, self._cause(one, world, found), self.thresholds) for one in found]
+        place = {act: number for number, act in enumerate(schedule.acts)}
+        return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
+
+    def _ended(self) -> dict[int, Outcome]:
+        """Return the outcomes of the actions that end next, by car, once what their cars did can be seen."""
+        ended: dict[int, Outcome] = {}
+        left = self.executor.fleet.late_periods
+        while not ended or left:
+            left -= bool(ended)
+            newly = self.executor.advance()
+            if newly:
+                ended, left = ended | newly, self.executor.fleet.late_periods
+        return ended
+
+    def _begin(self, index: int, step: ScheduledAction, running: dict[int, Watched]) -> Watched:
+        if running and self._looked_s != self.site.time_s:
+            self._look()
+        one = self._now(step, index)
+        for other in running.values():
+            other.cars |= one.cars
+            other.meant.update(one.about)
+            one.meant.update(other.about)
+        one.cars.update(running)
+        if self.log is not None and running:
+            self.log.begin_with(one.own)
+        self._drift.begin(step.car)
+        self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
+        return one
+
+    def _now(self, step: ScheduledAction, index: int = -1) -> Watched:
+        about, site = handled(self.reading, step.after, step.car), self.site
+        names = self._names
+        return Watched(
+            *(index, step, site.time_s, site.capped_steps, self._rows.copy(), self.reading, about),
+            (names[step.car], *(names[len(site.cars) + index] for index in about)),
+            *(set(under(self.reading, step.after, step.car)), {step.car}, set(about)),
+        )
+
+    def _unbegun(self, step: ScheduledAction, legal: bool) -> Watched:
+        """Return an action that was never begun, as it would be judged now."""
+        one = self._now(step)
+        one.legal = legal
+        self._measure(one, None, set(), set())
+        return one
+
+    def _expect_rest(self, one: Watched, ended: Watched) -> None:
+        """From here on hold it against an action if what one that has ended was about moves."""
+        rows = [ended.step.car, *(len(self.site.cars) + index for index in ended.about)]
+        one.poses[rows] = self._rows[rows]
+        one.meant.difference_update(ended.about)
+
+    def _look(self) -> None:
+        self._looked_s = self.site.time_s
+        last = getattr(self, "reading", None)
+        self.poses: Poses = self._poses.read()
+        self._rows = self._drift.poses()
+        self.reading: Reading = read_grid(self.poses, self.site.size, self.site.walls, last)
+
+    def _settle(self) -> bool:
+        """Wait for what still moves, unless it is unsafe, and return whether it has come to rest."""
+        for _ in range(round(SETTLE_S / self.site.config.control_period_s)):
+            if self._drift.speed_m_s() <= SETTLED_M_S or (self.log is not None and self.log.is_unsafe()):
+                return True
+            self.executor.advance()
+        return self._drift.speed_m_s() <= SETTLED_M_S
+
+    def _leave(self, over: Sequence[Watched], swaying: set[int]) -> None:
+        """Hold what ended actions handled against where it is now, and what is too far from its place as well.
+
+        The latter has been reported, and is held against no later action again.
+        """
+        n_cars, limits = len(self.site.cars), self.thresholds
+        drifted = (self._drift.furthest > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
+        left = set(np.flatnonzero(drifted).tolist()) - {n_cars + index for index in swaying}
+        left.update(one.step.car for one in over)
+        left.update(n_cars + index for one in over for index in one.about)
+        self._drift.leave(sorted(left))
+        self._known = self._beyond()
+
+    def _beyond(self) -> NDArray[np.bool_]:
+        """Return (n, 2): which objects are not as they should stand or be carried."""
+        return ~(self.reading.bounded <= (self.thresholds.placed_m, self.thresholds.tilt_rad))
+
+    def _measure(self, one: Watched, outcome: Outcome | None, acting: set[int], swaying: set[int]) -> None:
+        """Measure what an action has done, at its end."""
+        step, car, log = one.step, one.step.car, self.log
+        placed, about, objects = self.reading.cars[car], one.about, self.reading.objects
+        # What the car should not carry afterwards is set down, folded, unfolded or shoved.
+        set_down = about[0] if about and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
+        things = [objects[index] for index in about]
+        loads = [thing.offset_m for thing in things if thing.carrier is not None]
+        others, one.bystanders = self._bystanders(one, acting, swaying)
+        one.outcome, one.read = outcome, describe_car(self.grid, car)
+        one.differences = tuple(own_differences(step.before, step.after, self.grid, car))
+        one.errors = {
+            "car_error_m": placed.offset_m,
+            "heading_error_rad": abs(placed.heading_rad),
+            "height_error_m": abs(placed.height_m),
+            "tilt_error_rad": placed.tilt_rad,
+            "placed_error_m": None if set_down is None else objects[set_down].offset_m,
+            "seat_error_m": max(loads, default=None),
+            "thing_heading_rad": max((abs(thing.heading_rad) for thing in things), default=None),
+            "thing_tilt_rad": max((max(thing.tilt_rad, thing.hinge_rad) for thing in things), default=None),
+            "thing_height_m": max((abs(self._too_high_m(index)) for index in about), default=None),
+            "reach_m": max((thing.reach_m for thing in things), default=None),
+            **others,
+        }
+        one.strayed_m = self._drift.strayed_m(car) if self.site.uneven else None
+        one.capped_steps = self.site.capped_steps - one.capped_steps
+        if log is not None:
+            names = self._names[len(self.site.cars) :]
+            one.contacts = unexpected_contacts(log.news(one.own), names, one.reading, step.after, one.cars)
+            one.hazards, one.peak_force_n = log.hazards(), log.peak_n
+
+    def _too_high_m(self, index: int) -> float:
+        """Return how much higher a thing stands than the floor of its cell, or is carried than on its seat."""
+        thing = self.reading.objects[index]
+        if thing.carrier is None:
+            return thing.height_m
+        machines = self.site.machines
+        return thing.height_m - lift_m(self.poses.kinds[index], machines.car(thing.carrier), machines)
+
+    def _bystanders(
+        self, one: Watched, acting: set[int], swaying: set[int]
+    ) -> tuple[dict[str, float], dict[str, str]]:
+        """Return the largest of each error of what an action does not concern, and the name of what has it, by field.
+
+        What sways under a car that still drives is not looked at now, but held against that car's action at its end.
+        """
+        now, n_cars = self._rows, len(self.site.cars)
+        counts = np.ones(len(now), np.bool_)
+        counts[list(acting)] = False
+        counts[[n_cars + index for index in one.meant | swaying]] = False
+        for reading in (one.reading, self.reading):
+            counts[[n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting]] = False
+        ways = now[:, :3] - one.poses[:, :3]
+        errors = np.full((len(now), len(_BYSTANDERS)), -math.inf)
+        errors[:, 0] = np.sqrt((ways * ways).sum(axis=1))
+        errors[:, 1] = turns(one.poses, now)
+        errors[:, 2:4] = self._drift.furthest
+        errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
+        errors[~counts] = -math.inf
+        largest, names = dict.fromkeys(_BYSTANDERS, 0.0), dict.fromkeys(_BYSTANDERS, "")
+        for name, at, value in zip(
+            _BYSTANDERS, errors.argmax(axis=0).tolist(), errors.max(axis=0).tolist(), strict=True
+        ):
+            if value != -math.inf:
+                largest[name], names[name] = value, self._names[at]
+        return largest, names
+
+    def _world_cause(self, before: Grid, predicted: Grid, settled: bool, capped: int) -> Cause:
+        """Compare the reading with the prediction; what is worse than a difference comes first.
+
+        ``capped`` counts the steps of the Site in which the solver had given up before.
+        """
+        if self.site.diverged:
+            return "diverged", ("the simulation broke down and started over",)
+        cause = compare(before, predicted, self.reading)
+        hazards = () if self.log is None else tuple(text for _, text in self.log.hazards())
+        if hazards:
+            cause = "unsafe", (*hazards, *cause[1])
+        elif not settled:
+            moving = f"something still moves with {self._drift.speed_m_s() * 1e3:.0f} mm/s"
+            cause = "unsettled", (moving, *cause[1])
+        impossible = () if self.log is None else self.log.impossible
+        if cause[0] != "agrees" and (gave_up := self.site.capped_steps - capped):
+            impossible = (capped_text(gave_up), *impossible)
+        return ("numerics", (*impossible, *cause[1])) if impossible else cause
+
+    def _cause(self, one: Watched, world: Cause, all_watched: Sequence[Watched]) -> Cause:
+        """Return what the verdict on one of many actions rests on."""
+        car, action = one.step.car, one.step.action
+        if one.outcome is None:
+            why = f"car {car} waits for an action that failed"
+            if not one.legal:
+                why = f"the rules forbid it: {self.rules.explain(one.step.before, car, action).why}"
+            return "not executed", (why,)
+        if world[0] == "agrees":
+            return world
+        tried = [other for other in all_watched if other.legal or other.outcome is not None]
+        nobodys = len(tried) == 1 or all(other.applied for other in tried)
+        if one.applied and not nobodys:
+            return AGREES
+        if nobodys or world[0] in ("unsafe", "numerics", "diverged"):
+            return world
+        return "wrong place", one.differences or (str(one.outcome),)
+
+
+class Drift:
+    """How far cars and things are from the places where they should stand still, and driving cars from their paths.
+
+    Machines are numbered as poses are: cars by id, then objects. A place is that of the start, or the one at which
+    :meth:`leave` was called last; many small movements add up against it. What moves away and comes back counts as
+    well: it is looked at after each control period.
+    """
+
+    def __init__(self, site: Site, places: NDArray[np.intp]) -> None:
+        """Take the places where everything is now; ``places`` says where their poses, (n, 7), lie in qpos."""
+        self._qpos, self._qvel = site.data.qpos, site.data.qvel
+        self._places, self._starts = places, places[:, 0].copy()
+        joints = [int(np.flatnonzero(site.model.jnt_qposadr == start)[0]) for start in self._starts]
+        self._speeds = site.model.jnt_dofadr[joints].astype(np.intp)[:, None] + np.arange(3)
+        self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
+        """By how many metres, and by what angle in radians, each has been away from its place at most: that of the
+        one rotation that leads there."""
+        n_cars = len(site.cars)
+        self._strayed, self._path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
+        self.leave(range(len(places)))
+
+    def poses(self) -> Floats:
+        """Return (n, 7): where everything is now."""
+        found: Floats = self._qpos[self._places]
+        return found
+
+    def speed_m_s(self) -> float:
+        """Return how fast the fastest machine moves now."""
+        velocity = self._qvel[self._speeds]
+        return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
+
+    def leave(self, machines: Sequence[int]) -> None:
+        """From here on hold these against where they are now."""
+        rows = list(machines)
+        if rows:
+            self._left[rows] = self._qpos[self._places[rows]]
+            self.furthest[rows] = 0.0
+
+    def settle(self, machines: slice | list[int]) -> None:
+        """Forget how far these have been from their places: of what was meanwhile only where it ends counts."""
+        self.furthest[machines] = 0.0
+        self.look()
+
+    def look(self, _: Site | None = None) -> None:
+        """Note how far everything is from its place; call it after each control period."""
+        _note_away(self._qpos, self._starts, self._left, self.furthest)
+
+    def begin(self, car: int) -> None:
+        """Forget how far a car was beside its path: its next action begins."""
+        self._strayed[car], self._path[car] = 0.0, np.nan
+
+    def strayed_m(self, car: int) -> float:
+        """Return the furthest that a car was beside its path since its action began, in metres."""
+        return float(self._strayed[car])
+
+    def stray(self, paths: Floats) -> None:
+        """Note how far each driving car is from its path, (n, 3) as of an executor; call it after each control period.
+
+        A car is a little behind where it should be by now, so it is held against the last piece of its way.
+        """
+        path, start = paths[:, :2], self._path
+        at = self._qpos[self._places[: len(path), :2]]
+        way = path - start
+        length = np.maximum((way * way).sum(axis=1), 1e-12)
+        share = np.clip(((at - start) * way).sum(axis=1) / length, 0.0, 1.0)
+        beside = np.hypot(*(at - start - share[:, None] * way).T)
+        self._strayed = np.fmax(self._strayed, beside)
+        self._path = path
+
+
+@compiled
+def _note_away(qpos: Floats, places: NDArray[np.integer], left: Floats, furthest: Floats) -> None:
+    """Note how far each machine is from its place.
+
+    Args:
+        qpos: MjData.qpos.
+        places: (n,) of each machine's free joint in qpos.
+        left: (n, 7) position and quaternion of its place.
+        furthest: (n, 2) metres and radians so far.
+    """
+    for i in range(len(places)):
+        at = places[i]
+        x, y, z = qpos[at] - left[i, 0], qpos[at + 1] - left[i, 1], qpos[at + 2] - left[i, 2]
+        furthest[i, 0] = max(furthest[i, 0], math.sqrt(x * x + y * y + z * z))
+        # From one unit quaternion to the other; the arc tangent is exact for small angles too.
+        a, b, c, d = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
+        e, f, g, h = left[i, 3], left[i, 4], left[i, 5], left[i, 6]
+        w = a * e + b * f + c * g + d * h
+        x = a * f - b * e - c * h + d * g
+        y = a * g - c * e - d * f + b * h
+        z = a * h - d * e - b * g + c * f
+        furthest[i, 1] = max(furthest[i, 1], 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w)))
+
+
+def turns(then: Floats, now: Floats) -> Floats:
+    """Return, (n,), by what angle in radians each machine turned between two sets of poses, (n, 7) each."""
+    furthest = np.zeros((len(now), 2))
+    _note_away(then.ravel(), 7 * np.arange(len(now)), now, furthest)
+    return furthest[:, 1].copy()
+
+
+def _is_wrong(found: Watched) -> bool:
+    """Return whether the world is not as an action should leave it, for any car that goes on in it."""
+    return not found.applied or bool(found.errors["bystander_displacement_m"] > PLACE_TOLERANCE_M)

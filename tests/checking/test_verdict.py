@@ -1,4 +1,4 @@
-"""What is found of an action: agreed, not executed, wrong place, side effect or unreadable, and what differs in words."""
+"""What is found of an action: agreed, not executed, wrong place, side effect, unreadable; and what differs in words."""
 
 import numpy as np
 import pytest

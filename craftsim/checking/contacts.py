@@ -21,6 +21,7 @@ from craftsim.discrete.footprint import cell_of
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
 from craftsim.models.measuring import Floats
 from craftsim.models.overlaps import GROUND, WALL
@@ -113,13 +114,16 @@ class ContactLog:
         for name, nothing in (("hardest_n", 0.0), ("recent_n", 0.0), ("down_m_s", 0.0), ("upright", 1.0)):
             self._worst[name] = nothing
         self._pairs["since_s"], self._pairs["peak_n"] = math.inf, 0.0
-        self._begun_s, self._awake = self.site.data.time, self.site.awake_copy()
+        self._all_begun_s = self._begun_s = self.site.data.time
+        self._awake = self.site.awake_copy()
         self._note(self._awake)
         self._looked_s = math.nan
         self._at_start = np.isfinite(self._pairs["since_s"])
 
     def begin_with(self, machines: Collection[str]) -> None:
         """Forget what these touched, and note what they touch now: an action with them begins while others run."""
+        if self._all_begun_s == self.site.data.time:
+            return
         n = len(self.names)
         rows = [self._place[name] for name in machines]
         own = np.zeros((n, n), np.bool_)
@@ -141,7 +145,7 @@ class ContactLog:
         data = self.site.data
         if self._looked_s != data.time:
             self.look()
-        self._begun_s = math.nan
+        self._all_begun_s = self._begun_s = math.nan
         self.period_n, self._worst["recent_n"] = float(self._worst["recent_n"][0]), 0.0
         note_motion(data.qpos, data.qvel, self._motion, self._worst)
 
@@ -466,7 +470,8 @@ def under(before: Reading, predicted: Grid, car: int) -> list[int]:
 
 def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
     """Return the objects that stand in a cell which should hold something else afterwards."""
-    if before.grid.kind_at(cell) == predicted.kind_at(cell):
+    x, y, z = cell
+    if z >= predicted.cells.shape[2] or before.grid.cells[x, y, z, KIND] == predicted.cells[x, y, z, KIND]:
         return []
     return [index for index, place, _ in before.standing if place == cell]
 

@@ -46,6 +46,7 @@ SETTLED_M_S: Final = 0.01
 SETTLE_S: Final = 1.0
 """How long what still moves when nothing is commanded may take to come to rest before the world is read."""
 
+Integers = NDArray[np.integer]
 Joint = Sequence[tuple[int, Action]]
 """(car, action) in acting order."""
 OnChange = Callable[[dict[int, ScheduledAction]], None]
@@ -317,26 +318,20 @@ class CheckedSite:
 
         What sways under a car that still drives is not looked at now, but held against that car's action at its end.
         """
-        now, n_cars = self._rows, len(self.site.cars)
-        counts = np.ones(len(now), np.bool_)
-        counts[list(acting)] = False
-        counts[[n_cars + index for index in one.meant | swaying]] = False
+        n_cars = len(self.site.cars)
+        excused = np.zeros(len(self._rows), np.bool_)
+        excused[list(acting)] = True
+        excused[[n_cars + index for index in one.meant | swaying]] = True
         for reading in (one.reading, self.reading):
-            counts[[n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting]] = False
-        ways = now[:, :3] - one.poses[:, :3]
-        errors = np.full((len(now), len(_BYSTANDERS)), -math.inf)
-        errors[:, 0] = np.sqrt((ways * ways).sum(axis=1))
-        errors[:, 1] = turns(one.poses, now)
-        errors[:, 2:4] = self._drift.furthest
-        errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
-        errors[~counts] = -math.inf
-        largest, names = dict.fromkeys(_BYSTANDERS, 0.0), dict.fromkeys(_BYSTANDERS, "")
-        for name, at, value in zip(
-            _BYSTANDERS, errors.argmax(axis=0).tolist(), errors.max(axis=0).tolist(), strict=True
-        ):
-            if value != -math.inf:
-                largest[name], names[name] = value, self._names[at]
-        return largest, names
+            excused[[n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting]] = True
+        largest = np.zeros((len(_BYSTANDERS), 2))
+        _largest_errors(
+            *(self._rows, one.poses, self._drift.furthest, self.reading.bounded),
+            *(excused, self._known, largest),
+        )
+        values, at = largest[:, 0].tolist(), largest[:, 1].astype(np.intp).tolist()
+        names = (self._names[row] if row >= 0 else "" for row in at)
+        return dict(zip(_BYSTANDERS, values, strict=True)), dict(zip(_BYSTANDERS, names, strict=True))
 
     def _world_cause(self, before: Grid, predicted: Grid, settled: bool, capped: int) -> Cause:
         """Compare the reading with the prediction; what is worse than a difference comes first.
@@ -447,7 +442,7 @@ class Drift:
 
 
 @compiled
-def _note_away(qpos: Floats, places: NDArray[np.integer], left: Floats, furthest: Floats) -> None:
+def _note_away(qpos: Floats, places: Integers, left: Floats, furthest: Floats) -> None:
     """Note how far each machine is from its place.
 
     Args:
@@ -457,24 +452,71 @@ def _note_away(qpos: Floats, places: NDArray[np.integer], left: Floats, furthest
         furthest: (n, 2) metres and radians so far.
     """
     for i in range(len(places)):
-        at = places[i]
-        x, y, z = qpos[at] - left[i, 0], qpos[at + 1] - left[i, 1], qpos[at + 2] - left[i, 2]
-        furthest[i, 0] = max(furthest[i, 0], math.sqrt(x * x + y * y + z * z))
-        # From one unit quaternion to the other; the arc tangent is exact for small angles too.
-        a, b, c, d = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
-        e, f, g, h = left[i, 3], left[i, 4], left[i, 5], left[i, 6]
-        w = a * e + b * f + c * g + d * h
-        x = a * f - b * e - c * h + d * g
-        y = a * g - c * e - d * f + b * h
-        z = a * h - d * e - b * g + c * f
-        furthest[i, 1] = max(furthest[i, 1], 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w)))
+        pose = qpos[places[i] : places[i] + 7]
+        furthest[i, 0] = max(furthest[i, 0], _apart(pose, left[i]))
+        furthest[i, 1] = max(furthest[i, 1], _turned(pose, left[i]))
 
 
-def turns(then: Floats, now: Floats) -> Floats:
-    """Return, (n,), by what angle in radians each machine turned between two sets of poses, (n, 7) each."""
-    furthest = np.zeros((len(now), 2))
-    _note_away(then.ravel(), 7 * np.arange(len(now)), now, furthest)
-    return furthest[:, 1].copy()
+@compiled
+def _largest_errors(
+    now: Floats,
+    then: Floats,
+    furthest: Floats,
+    bounded: Floats,
+    excused: NDArray[np.bool_],
+    known: NDArray[np.bool_],
+    largest: Floats,
+) -> None:
+    """Find the largest of each error of bystanders.
+
+    Args:
+        now: (n, 7) poses of cars and objects.
+        then: (n, 7) those at the start of the action.
+        furthest: (n, 2) of :class:`Drift`.
+        bounded: (n_objects, 2) of the reading.
+        excused: (n,) which are no bystanders.
+        known: (n_objects, 2) which errors of the reading have been reported before.
+        largest: (6, 2) takes each error and the machine that has it, -1 for none; nan counts as the largest.
+    """
+    n_cars = len(now) - len(bounded)
+    for k in range(6):
+        largest[k, 0], largest[k, 1] = 0.0, -1.0
+    for i in range(len(now)):
+        if excused[i]:
+            continue
+        for k in range(6):
+            if k >= 4 and (i < n_cars or known[i - n_cars, k - 4]):
+                continue
+            if k == 0:
+                error = _apart(now[i], then[i])
+            elif k == 1:
+                error = _turned(then[i], now[i])
+            elif k < 4:
+                error = furthest[i, k - 2]
+            else:
+                error = bounded[i - n_cars, k - 4]
+            best = largest[k, 0]
+            if largest[k, 1] < 0 or error > best or (math.isnan(error) and not math.isnan(best)):
+                largest[k, 0], largest[k, 1] = error, i
+
+
+@compiled
+def _apart(one: Floats, other: Floats) -> float:
+    """Return how many metres are between two poses (7,)."""
+    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@compiled
+def _turned(one: Floats, other: Floats) -> float:
+    """Return the angle in radians from the unit quaternion of one pose (7,) to that of another; exact for small ones."""
+    a, b, c, d = one[3], one[4], one[5], one[6]
+    e, f, g, h = other[3], other[4], other[5], other[6]
+    w = a * e + b * f + c * g + d * h
+    x = a * f - b * e - c * h + d * g
+    y = a * g - c * e - d * f + b * h
+    z = a * h - d * e - b * g + c * f
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
 def _is_wrong(found: Watched) -> bool:

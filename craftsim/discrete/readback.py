@@ -369,13 +369,11 @@ def describe_differences(predicted: Grid, read: Grid) -> list[str]:
 
 def own_differences(before: Grid, predicted: Grid, read: Grid, car: int) -> list[str]:
     """Return a line for each thing that a car's action was to change and that reads otherwise than predicted."""
-    cells, cars = changed(predicted, read)
-    cars &= np.arange(len(cars)) == car
-    if cells.any():
-        cells &= changed(before, predicted)[0]
-    elif not cars.any():
+    differ = predicted.cells[..., : YAW + 1] != read.cells[..., : YAW + 1]
+    if not differ.any() and (predicted.cars[car] == read.cars[car]).all():
         return []
-    return _describe(predicted, read, cells, cars)
+    (cells, cars), (meant, _) = changed(predicted, read), changed(before, predicted)
+    return _describe(predicted, read, cells & meant, cars & (np.arange(len(cars)) == car))
 
 
 def changed(one: Grid, other: Grid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

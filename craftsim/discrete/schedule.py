@@ -20,9 +20,10 @@ import yaml
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS, footprint
-from craftsim.discrete.footprint import Footprint
+from craftsim.discrete.footprint import Footprint, cell_of
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import suggestion
@@ -69,10 +70,10 @@ class ScheduledAction:
         A lowered board clears what it passes under by a millimetre, and loads pass each other at two.
         """
         world, car = self.before, self.car
-        cells = [tuple(grid.cars[car, : CarField.YAW].tolist()) for grid in (world, self.after)]
-        cells = [cell for cell in cells if cell[2] <= world.size[2]]  # above the top there is nothing
-        if world.cars[car, CarField.LOAD] == Kind.AIR:
-            return any(world.kind[cell] != Kind.AIR for cell in cells)
+        cells = [cell_of(world, car), cell_of(self.after, car)]
+        cells = [cell for cell in cells if cell[2] < world.cells.shape[2]]  # above the top there is nothing
+        if int(world.cars[car, F_LOAD]) == AIR:
+            return any(int(world.cells[x, y, z, KIND]) != AIR for x, y, z in cells)
         others = np.delete(world.cars, car, axis=0)
         for x, y, z in cells:
             around = world.kind[max(x - 1, 0) : x + 2, max(y - 1, 0) : y + 2, z]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from craftsim import Machines, SmartcarParameters
 from craftsim.checking.setup import Seed, setup_of
-from craftsim.models.noise import MILD
+from craftsim.models.sensing import MILD
 from craftsim.tuning.driving_log import drive, free_area
 from craftsim.tuning.excitation import Area, excitation
 

@@ -26,7 +26,7 @@ from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
 from craftsim.models.measuring import Floats
 from craftsim.models.overlaps import GROUND, WALL
 from craftsim.models.parameters import NOMINAL, ContactParameters, Machines
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.state import GRAVITY
 from craftsim.storage.writing import whole
 

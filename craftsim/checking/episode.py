@@ -25,10 +25,10 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.schedule import Concurrency, Constraints
 from craftsim.errors import InputError, suggestion
 from craftsim.models.extent import check_extent
-from craftsim.models.randomization import RandomizedSite
 from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.gains import Gains
+from craftsim.skills.library import SkillChoice, own_skills
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 
 _NAMES: Final = [action.name for action in Action]
@@ -147,7 +147,7 @@ def _blueprint(text: str) -> Blueprint:
     return parse_blueprint(text, "world of a recipe")
 
 
-def run_up(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
+def run_up(recipe: Recipe, reuse: Site | None = None) -> CheckedSite:
     """Return the world of a recipe before its last step; ``reuse`` as of :func:`set_up`."""
     checked = start(recipe, reuse)
     for step in recipe.steps[:-1]:
@@ -155,7 +155,7 @@ def run_up(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
     return checked
 
 
-def start(recipe: Recipe, reuse: RandomizedSite | None = None) -> CheckedSite:
+def start(recipe: Recipe, reuse: Site | None = None) -> CheckedSite:
     """Return the world of a recipe before its first step; ``reuse`` as of :func:`set_up`.
 
     Raises InputError where something in the recipe does not fit together.
@@ -203,6 +203,7 @@ def perform(
     gains: Gains | None = None,
     sensors: Sensors | None = None,
     thresholds: Thresholds | None = None,
+    skills: SkillChoice | None = None,
 ) -> Attempt:
     """Let one car perform one action on a Site, and judge it on the poses that it ends with.
 
@@ -217,6 +218,7 @@ def perform(
         gains: of the skills; the nominal ones unless given.
         sensors: of the cars; exact ones unless given.
         thresholds: limits of the errors; the default ones unless given.
+        skills: of your own in place of built-in ones, as :class:`craftsim.Executor` takes them.
 
     Raises:
         InputError: there is no such car or action, or something stood in something else at the Site's start.
@@ -232,7 +234,9 @@ def perform(
         raise InputError(f"there is no car {car}: the world has {len(site.cars)}, counted from 0")
     if isinstance(action, str):
         action = Action[Act(car, action).action]
-    setup = Setup(rules, thresholds or Thresholds(), gains=gains or nominal_gains())
+    setup = Setup(
+        rules, thresholds or Thresholds(), gains=gains or nominal_gains(), skills=own_skills(skills)
+    )
     return judge_on(site, setup, sensors).perform(car, action)
 
 

@@ -33,10 +33,9 @@ from craftsim.discrete.readback import (
 )
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
-from craftsim.models.measuring import Floats
+from craftsim.models.measuring import Floats, PoseReader
 from craftsim.models.placement import lift_m
-from craftsim.models.sensing import PoseReader
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
@@ -509,7 +508,7 @@ def _apart(one: Floats, other: Floats) -> float:
 
 @compiled
 def _turned(one: Floats, other: Floats) -> float:
-    """Return the angle in radians from the unit quaternion of one pose (7,) to that of another; exact for small ones."""
+    """Return the angle in radians between the unit quaternions of two poses (7,); exact for small ones."""
     a, b, c, d = one[3], one[4], one[5], one[6]
     e, f, g, h = other[3], other[4], other[5], other[6]
     w = a * e + b * f + c * g + d * h

@@ -19,19 +19,25 @@ from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.errors import InputError, StartError, suggestion
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Drivetrain, Floor, Making
-from craftsim.models.motors import Motors
-from craftsim.models.noise import ASSUMED, MILD, NOISY, SensorNoise
+from craftsim.models.measuring import Motors
 from craftsim.models.overlaps import ALLOWED_M
 from craftsim.models.parameter_files import load_machines
 from craftsim.models.parameters import NOMINAL, Drive, Machines
-from craftsim.models.randomization import NONE, DomainRandomization, RandomizedSite
-from craftsim.models.randomization_files import load_noise, load_randomization
-from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site
+from craftsim.models.randomization import (
+    NONE,
+    DomainRandomization,
+    load_noise,
+    load_randomization,
+    randomize,
+)
+from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise, Sensors
+from craftsim.models.world import Site
+from craftsim.report import LEFT_OUT_IF_EMPTY
+from craftsim.skills.disturbances import Disturbance, DisturbedFleet
 from craftsim.skills.executor import Executor
 from craftsim.skills.fleet import Fleet
 from craftsim.skills.gains import Gains, load_gains
-from craftsim.skills.planted import Disturbance, DisturbedFleet
+from craftsim.skills.library import OwnSkill, SkillChoice, own_skills
 
 nominal_gains = cache(load_gains)
 
@@ -306,16 +312,10 @@ SetUp = Callable[[Grid, Setup, Seed, Sequence[Cell]], CheckedSite]
 """Sets up a world from its start, its configuration, its seed and the cells to mark, as :func:`set_up` does."""
 
 
-def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> RandomizedSite:
+def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> Site:
     """Return the compiled world of a grid, to be set up again and again; it stands nowhere yet."""
     floor = setup.randomization.floor
-    site = Site(grid, setup.simulation, goals, reset=False, machines=setup.machines, floor=floor)
-    return RandomizedSite(site, (_visible(grid), tuple(goals), setup.simulation, setup.machines, floor))
-
-
-def _visible(grid: Grid) -> tuple[bytes, ...]:
-    """Return all of a grid that stands somewhere in physics."""
-    return tuple(array.tobytes() for array in (np.array(grid.size), grid.kind, grid.yaw, grid.cars))
+    return Site(grid, setup.simulation, goals, reset=False, machines=setup.machines, floor=floor)
 
 
 def set_up(
@@ -323,7 +323,7 @@ def set_up(
     setup: Setup,
     seed: Seed = SEED_0,
     goals: Sequence[Cell] = (),
-    reuse: RandomizedSite | None = None,
+    reuse: Site | None = None,
     watch_contacts: bool = True,
 ) -> CheckedSite:
     """Return a world in physics, ready for actions.
@@ -340,17 +340,17 @@ def set_up(
     Raises StartError where something would stand in something else.
     """
     physics, sensors, hits = (np.random.default_rng(s) for s in seed.sequence().spawn(3))
-    world = reuse or compile_world(grid, setup, goals)
+    site = reuse or compile_world(grid, setup, goals)
     if setup.randomization.nominal:
-        world.restore()
+        site.reset_compiled()
     else:
-        world.draw(setup.randomization, physics)
-    measured = Sensors(world.site, setup.randomization.sensors, sensors)
+        randomize(site, setup.randomization, physics)
+    measured = Sensors(site, setup.randomization.sensors, sensors)
     fleet = None
     if setup.disturbance is not None:
-        motors = Motors(world.site, setup.randomization.sensors.motor_lag_s)
-        fleet = DisturbedFleet(world.site, measured, motors, setup.disturbance, hits)
-    return judge_on(world.site, setup, measured, watch_contacts, fleet)
+        motors = Motors(site, setup.randomization.sensors.motor_lag_s)
+        fleet = DisturbedFleet(site, measured, motors, setup.disturbance, hits)
+    return judge_on(site, setup, measured, watch_contacts, fleet)
 
 
 def check_start(site: Site) -> None:
@@ -378,5 +378,5 @@ def judge_on(
     check_start(site)
     site.set_drivetrain(setup.randomization.drivetrain)
     motors = Motors(site, setup.randomization.sensors.motor_lag_s)
-    executor = Executor(site, setup.gains, None, sensors, motors, setup.assumed, fleet)
+    executor = Executor(site, setup.gains, None, sensors, motors, setup.assumed, fleet, setup.skills)
     return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

@@ -20,7 +20,7 @@ from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
     from craftsim.checking.judge import CheckedSite
-    from craftsim.models.site import Site
+    from craftsim.models.world import Site
     from craftsim.skills.executor import Observer
     from craftsim.validation.replays.bundle import Recorded
     from craftsim.validation.replays.replay import Replay

@@ -9,7 +9,7 @@ from drawn import draw
 
 from craftsim.checking.judge import CheckedSite
 from craftsim.checking.setup import judge_on, set_up, setup_of
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.robots.channel import Channel, Network
 from craftsim.robots.link import Link
 from craftsim.robots.mirror import Mirror

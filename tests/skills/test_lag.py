@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from craftsim.checking.settings import setup_of
-from craftsim.checking.world import set_up
+from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import SensorNoise

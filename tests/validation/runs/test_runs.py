@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from craftsim.checking.setup import Setup
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.validation.replays.bundle import read_bundle
 from craftsim.validation.runs.choice import items_of, policy_pilot, subjects_of
 from craftsim.validation.runs.policies import make_policy

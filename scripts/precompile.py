@@ -21,7 +21,7 @@ from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.task import TASK_NAMES
 from craftsim.envs import vector_env
-from craftsim.models.parameters import DRIVES
+from craftsim.mjcf.parameters import DRIVES
 from craftsim.planning import plan_building
 from craftsim.skills.mecanum import Mecanum
 from craftsim.validation.play.cars import has_room

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.checking.setup import RANDOMIZE, nominal_gains
+from craftsim.checking.settings import RANDOMIZE, nominal_gains
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.floor import MOST_TILES
-from craftsim.models.parameters import NOMINAL
 
 PAGE = (Path(__file__).parents[1] / "docs" / "imperfections.md").read_text(encoding="utf-8")
 GRAVITY_M_S2 = 9.81

@@ -10,8 +10,8 @@ import craftsim.mjcf
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.mjcf.make_machines import write_machines
 from craftsim.mjcf.meshes import NAMES, mesh_parts
+from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
 from craftsim.mjcf.shapes import worm_offset
-from craftsim.models.parameters import NOMINAL, SmartcarParameters
 
 MESHES = {
     name: figures

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Literal
 import tyro
 
 from craftsim.discrete.rules import RuleSet
-from craftsim.models.parameters import Drive
+from craftsim.mjcf.parameters import Drive
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import BATCH, BENCH_RUNS, BENCH_S, BENCH_TICKS, SEED
 

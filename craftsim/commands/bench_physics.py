@@ -15,7 +15,7 @@ from craftsim.commands.bench_worlds import to_and_fro, yard
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.timing import PhysicsTiming, parallel_step, time_physics
-from craftsim.models.parameters import DRIVES
+from craftsim.mjcf.parameters import DRIVES
 from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:

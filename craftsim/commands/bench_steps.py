@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 
-from craftsim.models.parameters import Drive
+from craftsim.mjcf.parameters import Drive
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -13,7 +13,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 from unittest.mock import patch
 
-from craftsim.models.parameters import Drive
+from craftsim.mjcf.parameters import Drive
 
 if TYPE_CHECKING:
     from rich.console import Console

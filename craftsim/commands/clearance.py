@@ -42,8 +42,8 @@ def clearance(
     from rich.table import Table
 
     from craftsim.commands.terminal import Terminal
-    from craftsim.models.parameter_files import load_machines
-    from craftsim.models.parameters import NOMINAL
+    from craftsim.mjcf.machine_files import load_machines
+    from craftsim.mjcf.parameters import NOMINAL
     from craftsim.report import write_report
     from craftsim.validation.neighbourhoods.findings import judged_neighbours
 

@@ -10,7 +10,7 @@ import tyro
 from craftsim.commands.options import Dir, File
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
-from craftsim.models.parameters import Drive
+from craftsim.mjcf.parameters import Drive
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import LOGGED_CARS
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from craftsim.discrete.rules import RuleSet
-from craftsim.models.parameters import Drive
+from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import SEED, TRIAL_COUNT, WORKERS
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
-from craftsim.models.parameters import Drive
+from craftsim.mjcf.parameters import Drive
 from craftsim.report import write_report
 from craftsim.storage.folders import owned
 from craftsim.storage.limits import (

@@ -18,8 +18,9 @@ from craftsim.envs.observe import Observe
 from craftsim.errors import InputError, suggestion
 
 if TYPE_CHECKING:
+    from craftsim.mjcf.parameters import Drive, Machines
     from craftsim.models.config import SimulationConfig
-    from craftsim.models.parameters import Drive, Machines
+    from craftsim.models.noise import SensorNoise
     from craftsim.models.randomization import DomainRandomization
     from craftsim.models.sensing import SensorNoise
     from craftsim.models.world import Site
@@ -38,7 +39,7 @@ _PHYSICS_KINDS: Final = {
     "randomization": ("craftsim.models.randomization", "DomainRandomization"),
     "config": ("craftsim.models.config", "SimulationConfig"),
     "gains": ("craftsim.skills.gains", "Gains"),
-    "machines": ("craftsim.models.parameters", "Machines"),
+    "machines": ("craftsim.mjcf.parameters", "Machines"),
 }
 _PHYSICS_ONLY: Final = (
     *_PHYSICS_KINDS,
@@ -166,8 +167,9 @@ class Options:
         from craftsim.envs.physics_backend import PhysicsBackend
         from craftsim.envs.pictures import Pictures
         from craftsim.envs.records import EpisodeRecords
+        from craftsim.mjcf.parameters import NOMINAL
         from craftsim.models.config import SimulationConfig
-        from craftsim.models.parameters import NOMINAL
+        from craftsim.models.noise import ASSUMED
         from craftsim.models.randomization import NONE
         from craftsim.models.sensing import ASSUMED
         from craftsim.rendering.images import CameraImages

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from craftsim.mjcf.parameters import BlockParameters
 from craftsim.mjcf.solids import Parts, box, loft, moved, square
-from craftsim.models.parameters import BlockParameters
 
 
 def block(p: BlockParameters) -> Parts:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.mjcf.solids import Parts, between, box, loft, rectangle, square, turned
-from craftsim.models.parameters import SmartcarParameters
 
 _WELL_GAP_M = 0.0034
 """Between a wheel and its well."""

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from craftsim.mjcf.meshes import RECORD, lengths, make_meshes
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.mjcf.rendering import PARTS, render
-from craftsim.models.parameters import NOMINAL
 
 
 def write_machines(directory: Path) -> None:

@@ -18,8 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.models.figures import digest_of
-from craftsim.models.parameters import BlockParameters, SlopeParameters, SmartcarParameters
+from craftsim.mjcf.parameters import BlockParameters, SlopeParameters, SmartcarParameters, digest_of
 
 Figures = SmartcarParameters | BlockParameters | SlopeParameters
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from craftsim.mjcf import shapes
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.mjcf.shapes import Point
-from craftsim.models.parameters import SmartcarParameters
 
 BRISTLES: Final = (200.0, 0.5)
 """Stiffness (Nm/rad) and damping (Nms/rad) of a gear's dry friction: a loaded car on the slope gives way by 0.1 mm

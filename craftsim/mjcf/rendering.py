@@ -16,9 +16,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.mjcf import shapes
+from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import ContactParameters, Machines, SmartcarParameters
 
 PARTS: Final = ("ground", "smartcar", "block", "flag", "wall", "slope")
 _SCENERY: Final = '  <include file="ground.xml"/>\n'

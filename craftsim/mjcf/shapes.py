@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from craftsim.models.parameters import BlockParameters, SlopeParameters, SmartcarParameters
+from craftsim.mjcf.parameters import BlockParameters, SlopeParameters, SmartcarParameters
 
 Point = tuple[float, float, float]
 Outline = list[tuple[float, float]]

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from craftsim.mjcf.parameters import SlopeParameters
 from craftsim.mjcf.solids import Parts, Ring, between, loft, plate_xz, turned
-from craftsim.models.parameters import SlopeParameters
 
 _LIP_M: Final = 0.001
 """Thickness of the flap's edge."""

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.composition import (
     built_levels,
     cameras,
@@ -32,7 +33,6 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.floor import Tiles, add_tiles, level, put_below, tiles_of
 from craftsim.models.imperfection import Floor
 from craftsim.models.overlaps import MachineNames
-from craftsim.models.parameters import Machines
 from craftsim.models.parts import Car, FreeBody, Slope, load_part, trees_of_motors
 from craftsim.models.placement import Placement
 

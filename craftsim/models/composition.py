@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
+from craftsim.mjcf.parameters import NOMINAL, Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.framing import Aim, overview, top
-from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import shared_part
 from craftsim.models.placement import Placement
 

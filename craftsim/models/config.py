@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 from craftsim.errors import InputError
-from craftsim.models.parameters import Drive
+from craftsim.mjcf.parameters import Drive
 
 Solver = Literal["newton", "pgs"]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.drawing import CAR_COLOURS, car_colour
 from craftsim.mjcf.meshes import Figures, mesh_bytes, mesh_file
+from craftsim.mjcf.parameters import Machines, SmartcarParameters
 from craftsim.mjcf.reduced import WholeCar
 from craftsim.mjcf.rendering import render
-from craftsim.models.parameters import Machines, SmartcarParameters
 
 WHEELS = ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr")
 """Order of everything that is given per wheel: front left, front right, rear left, rear right."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M, cell_position, yaw_angle
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.schedule import incline_under
-from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 
 
 @dataclass(frozen=True)

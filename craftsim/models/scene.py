@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.mjcf.parameters import NOMINAL, Machines
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import load_part
 from craftsim.models.placement import placements
 from craftsim.storage.folders import directory_within

@@ -18,13 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.errors import InputError
+from craftsim.mjcf.parameters import NOMINAL, Machines
+from craftsim.models.bearings import Bearings
 from craftsim.models.compiled import compiled_parts
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import StepEffect, effects_of
 from craftsim.models.extent import check_extent
 from craftsim.models.imperfection import FLAT, IDEAL, Drivetrain, Floor
 from craftsim.models.overlaps import Overlap, overlaps
-from craftsim.models.parameters import NOMINAL, Machines
 from craftsim.models.parts import FreeBody
 from craftsim.models.placement import placements
 

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.models.framing import Aim
-from craftsim.models.parameter_files import number, read_keys
 from craftsim.storage.limits import Range
-from craftsim.storage.yaml import Document, Loc, described
+from craftsim.storage.yaml import Document, Loc, described, number, read_keys
 
 _RANGES: Final = {
     "distance": Range(0.05, 1000.0),

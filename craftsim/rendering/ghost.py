@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import cell_position, yaw_angle
-from craftsim.models.parameters import Machines
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.parts import shared_part
 from craftsim.rendering.trajectory import GoalCell, Trajectory
 

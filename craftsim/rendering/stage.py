@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import Machines
 from craftsim.models.parts import CAR_COLOURS, load_part
 from craftsim.models.placement import placements
 from craftsim.rendering.cameras import reached_m

@@ -10,9 +10,9 @@ from typing import Self
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import Machines
-from craftsim.models.world import Site
+from craftsim.models.site import Site
 from craftsim.robots.link import TIMEOUT_S, Link
 from craftsim.robots.mirror import Mirror
 from craftsim.robots.sockets import Caller

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.models.measuring import CarMeasurement, PerWheel
-from craftsim.models.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.models.sensing import CarMeasurement, PerWheel
 from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.skill import Command
 

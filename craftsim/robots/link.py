@@ -14,8 +14,8 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from craftsim.errors import InputError
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.measuring import Records
-from craftsim.models.parameters import Machines
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.messages import (
     COPIES,

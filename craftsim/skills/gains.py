@@ -13,8 +13,9 @@ from typing import Final
 import yaml
 
 from craftsim.errors import InputError, suggestion
-from craftsim.models.figures import check_reach, digest_of
-from craftsim.models.parameter_files import MACHINE_SECTIONS, numbers, read_keys
+from craftsim.mjcf.machine_files import MACHINE_SECTIONS
+from craftsim.mjcf.parameters import check_reach, digest_of
+from craftsim.storage.yaml import numbers, read_keys
 
 
 @dataclass(frozen=True)
@@ -278,7 +279,7 @@ def load_gains(path: Path | str | None = None) -> Gains:
     """Return the nominal gains, overridden by those of a YAML file or a preset if one is given.
 
     The file holds the sections of :class:`Gains`, or holds them under a key ``gains`` beside the machines' figures
-    (:func:`craftsim.models.parameter_files.load_machines`). A preset is a name: ``robust``, which are the
+    (:func:`craftsim.mjcf.machine_files.load_machines`). A preset is a name: ``robust``, which are the
     nominal ones, or ``fast``.
 
     Raises InputError, naming the file and key, for what is not a known gain, and for an unknown preset.

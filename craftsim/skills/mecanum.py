@@ -14,10 +14,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.models.measuring import PerWheel
-from craftsim.models.parameters import SmartcarParameters
-from craftsim.models.sensing import CarMeasurement
-from craftsim.skills.state import GRAVITY
+from craftsim.mjcf.parameters import SmartcarParameters
+from craftsim.models.sensing import PerWheel
 
 Triple = tuple[float, float, float]
 """(x, y, heading) or (vx, vy, omega): a pose, a way or a speed."""

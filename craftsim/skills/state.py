@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.kernel.jit import records
-from craftsim.models.measuring import READING, Records
-from craftsim.models.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.models.measuring import Records
 from craftsim.skills.gains import SECTIONS, Gains
 from craftsim.skills.outcome import Outcome, Reason
 

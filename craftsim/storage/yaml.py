@@ -8,6 +8,7 @@ A format is a dataclass, and ``Annotated[int, Between(0, 3)]`` a number in it: `
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -160,6 +161,28 @@ def read_document(path: Path, error: type[InputError] = InputError) -> Document:
     except InputError as wrong:
         raise error(str(wrong)) from wrong
     return parse_document(text, path, error)
+
+
+def read_keys(path: Path, known: list[str]) -> Document:
+    """Return a YAML file of numbers; raise InputError for one that cannot be read, or has other top-level keys."""
+    document = read_document(path)
+    document.mapping(known)
+    return document
+
+
+def numbers(document: Document, section: str, known: list[str], *loc: str | int) -> dict[str, float]:
+    """Return the numbers of a section at a place; raise InputError for what is no known key or no number."""
+    given = document.mapping(known, *loc)
+    return {key: number(document, value, f"{section}.{key}", (*loc, key)) for key, value in given.items()}
+
+
+def number(document: Document, value: object, name: str, loc: Loc) -> float:
+    """Return a value as a number; raise InputError for what is none."""
+    if not isinstance(value, int | float):
+        document.fail(loc, f"{name} must be a number, not {described(value)}")
+    if not math.isfinite(value):
+        document.fail(loc, f"{name} must be a finite number, not {value}")
+    return float(value)
 
 
 def parse_document(text: str, path: Path, error: type[InputError] = InputError) -> Document:

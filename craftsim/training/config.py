@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, get_args
 
 from craftsim.discrete.rules import RULE_SETS, RuleSet
 from craftsim.errors import InputError
-from craftsim.models.parameters import DRIVES, Drive
+from craftsim.mjcf.parameters import DRIVES, Drive
 from craftsim.storage.limits import (
     BATCH,
     BONUS,

@@ -17,7 +17,7 @@ import numpy as np
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats
-from craftsim.models.parameters import SmartcarParameters
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.skills.mecanum import Mecanum, Triple
 
 _DIRECTIONS: Final[tuple[Triple, ...]] = (

@@ -20,7 +20,7 @@ import numpy as np
 
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
-from craftsim.models.parameters import Machines
+from craftsim.mjcf.parameters import Machines
 from craftsim.tuning.identifiability import Untold, untold_directions
 from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor
 from craftsim.tuning.unknowns import FitSpace, Unknown, unknowns_of

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, TypeVar
 import numpy as np
 
 from craftsim.logs.log import Floats
-from craftsim.models.parameters import Machines
+from craftsim.mjcf.parameters import Machines
 
 Record = TypeVar("Record")
 Section = Literal["smartcar", "block", "noise", "mounting"]

@@ -15,8 +15,8 @@ from craftsim.checking.setup import Randomize, setup_of
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
-from craftsim.models.parameters import Drive, Machines
-from craftsim.models.sensing import SensorNoise
+from craftsim.mjcf.parameters import Drive, Machines
+from craftsim.models.noise import SensorNoise
 from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains

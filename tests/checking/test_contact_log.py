@@ -8,9 +8,9 @@ import pytest
 from craftsim.checking.contacts import FALL_M_S, TIPPED_RAD, ContactLog
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import NOMINAL
-from craftsim.models.world import Site
+from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.state import GRAVITY
 

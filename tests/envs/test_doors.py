@@ -13,7 +13,7 @@ from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
 from craftsim.envs.observe import Observe
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
-from craftsim.models.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.parameters import Machines, SmartcarParameters
 from craftsim.skills.gains import load_gains
 from craftsim.testing import check_api
 

@@ -7,7 +7,7 @@ import pytest
 from craftsim.checking.setup import setup_of
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
-from craftsim.models.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL
 
 
 def _setup(**options):

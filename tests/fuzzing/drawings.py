@@ -15,8 +15,8 @@ from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.discrete.tasks.registry import read_task
 from craftsim.errors import InputError
-from craftsim.models.parameter_files import load_machines
-from craftsim.models.randomization import load_noise
+from craftsim.mjcf.machine_files import load_machines
+from craftsim.models.randomization_files import load_noise
 from craftsim.skills.gains import load_gains
 from fuzzing.mutations import mutated_bytes, mutated_text
 

@@ -18,7 +18,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import design_text
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.tasks import TASK_NAMES
-from craftsim.models.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.skills.gains import load_gains
 from craftsim.training.policy import load_policy, shipped_policies
 from craftsim.validation.play.worlds import RandomWorlds

@@ -6,10 +6,10 @@ import pytest
 
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.mjcf.parameters import NOMINAL, BlockParameters, Machines, SmartcarParameters
 from craftsim.models.compiled import compiled_parts
 from craftsim.models.composition import compose
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import NOMINAL, BlockParameters, Machines, SmartcarParameters
 from craftsim.models.parts import load_part
 from craftsim.models.placement import placements
 from craftsim.models.world import Site

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.grid import Grid
-from craftsim.models.parameters import NOMINAL
-from craftsim.models.sensing import SensorNoise, Sensors
-from craftsim.models.world import Site
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.noise import SensorNoise
+from craftsim.models.sensing import Sensors
+from craftsim.models.site import Site
 
 STEP_RAD = 2 * math.pi / 4096
 WHEELS = {

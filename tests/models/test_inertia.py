@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from craftsim.models.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL
 
 BLOCK, SLOPE, SMARTCAR = NOMINAL.block, NOMINAL.slope, NOMINAL.cars[0]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from directions import DIRECTIONS, SPEED_RAD_S
 
-from craftsim.models.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.skills.mecanum import Mecanum
 
 SMARTCAR = NOMINAL.cars[0]

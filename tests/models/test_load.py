@@ -15,9 +15,9 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import incline_under
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import NOMINAL
-from craftsim.models.world import Site
+from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.skill import Terrain
 

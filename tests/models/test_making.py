@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models import randomization
+from craftsim.mjcf.parameters import NOMINAL, Drive
 from craftsim.models.imperfection import Making
-from craftsim.models.parameters import NOMINAL, Drive
-from craftsim.models.randomization import NONE, randomize
-from craftsim.models.world import Site
+from craftsim.models.randomization import NONE, RandomizedSite
+from craftsim.models.site import Site
 
 DRIVES: tuple[Drive, ...] = ("rollers", "reduced")
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.models.parameter_files import load_machines
-from craftsim.models.parameters import NOMINAL, BlockParameters, SlopeParameters, SmartcarParameters
+from craftsim.mjcf.machine_files import load_machines
+from craftsim.mjcf.parameters import NOMINAL, BlockParameters, SlopeParameters, SmartcarParameters
 
 
 def _file(folder: Path, text: str) -> Path:
@@ -56,19 +56,31 @@ def test_single_cars_differ_from_the_others(tmp_path):
     [
         ("smartcat: {}", ":1: unknown key 'smartcat'; did you mean 'smartcar'?"),
         ("\nsmartcar: {wheel_mas_kg: 1}", ":2: unknown key 'wheel_mas_kg'; did you mean 'wheel_mass_kg'?"),
-        ("smartcar: {wheel_mass_kg: -1}", ":1: smartcar.wheel_mass_kg must be above 0, not -1.0"),
-        ("smartcar: {wheel_mass_kg: heavy}", ":1: smartcar.wheel_mass_kg must be a number, not 'heavy'"),
-        ("smartcar: {mass_kg: 11}", ":1: smartcar.mass_kg is not given but follows from other figures"),
-        ("smartcar: {wheel_torque_nm: 0}", ":1: smartcar.wheel_torque_nm must be above 0"),
-        ("smartcar: {boss_side_m: 0.1}", ":1: smartcar.boss_side_m cannot be changed from 0.11: the pockets"),
-        ("block: {side_m: 0.4}", ":1: block.side_m cannot be changed from 0.32: the grid's cells"),
-        ("slope: {height_m: 0.2}", ":1: slope.height_m is not given but follows"),
-        ("slope: {hinge_x_m: 0.2}", ":1: slope.hinge_x_m cannot be changed from 0.16125"),
+        ("smartcar: {wheel_mass_kg: -1}", ":1: key 'smartcar.wheel_mass_kg': must be above 0, not -1.0"),
+        (
+            "smartcar: {wheel_mass_kg: heavy}",
+            ":1: key 'smartcar.wheel_mass_kg': must be a number, not 'heavy'",
+        ),
+        (
+            "smartcar: {mass_kg: 11}",
+            ":1: key 'smartcar.mass_kg': is not given but follows from other parameters",
+        ),
+        ("smartcar: {wheel_torque_nm: 0}", ":1: key 'smartcar.wheel_torque_nm': must be above 0"),
+        (
+            "smartcar: {boss_side_m: 0.1}",
+            ":1: key 'smartcar.boss_side_m': cannot be changed from 0.11: the pockets",
+        ),
+        ("block: {side_m: 0.4}", ":1: key 'block.side_m': cannot be changed from 0.32: the grid's cells"),
+        ("slope: {height_m: 0.2}", ":1: key 'slope.height_m': is not given but follows"),
+        ("slope: {hinge_x_m: 0.2}", ":1: key 'slope.hinge_x_m': cannot be changed from 0.16125"),
         ("smartcar: {wheel_radius_m: 0.04}", ": smartcar.wheel_radius_m is 0.04: the chassis would ground"),
         ("cars: [{}, {board_travel_m: 0.02}]", ": smartcar.board_travel_m is 0.02; from 0.0309 to 0.0509"),
-        ("cars: {}", ":1: 'cars' must be a list with figures of each car, not a mapping"),
-        ("cars: []", ":1: 'cars' must be a list"),
+        ("cars: {}", ":1: key 'cars': must be a list of entries, not a mapping"),
+        ("cars: []", ":1: key 'cars': must have an entry for each car"),
         ("cars: [{}, {wheel_mas_kg: 1}]", ":1: unknown key 'wheel_mas_kg'"),
+        ("smartcar: {mass_kg: 1}\ncars: [{mass_kg: 1}]", ":1: key 'smartcar.mass_kg': is not given"),
+        ("block: {side_m: 0.4}\nslope: {skin: 1}", ":1: key 'block.side_m': cannot be changed"),
+        ("smartcar:", ":1: key 'smartcar': must be a mapping with keys"),
         ("smartcar: &x {}", ":1: anchors and aliases"),
         ("smartcar: [", ":2: not valid YAML"),
         ("# " + "x" * 300_000, ": 293 KiB; a YAML file is no larger than the 256 KiB"),
@@ -84,3 +96,13 @@ def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path, text, message
 def test_a_missing_file_is_refused_by_name(tmp_path):
     with pytest.raises(InputError, match=r"none\.yaml: no such file"):
         load_machines(tmp_path / "none.yaml")
+
+
+def test_all_mistakes_are_named_together(tmp_path):
+    path = _file(
+        tmp_path, "block: {side_m: 0.4}\nslope: {skin: 1, friction: -1}\ncars: [{}, {boss_height_m: 1}]\n"
+    )
+    with pytest.raises(InputError) as caught:
+        load_machines(path)
+    lines = [line.removeprefix(f"{path}:").partition(":")[0] for line in str(caught.value).splitlines()]
+    assert lines == ["1", "2", "2", "3"]

@@ -11,16 +11,16 @@ import pytest
 
 from craftsim.errors import InputError
 from craftsim.mjcf.meshes import make_meshes, shipped
-from craftsim.mjcf.rendering import PARTS, render
-from craftsim.models.figures import provenance
-from craftsim.models.parameters import (
+from craftsim.mjcf.parameters import (
     NOMINAL,
     BlockParameters,
     ContactParameters,
     Machines,
     SlopeParameters,
     SmartcarParameters,
+    provenance,
 )
+from craftsim.mjcf.rendering import PARTS, render
 from craftsim.models.parts import load_part
 
 SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope

@@ -8,8 +8,8 @@ import pytest
 
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid
-from craftsim.models.parameters import NOMINAL
-from craftsim.models.world import Site
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.site import Site
 
 SMARTCAR = NOMINAL.cars[0]
 

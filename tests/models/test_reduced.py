@@ -10,9 +10,9 @@ from directions import DIRECTIONS, SPEED_RAD_S
 
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import NOMINAL
-from craftsim.models.randomization import DomainRandomization, randomize
+from craftsim.models.randomization import DomainRandomization, RandomizedSite
 from craftsim.models.sensing import measure
 from craftsim.models.world import Site
 from craftsim.skills.mecanum import Mecanum

@@ -5,9 +5,9 @@ import pytest
 
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parameters import NOMINAL
-from craftsim.models.world import Site
+from craftsim.models.site import Site
 
 BLOCK = NOMINAL.block
 

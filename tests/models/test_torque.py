@@ -6,8 +6,8 @@ import mujoco
 import pytest
 
 from craftsim.discrete.geometry import INCLINE_RAD
-from craftsim.models.parameters import NOMINAL
-from craftsim.models.world import Site
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.site import Site
 
 SLOPE, SMARTCAR = NOMINAL.slope, NOMINAL.cars[0]
 

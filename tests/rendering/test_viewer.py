@@ -17,7 +17,7 @@ from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.errors import InputError
-from craftsim.models.parameters import Machines
+from craftsim.mjcf.parameters import Machines
 from craftsim.rendering.painting import label_strip_m
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.stage import Stage

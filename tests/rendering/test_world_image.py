@@ -5,7 +5,7 @@ import pytest
 
 from craftsim.discrete.drawing import CAR_COLOURS, GOAL, KIND_COLOURS, car_colour
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.models.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.parts import load_part
 from craftsim.rendering.shapes import Outline, Wanted, level_shapes, levels_of
 from craftsim.rendering.world_image import CELL_PX, MARGIN_PX, world_image

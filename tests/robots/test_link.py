@@ -8,7 +8,7 @@ from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.models.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.robots.channel import Network
 from craftsim.robots.fleet import RobotFleet
 from craftsim.robots.link import Link

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.models.measuring import CarMeasurement
-from craftsim.models.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.sensing import CarMeasurement
 from craftsim.robots.channel import Channel, Network
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.inbox import Inbox

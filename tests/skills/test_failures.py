@@ -11,9 +11,8 @@ from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.errors import InputError
-from craftsim.models.measuring import CarMeasurement
-from craftsim.models.parameters import NOMINAL
-from craftsim.models.sensing import measure
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.sensing import CarMeasurement, measure
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.laws import Profile

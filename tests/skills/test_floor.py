@@ -9,9 +9,11 @@ from craftsim.checking.setup import Seed, Setup, set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Floor
-from craftsim.models.parameters import NOMINAL
+from craftsim.models.measuring import READING
+from craftsim.models.noise import SensorNoise
 from craftsim.models.randomization import NONE
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.estimator import update_floor

@@ -11,18 +11,11 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
-from craftsim.models.measuring import READING, CarMeasurement, measurement_of, write_reading
-from craftsim.models.parameters import NOMINAL, Machines
-from craftsim.models.sensing import (
-    ASSUMED,
-    EXACT,
-    NOISY,
-    SensorNoise,
-    Sensors,
-    measure,
-)
-from craftsim.models.world import Site
-from craftsim.skills.estimator import PoseEstimator
+from craftsim.mjcf.parameters import NOMINAL, Machines
+from craftsim.models.measuring import READING
+from craftsim.models.noise import ASSUMED, EXACT, NOISY, SensorNoise
+from craftsim.models.sensing import CarMeasurement, Sensors, measure, measurement_of, write_reading
+from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.laws import Profile

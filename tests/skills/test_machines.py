@@ -9,8 +9,8 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
-from craftsim.models.parameter_files import load_machines
-from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.mjcf.machine_files import load_machines
+from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.scene import write_scene
 from craftsim.models.world import Site
 from craftsim.skills.executor import Executor

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from craftsim.discrete.grid import Kind
-from craftsim.models.parameters import NOMINAL, SmartcarParameters
-from craftsim.models.sensing import measure
+from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
 from craftsim.skills.mecanum import Mecanum
 
 SMARTCAR = NOMINAL.cars[0]

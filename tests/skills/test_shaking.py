@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.kernel.jit import records
-from craftsim.models.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.skills.driving_law import _shake
 from craftsim.skills.gains import careful, load_gains
 from craftsim.skills.laws import shake
 from craftsim.skills.state import DRIVE_TASK, constants_of

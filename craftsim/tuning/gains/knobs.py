@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Literal
 
-from craftsim.models.figures import REACH
+from craftsim.mjcf.parameters import REACH
 from craftsim.skills.gains import SECTIONS, Gains, load_gains
 
 Subject = Literal["drive", "board", "hinge", "all"]
@@ -120,7 +120,7 @@ def knobs_of(subject: Subject, start: Gains) -> tuple[Knob, ...]:
             value = float(getattr(getattr(start, section), f.name))
             usual = float(getattr(getattr(nominal, section), f.name))
             span = _SPANS.get(name, SPAN)
-            # What a file of gains may hold (craftsim.models.figures.check_reach).
+            # What a file of gains may hold (craftsim.mjcf.parameters.check_reach).
             least, most = max(value / span, usual / REACH), min(value * span, usual * REACH)
             most = max(value, min(most, _MOST.get(name, math.inf)))
             found.append(Knob(section, f.name, value, span, least, most))

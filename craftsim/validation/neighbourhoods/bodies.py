@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from craftsim.models.parameters import Machines
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.placement import Placement
 from craftsim.validation.neighbourhoods.solids import figure_of, pose_of
 

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from craftsim.discrete.rules import Rules, RuleSet
-from craftsim.models.parameters import Machines
+from craftsim.mjcf.parameters import Machines
 from craftsim.validation.neighbourhoods.neighbours import neighbours
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.models.parameters import Machines
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.placement import placements
 from craftsim.validation.contexts.worlds import ImpossibleError
 from craftsim.validation.neighbourhoods.bodies import Clearance, Solids, convexes_of

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, beside
-from craftsim.models.parameters import Machines
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.placement import Placement, placements
 from craftsim.validation.contexts.worlds import STANDS_ON, ImpossibleError
 

@@ -14,7 +14,7 @@ import trimesh
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.models.parameters import Machines
+from craftsim.mjcf.parameters import Machines
 from craftsim.validation.contexts.context import BACK, FORWARD, LEFT
 from craftsim.validation.neighbourhoods.bodies import Convex, Solids
 from craftsim.validation.neighbourhoods.scenery import MIDDLE, CarRow, Scenery, Thing

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.models.parameters import SmartcarParameters
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.validation.neighbourhoods.solids import Pose
 
 _GRAIN_M: Final = 0.0005

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from craftsim.discrete.grid import Cell
 from craftsim.discrete.rules import RULE_SETS, Rules
-from craftsim.models.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.storage.writing import write_whole
 from craftsim.validation.neighbourhoods.neighbours import Neighbour, neighbours
 

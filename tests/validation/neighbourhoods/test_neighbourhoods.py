@@ -10,7 +10,7 @@ from craftsim.cli import main
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.rules import Rules
-from craftsim.models.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.placement import placements
 from craftsim.validation.audit.intended import intended
 from craftsim.validation.audit.nearby import nearby

@@ -1,4 +1,4 @@
-"""Whether a car of given figures can work at all: on the slope, in a cell, under tables, and lifting them."""
+"""Whether a car of given parameters can work at all: on the slope, in a cell, under tables, and lifting them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from craftsim.discrete.readback import LIFT_RANGE_M
 from craftsim.errors import InputError
 
 if TYPE_CHECKING:
-    from craftsim.models.parameters import BlockParameters, Machines, SmartcarParameters
+    from craftsim.mjcf.parameters import BlockParameters, Machines, SmartcarParameters
 
 _CLEARANCE_M: Final = 0.0005
 """What must be left between chassis and slope."""
@@ -30,7 +30,7 @@ def _require(holds: bool, name: str, message: str) -> None:
 
 
 def check_car(car: SmartcarParameters) -> None:
-    """Raise InputError, naming the figure, for a car that does not fit together or grounds on a slope."""
+    """Raise InputError, naming the parameter, for a car that does not fit together or grounds on a slope."""
     radius, bottom, half = car.wheel_radius_m, car.chassis_bottom_m, car.chassis_length_m / 2
     gap = car.wheel_x_m - radius
     _require(gap > 0, "wheel_x_m", f"must be above the wheel's radius, {radius:g}, not {car.wheel_x_m:g}")
@@ -95,7 +95,7 @@ def _check_slope(car: SmartcarParameters) -> None:
 
 
 def check_machines(machines: Machines) -> None:
-    """Raise InputError, naming the figure, for a car that does not fit under the loads or cannot lift them."""
+    """Raise InputError, naming the parameter, for a car that does not fit under the loads or cannot lift them."""
     for car in machines.cars:
         _check_room(car, machines.block)
         slope = machines.slope

@@ -1,40 +1,135 @@
-"""Dimensions, masses and limits of the machines, each with its origin: the one place of every figure.
+"""Dimensions, masses and limits of the machines, each with its origin: the one place of every parameter.
 
-Every figure is *published* (the robot description files that accompany the CraftEnv paper), *derived* (from
-published figures, with the arithmetic) or *assumed* (ours, with the reason). Where the published files contradict
-themselves the note says what was chosen and why. MJCF, meshes, skills and reports read the figures from here: the
-files in ``craftsim/mjcf`` are rendered from these dataclasses (``make machines``).
+Every parameter is *published* (the robot description files that accompany the CraftEnv paper), *derived* (from
+published ones, with the arithmetic) or *assumed* (ours, with the reason). Where the published files contradict
+themselves the note says what was chosen and why. The builders of the machines, skills and reports read them from here.
 
-Units: metres, kilograms, seconds, radians, newtons, newton metres. Records with other figures are built in Python
-or read from YAML (:mod:`craftsim.models.parameter_files`); each raises InputError, naming the figure, for one that
-cannot work.
+Units: metres, kilograms, seconds, radians, newtons, newton metres; the end of a name says which. Records with other
+values are built in Python or read from YAML (:mod:`craftsim.mjcf.machine_files`); each raises InputError, naming the
+parameter, for a value that cannot work.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
-from craftsim.models.figures import Allowed, assumed, check, derived, digest_of, fixed, published
-from craftsim.models.fit import check_car, check_machines
+from craftsim.mjcf.fit import check_car, check_machines
 
+Origin = Literal["published", "derived", "assumed"]
 Drive = Literal["rollers", "reduced"]
 """How a car's mecanum wheels touch the ground: by ten free rollers each, or by one ball each that stands for them."""
 DRIVES: Final[tuple[Drive, ...]] = get_args(Drive)
 
-_SEAT: Final = fixed("the pockets of blocks and the pads of slopes fit this board and its boss")
-_GRID: Final = fixed("the grid's cells and levels have this size")
-_SHAPE: Final = fixed("the boards and bosses of all cars fit this shape")
-_FRICTION: Final = Allowed(most=3.0)
-_PITCH: Final = Allowed(-math.pi / 2, math.pi / 2)
+REACH: Final = 1e6
+"""By what factor a parameter may be larger or smaller than its nominal value, where nothing narrower is declared:
+beyond it arithmetic ends before physics does."""
 
 
 @dataclass(frozen=True)
-class SmartcarParameters:
+class Bounds:
+    """What a parameter may be: above ``above`` and at most ``most``; with ``fixed``, a reason, only its default."""
+
+    above: float = 0.0
+    most: float = math.inf
+    fixed: str = ""
+
+
+_POSITIVE: Final = Bounds()
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a parameter comes from: its origin and, where there is something to say, a note."""
+
+    origin: Origin
+    note: str
+
+
+def _parameter(value: float, origin: Origin, note: str, bounds: Bounds) -> Any:
+    return field(default=value, metadata={"provenance": Provenance(origin, note), "bounds": bounds})
+
+
+def published(value: float, note: str = "", bounds: Bounds = _POSITIVE) -> Any:
+    """Declare a dataclass field whose default is a published parameter."""
+    return _parameter(value, "published", note, bounds)
+
+
+def derived(value: float, note: str, bounds: Bounds = _POSITIVE) -> Any:
+    """Declare a dataclass field whose default follows from published parameters as the note says."""
+    return _parameter(value, "derived", note, bounds)
+
+
+def assumed(value: float, note: str, bounds: Bounds = _POSITIVE) -> Any:
+    """Declare a dataclass field whose default is our assumption, for the reason in the note."""
+    return _parameter(value, "assumed", note, bounds)
+
+
+def provenance(parameters: object) -> dict[str, Provenance]:
+    """Return the provenance of every parameter of a record or its type, by field name."""
+    return {f.name: f.metadata["provenance"] for f in fields(parameters)}  # type: ignore[arg-type]
+
+
+def check_parameter(name: str, value: object, declared: Any) -> None:
+    """Raise InputError, calling the parameter ``name``, for a value that its field does not allow."""
+    bounds: Bounds = declared.metadata["bounds"]
+    whole = isinstance(declared.default, int)
+    kind = int if whole else (int, float)
+    if isinstance(value, bool) or not isinstance(value, kind) or not math.isfinite(value):
+        raise InputError(f"{name} must be {'an integer' if whole else 'a number'}, not {value!r}")
+    if bounds.fixed:
+        if value != declared.default:
+            raise InputError(f"{name} cannot be changed from {declared.default:.6g}: {bounds.fixed}")
+        return
+    if not bounds.above < value <= bounds.most:
+        most = f" and at most {bounds.most:g}" if bounds.most < math.inf else ""
+        raise InputError(f"{name} must be above {bounds.above:g}{most}, not {value!r}")
+    check_reach(name, value, declared.default)
+
+
+def check_reach(name: str, value: float, nominal: float) -> None:
+    """Raise InputError, calling the parameter ``name``, for a value of another order than the nominal one."""
+    least, most = abs(nominal) / REACH, abs(nominal) * REACH
+    if value and not least <= abs(value) <= most:
+        raise InputError(f"{name} must be from {least:g} to {most:g}, not {value!r}")
+
+
+def digest_of(values: dict[str, Any]) -> str:
+    """Return the SHA-256, in hexadecimal, of nested values by name; an integer counts as the number that it equals."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(item) for item in value]
+        return value if isinstance(value, str) else float(value)
+
+    return hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
+
+
+class _Checked:
+    """A record of parameters that checks each of them by itself when it is made."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):  # type: ignore[arg-type]
+            check_parameter(f"{type(self).__name__}.{f.name}", getattr(self, f.name), f)
+
+
+_SEAT: Final = Bounds(fixed="the pockets of blocks and the pads of slopes fit this board and its boss")
+_GRID: Final = Bounds(fixed="the grid's cells and levels have this size")
+_SHAPE: Final = Bounds(fixed="the boards and bosses of all cars fit this shape")
+_FRICTION: Final = Bounds(most=3.0)
+_PITCH: Final = Bounds(-math.pi / 2, math.pi / 2)
+
+
+@dataclass(frozen=True)
+class SmartcarParameters(_Checked):
     """The mecanum smartcar. Heights are above the axle line unless the name says floor.
 
     Example:
@@ -53,7 +148,7 @@ class SmartcarParameters:
     rollers_per_wheel: int = assumed(
         10,
         "the fewest with which the envelope's ripple stays far below 0.5 mm",
-        fixed("the ellipsoids of the rollers are made for ten a wheel"),
+        Bounds(fixed="the ellipsoids of the rollers are made for ten a wheel"),
     )
     roller_radius_m: float = assumed(0.009, "what fits ten rollers on the published wheel")
     roller_half_length_m: float = derived(
@@ -71,19 +166,19 @@ class SmartcarParameters:
     )
     chassis_length_m: float = published(0.220)
     chassis_width_m: float = published(0.167)
-    chassis_bottom_m: float = published(-0.040, allowed=Allowed(-math.inf, 0.0))
+    chassis_bottom_m: float = published(-0.040, bounds=Bounds(-math.inf, 0.0))
     chassis_top_m: float = published(0.050)
     chassis_chamfer_m: float = assumed(
         0.025, "published without a figure; keeps the nose off the foot of the slope"
     )
     chassis_mass_kg: float = published(1.0)
-    chassis_com_m: float = published(-0.025, "height of the chassis' centre of mass", Allowed(-math.inf))
+    chassis_com_m: float = published(-0.025, "height of the chassis' centre of mass", Bounds(-math.inf))
     chassis_friction: float = assumed(0.3, "painted metal against plastic", _FRICTION)
     board_top_m: float = published(
         0.053, "read as the upper face, so that the plate lies on the chassis' top"
     )
-    board_length_m: float = published(0.194, allowed=_SEAT)
-    board_width_m: float = published(0.200, allowed=_SEAT)
+    board_length_m: float = published(0.194, bounds=_SEAT)
+    board_width_m: float = published(0.200, bounds=_SEAT)
     board_thickness_m: float = published(0.003)
     board_mass_kg: float = published(0.1)
     board_travel_m: float = published(0.045)
@@ -103,7 +198,7 @@ class SmartcarParameters:
     boss_top_side_m: float = assumed(
         0.100, "bevelled edges are published without a figure: 45 degrees", _SEAT
     )
-    boss_height_m: float = published(0.005, allowed=_SEAT)
+    boss_height_m: float = published(0.005, bounds=_SEAT)
     boss_friction: float = assumed(0.3, "bare metal, as the chassis: it guides and does not hold", _FRICTION)
     wheel_torque_nm: float = assumed(
         2.5, "a wheel motor; three times what a loaded climb at 16 degrees needs"
@@ -124,7 +219,7 @@ class SmartcarParameters:
         0.020,
         "to each side, of a row of reflex sensors in the middle of each edge of the board; blocks and slopes bear a "
         "printed cross below. The published car has none: 0 is a car without",
-        Allowed(-1e-9, 0.06),
+        Bounds(-1e-9, 0.06),
     )
     camera_proud_m: float = assumed(
         0.003, "a lens in the nose, by so much before it; its few grams are left out"
@@ -132,7 +227,7 @@ class SmartcarParameters:
     camera_z_m: float = assumed(
         0.030,
         "below the board and above the chamfer: it sees between the legs of a block",
-        Allowed(-math.inf),
+        Bounds(-math.inf),
     )
     camera_pitch_rad: float = assumed(
         -0.1, "upwards; it sees the floor from 0.1 m before it, and what is one level up from 0.2 m", _PITCH
@@ -140,11 +235,11 @@ class SmartcarParameters:
     camera_fovy_rad: float = assumed(
         1.17,
         "vertical field of view: the 67 degrees of a Raspberry Pi Camera Module 3 Wide",
-        Allowed(most=2.8),
+        Bounds(most=2.8),
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         check_car(self)
 
     @property
@@ -169,7 +264,7 @@ class SmartcarParameters:
 
 
 @dataclass(frozen=True)
-class BlockParameters:
+class BlockParameters(_Checked):
     """The block: a table with a deck and four legs. Flag and wall have the same shape.
 
     Example:
@@ -178,14 +273,14 @@ class BlockParameters:
         1.004
     """
 
-    side_m: float = published(0.32, allowed=_GRID)
+    side_m: float = published(0.32, bounds=_GRID)
     height_m: float = derived(
         LEVEL_HEIGHT_M,
         "one level; the mesh has 0.187 and the collision box 0.1905, which do not stack at the pitch",
         _GRID,
     )
-    leg_side_m: float = published(0.025, allowed=_SHAPE)
-    leg_offset_m: float = published(0.1475, allowed=_SHAPE)
+    leg_side_m: float = published(0.025, bounds=_SHAPE)
+    leg_offset_m: float = published(0.1475, bounds=_SHAPE)
     underside_m: float = published(
         0.1155, "top of the legs; the deck's box starts 3 mm higher, a gap no table has", _SHAPE
     )
@@ -215,9 +310,6 @@ class BlockParameters:
         0.4, "moulded plastic on plastic, plywood or concrete: handbooks give 0.3 to 0.5", _FRICTION
     )
 
-    def __post_init__(self) -> None:
-        check(self)
-
     @property
     def mass_kg(self) -> float:
         """Mass of the whole block."""
@@ -225,7 +317,7 @@ class BlockParameters:
 
 
 @dataclass(frozen=True)
-class SlopeParameters:
+class SlopeParameters(_Checked):
     """The foldable slope: a hollow base wedge, and a flap on a motorised hinge.
 
     Example:
@@ -269,11 +361,11 @@ class SlopeParameters:
     base_mass_kg: float = published(1.0)
     flap_mass_kg: float = published(0.1)
     friction: float = assumed(0.8, "rubber feet and a rubber-edged flap, as the rollers", _FRICTION)
-    gear_radius_m: float = published(0.02, allowed=_SHAPE)
+    gear_radius_m: float = published(0.02, bounds=_SHAPE)
     gear_width_m: float = assumed(0.012, "published without a figure", _SHAPE)
     hinge_torque_nm: float = published(10.0)
-    hinge_speed_rad_s: float = published(0.3, allowed=Allowed(most=3.0))
-    hinge_range_rad: float = published(math.pi, allowed=_GRID)
+    hinge_speed_rad_s: float = published(0.3, bounds=Bounds(most=3.0))
+    hinge_range_rad: float = published(math.pi, bounds=_GRID)
     hinge_margin_rad: float = assumed(0.01, "of the lower stop: the floor stops the flap", _SHAPE)
     hinge_stiffness_nm_rad: float = assumed(
         40.0, "position loop of the hinge's drive: the flap's 0.1 Nm sag by 3 mrad"
@@ -285,9 +377,6 @@ class SlopeParameters:
     docking_range_m: float = assumed(
         0.04, "reach of the plug by which a car below moves the hinge; a car off by more stands elsewhere"
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def mass_kg(self) -> float:
@@ -301,7 +390,7 @@ class SlopeParameters:
 
 
 @dataclass(frozen=True)
-class ContactParameters:
+class ContactParameters(_Checked):
     """How surfaces give way to each other, the same for all machines and the floor; in MuJoCo's terms.
 
     A contact is a spring and damper with a time constant and a damping ratio (solref) and an impedance between a
@@ -309,19 +398,19 @@ class ContactParameters:
     """
 
     time_constant_s: float = assumed(
-        0.008, "two physics steps, the stiffest that is stable", Allowed(most=0.1)
+        0.008, "two physics steps, the stiffest that is stable", Bounds(most=0.1)
     )
     damping_ratio: float = assumed(1.0, "critical: nothing bounces")
     impedance_min: float = assumed(
-        0.95, "hard plastic, as stiff as is stable at the time constant", Allowed(most=0.9999)
+        0.95, "hard plastic, as stiff as is stable at the time constant", Bounds(most=0.9999)
     )
-    impedance_max: float = assumed(0.99, "as above, from a depth of 0.5 mm", Allowed(most=0.9999))
+    impedance_max: float = assumed(0.99, "as above, from a depth of 0.5 mm", Bounds(most=0.9999))
     impedance_depth_m: float = assumed(0.0005, "depth at which the largest impedance is reached")
     foot_stiffness_ratio: float = assumed(
         4.0, "a round foot touches in one point where a leg's flat end would in four: as firm as those"
     )
     joint_impedance: float = assumed(
-        0.9999, "dry friction of joints: holds rather than creeps", Allowed(most=0.9999)
+        0.9999, "dry friction of joints: holds rather than creeps", Bounds(most=0.9999)
     )
     joint_impedance_width: float = assumed(0.001, "without effect while smallest and largest are equal")
     torsional_friction_m: float = assumed(0.005, "MuJoCo's default: a patch of 5 mm")
@@ -330,13 +419,10 @@ class ContactParameters:
         0.4, "sealed concrete or plywood under hard plastic; rubber brings its own", _FRICTION
     )
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True)
 class Machines:
-    """The figures of everything in a world: hashable, and written into every report.
+    """The parameters of everything in a world: hashable, and written into every report.
 
     Raises InputError for cars that do not fit under the blocks and slopes, or cannot lift them.
 
@@ -366,11 +452,11 @@ class Machines:
         check_machines(self)
 
     def car(self, index: int) -> SmartcarParameters:
-        """Return the figures of car number ``index``."""
+        """Return the parameters of car number ``index``."""
         return self.cars[index] if len(self.cars) > 1 else self.cars[0]
 
     def check_number(self, n_cars: int) -> None:
-        """Raise InputError unless these are figures for a world of ``n_cars`` cars."""
+        """Raise InputError unless these are parameters for a world of ``n_cars`` cars."""
         if len(self.cars) not in (1, n_cars) and n_cars:
             raise InputError(
                 f"figures of {len(self.cars)} cars are given for a world with {n_cars}; give one, or one for each"
@@ -378,7 +464,7 @@ class Machines:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all figures, in hexadecimal: equal for equal figures."""
+        """SHA-256 of all parameters, in hexadecimal: equal for equal ones."""
         return digest_of(asdict(self))
 
     @cached_property

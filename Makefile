@@ -83,8 +83,8 @@ gallery: $(VENV)/installed libraries  ## Make the films and pages of docs/galler
 	$(BIN)/craftsim audit --contexts 'MOVE-off-foot/load=none/near=block/allowed in the way' --trials 100 --workers 2 --out out/chance || [ $$? -eq 1 ]
 	$(BIN)/python scripts/gallery.py 2 out/gallery out/chance
 
-machines: $(VENV)/installed  ## Write the MJCF and the meshes of the nominal machines in craftsim/mjcf again
-	$(BIN)/python -m craftsim.mjcf.make_machines
+machines: $(VENV)/installed  ## Write the MJCF of the nominal machines in craftsim/mjcf again
+	$(BIN)/python -m craftsim.models.exporting
 
 neighbours: $(VENV)/installed  ## Work out again which neighbours matter, after a change of geometry or rules
 	$(BIN)/python -m craftsim.validation.neighbourhoods.table

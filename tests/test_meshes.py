@@ -1,24 +1,15 @@
-"""The visual meshes are what their script makes, closed, small, and of the published dimensions."""
-
-from pathlib import Path
+"""The visual meshes are closed, small, and of the published dimensions."""
 
 import numpy as np
 import pytest
 import trimesh
 
-import craftsim.mjcf
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.mjcf.make_machines import write_machines
-from craftsim.mjcf.meshes import NAMES, mesh_parts
+from craftsim.mjcf import block, car, slope
 from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
-from craftsim.mjcf.shapes import worm_offset
+from craftsim.mjcf.solids import ClosedSolid, Mesh
 
-MESHES = {
-    name: figures
-    for figures in (NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope)
-    for name in NAMES[type(figures)]
-}
-DIRECTORY = Path(craftsim.mjcf.__file__).parent / "meshes"
+SOLIDS = car.looks(NOMINAL.cars[0]) | block.looks(NOMINAL.block) | slope.looks(NOMINAL.slope)
 
 # name: smallest corner, largest corner (m). Car, block and slope as published; what stands proud for the eye
 # only (block seats 0.6 mm, a flap lip of 1 mm instead of none) is less than 1 mm.
@@ -35,43 +26,36 @@ BOUNDS = {
 
 
 def _load(name: str) -> trimesh.Trimesh:
-    return trimesh.load_mesh(DIRECTORY / f"{name}.obj")
+    return trimesh.util.concatenate([_solid(part) for part in SOLIDS[name]])
 
 
-def test_the_files_are_what_the_script_makes(tmp_path):
-    write_machines(tmp_path)
-    assert {path.name for path in DIRECTORY.iterdir()} == {f"{name}.obj" for name in MESHES}
-    for path in DIRECTORY.iterdir():
-        assert path.read_bytes() == (tmp_path / "meshes" / path.name).read_bytes(), (
-            f"{path.name}: run 'make machines'"
-        )
-    record = DIRECTORY.parent / "meshes.json"
-    assert record.read_bytes() == (tmp_path / record.name).read_bytes()
+def _solid(solid: ClosedSolid) -> trimesh.Trimesh:
+    return trimesh.Trimesh(*solid, process=False)
 
 
-def test_the_files_are_small():
-    sizes = [path.stat().st_size for path in DIRECTORY.iterdir()]
-    assert max(sizes) < 60_000
-    assert sum(sizes) < 300_000
+def test_meshes_are_small():
+    sizes = [len(Mesh.of(solids).points) for solids in SOLIDS.values()]
+    assert max(sizes) < 1500
+    assert sum(sizes) < 6000
 
 
-@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("name", SOLIDS)
 def test_every_part_is_a_closed_solid_facing_outward(name):
-    for part in mesh_parts(MESHES[name])[name]:
+    for part in map(_solid, SOLIDS[name]):
         assert part.is_watertight
         assert part.is_winding_consistent
         assert part.volume > 0
 
 
 def test_a_car_of_other_lengths_has_closed_solids_of_those_lengths():
-    car = SmartcarParameters(
+    other = SmartcarParameters(
         chassis_length_m=0.2, chassis_width_m=0.15, wheel_x_m=0.056, wheel_y_m=0.08, wheel_width_m=0.04
     )
-    parts = mesh_parts(car)
-    assert all(part.is_watertight for solids in parts.values() for part in solids)
-    chassis = trimesh.util.concatenate(parts["chassis"])
+    solids = {name: [_solid(part) for part in parts] for name, parts in car.looks(other).items()}
+    assert all(part.is_watertight for parts in solids.values() for part in parts)
+    chassis = trimesh.util.concatenate(solids["chassis"])
     assert chassis.extents == pytest.approx([0.2, 0.15, 0.09], abs=1e-6)
-    assert trimesh.util.concatenate(parts["wheel_hub"]).extents[1] == pytest.approx(0.04, abs=1e-6)
+    assert trimesh.util.concatenate(solids["wheel_hub"]).extents[1] == pytest.approx(0.04, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", BOUNDS)
@@ -112,16 +96,13 @@ def test_wheels_have_room_in_the_chassis():
 
 
 def _normals(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normals (n, 3) of the larger faces of a file, and those (n, 3, 3) that it gives their corners."""
-    words = [line.split() for line in (DIRECTORY / f"{name}.obj").read_text().splitlines()]
-    points = np.array([w[1:] for w in words if w[0] == "v"], float)
-    given = np.array([w[1:] for w in words if w[0] == "vn"], float)
-    corners = np.array([[part.split("//") for part in w[1:]] for w in words if w[0] == "f"], int) - 1
-    a, b, c = points[corners[:, :, 0]].transpose(1, 0, 2)
+    """Return the normals (n, 3) of the larger faces of a mesh, and those (n, 3, 3) that it gives their corners."""
+    points, given, corners = Mesh.of(SOLIDS[name])
+    a, b, c = points[corners].transpose(1, 0, 2)
     across = np.cross(b - a, c - a)
     area = np.linalg.norm(across, axis=1) / 2
     large = area > 0.05 * area.max()
-    return (across / (2 * area[:, None]))[large], given[corners[large, :, 1]]
+    return (across / (2 * area[:, None]))[large], given[corners[large]]
 
 
 def test_flat_faces_are_shaded_flat_and_round_ones_round():
@@ -134,7 +115,7 @@ def test_flat_faces_are_shaded_flat_and_round_ones_round():
 
 def test_a_worm_meshes_with_its_gear():
     p = NOMINAL.slope
-    offset = -worm_offset(p)[2]
+    offset = -slope.worm_offset(p)[2]
     gear, worm = _load("gear").vertices, _load("worm").vertices
     tip = np.hypot(gear[:, 0], gear[:, 2]).max()
     thread = np.hypot(worm[:, 1], worm[:, 2])[worm[:, 0] > -0.010].max()

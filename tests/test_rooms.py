@@ -19,7 +19,7 @@ ALLOWED = {
     "storage": set(),
     "discrete": {"storage"},
     "designs": {"storage", "discrete"},
-    "mjcf": {"storage", "discrete", "models.config"},
+    "mjcf": {"storage", "discrete"},
     "models": {"storage", "discrete", "mjcf"},
     "skills": {"storage", "mjcf", "models", "discrete"},
     "planning": {"discrete"},

@@ -20,7 +20,7 @@ from craftsim.errors import InputError
 from craftsim.logs.bag_messages import JOINTS, NUMBERS, ODOMETRY, POSE, decoder
 from craftsim.logs.bag_records import BagChannel, BagFile
 from craftsim.logs.log import GROUPS, LONGEST_GAP, TIME, Floats, Log, interpolated
-from craftsim.models.parts import WHEELS
+from craftsim.mjcf.car import WHEELS
 from craftsim.storage.limits import BAG, BAG_MESSAGES
 from craftsim.storage.reading import open_file
 from craftsim.storage.yaml import Document, Loc, described, read_document

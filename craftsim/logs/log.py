@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError
-from craftsim.models.parts import WHEELS
+from craftsim.mjcf.car import WHEELS
 from craftsim.storage.limits import Range
 
 Floats = NDArray[np.float64]

@@ -1,24 +1,60 @@
-"""Closed solids from rings of points: all that the machines' visual meshes are made of."""
+"""Closed solids from rings of points, and meshes of them: all that is only seen of the machines is made so.
+
+Corners have normals of their own: flat faces stay flat, and only what is to look round is smoothed. MuJoCo works out
+its own otherwise, and smooths over bevels and facets, which shows as gradients on flat faces.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Final, NamedTuple
 
+import mujoco
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 Ring = NDArray[np.float64]
 """Points of a closed outline in space, shape (n, 3), in order."""
-
-Parts = list[trimesh.Trimesh]
-"""Closed solids that make up a mesh; they may touch or overlap."""
-
 Interval = tuple[float, float]
 """Smallest and largest coordinate along an axis, in metres."""
+Outline = Sequence[tuple[float, float]]
+"""Corners (x, z) of a convex polygon, in order."""
+
+_CREASE_RAD: Final = math.radians(30)
+"""Faces that meet at less than this look like one round face: a bevel has 45 degrees, a cylinder of 16 sides 22.5."""
 
 
-def loft(rings: Sequence[Ring]) -> trimesh.Trimesh:
+class ClosedSolid(NamedTuple):
+    """A closed solid. Solids that make up a mesh may touch or overlap."""
+
+    points: NDArray[np.float64]
+    """(n, 3) metres."""
+    faces: NDArray[np.int64]
+    """(m, 3): triangles, counterclockwise seen from outside."""
+
+    @property
+    def volume(self) -> float:
+        """Volume in cubic metres; negative where the faces look inwards."""
+        a, b, c = self.points[self.faces].transpose(1, 0, 2)
+        return float(np.einsum("ni,ni->", a, np.cross(b, c))) / 6
+
+    def outward(self) -> ClosedSolid:
+        """Return it with its faces looking outwards."""
+        return self if self.volume > 0 else ClosedSolid(self.points, self.faces[:, ::-1])
+
+    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> ClosedSolid:
+        """Return it shifted by (x, y, z)."""
+        return ClosedSolid(self.points + np.array([x, y, z]), self.faces)
+
+    def rolled(self, angle_rad: float, about_y: bool = False) -> ClosedSolid:
+        """Return it turned about the z axis, or about the y axis."""
+        c, s = math.cos(angle_rad), math.sin(angle_rad)
+        turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]] if about_y else [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        return ClosedSolid(self.points @ turn.T, self.faces)
+
+
+def loft(rings: Sequence[Ring]) -> ClosedSolid:
     """Return the closed solid through rings of equally many points, its ends closed by fans.
 
     Args:
@@ -37,10 +73,32 @@ def loft(rings: Sequence[Ring]) -> trimesh.Trimesh:
     last = (len(rings) - 1) * count
     faces.append(np.column_stack([following, here, np.full(count, len(points) - 2)]))
     faces.append(np.column_stack([last + here, last + following, np.full(count, len(points) - 1)]))
-    solid = trimesh.Trimesh(points, np.concatenate(faces), process=False)
-    if solid.volume < 0:
-        solid.invert()
-    return solid
+    return ClosedSolid(points, np.concatenate(faces)).outward()
+
+
+def turned(profile: Sequence[Sequence[float]], sections: int, about_y: bool = True) -> ClosedSolid:
+    """Return the solid of revolution about the y axis, or the z axis, of a (radius, height) profile, shape (n, 2).
+
+    A profile that starts and ends on the axis gives a solid body; one that returns to its start gives a ring.
+    """
+    radius, height = np.asarray(profile, float).T
+    count = len(radius)
+    angles = np.linspace(0, math.tau, sections + 1)[:-1, None]
+    around = np.stack([radius * np.cos(angles), radius * np.sin(angles), height + 0 * angles], axis=-1)
+    here = np.arange(count - 1)
+    following = (here + count) % (count * sections)
+    quads = np.stack([here, following, here + 1, here + 1, following, following + 1], axis=1).reshape(-1, 3)
+    faces = (quads + count * np.arange(sections)[:, None, None]).reshape(-1, 3) % (count * sections)
+    # Points on the axis, and the last of a ring's profile, are there several times.
+    around = around.reshape(-1, 3)
+    _, first, number = np.unique(np.round(around, 9) + 0.0, axis=0, return_index=True, return_inverse=True)
+    points, faces = around[first], number.reshape(-1)[faces]
+    kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    solid = ClosedSolid(points, faces[kept])
+    if about_y:
+        # A quarter turn about x takes z to y.
+        solid = ClosedSolid(solid.points[:, [0, 2, 1]] * (1, 1, -1), solid.faces)
+    return solid.outward()
 
 
 def between(a: float, b: float) -> Interval:
@@ -58,7 +116,7 @@ def square(side: float, z: float) -> Ring:
     return rectangle((-side / 2, side / 2), (-side / 2, side / 2), z)
 
 
-def box(x: Interval, y: Interval, z: Interval, bevel: float = 0.0) -> trimesh.Trimesh:
+def box(x: Interval, y: Interval, z: Interval, bevel: float = 0.0) -> ClosedSolid:
     """Return a box over three intervals, its top and bottom edges bevelled at 45 degrees."""
 
     def level(inset: float, height: float) -> Ring:
@@ -71,7 +129,7 @@ def box(x: Interval, y: Interval, z: Interval, bevel: float = 0.0) -> trimesh.Tr
     )
 
 
-def plate_xz(outline: ArrayLike, y: Interval) -> trimesh.Trimesh:
+def plate_xz(outline: ArrayLike, y: Interval) -> ClosedSolid:
     """Return the prism of an (x, z) outline, shape (n, 2), over the interval y."""
     points = np.asarray(outline, float)
 
@@ -81,19 +139,85 @@ def plate_xz(outline: ArrayLike, y: Interval) -> trimesh.Trimesh:
     return loft([at(y[0]), at(y[1])])
 
 
-def turned(profile: ArrayLike, sections: int) -> trimesh.Trimesh:
-    """Return the solid of revolution about the y axis of an (radius, y) profile, shape (n, 2).
+def second_moments(outline: Outline) -> tuple[float, float, float]:
+    """Return a polygon's area, and the means of x^2 and z^2 over it about its centroid (shoelace formulas)."""
+    area = sx = sz = sxx = szz = 0.0
+    for (x0, z0), (x1, z1) in zip(outline, [*outline[1:], outline[0]], strict=True):
+        cross = x0 * z1 - x1 * z0
+        area += cross / 2
+        sx += (x0 + x1) * cross / 6
+        sz += (z0 + z1) * cross / 6
+        sxx += (x0 * x0 + x0 * x1 + x1 * x1) * cross / 12
+        szz += (z0 * z0 + z0 * z1 + z1 * z1) * cross / 12
+    return area, sxx / area - (sx / area) ** 2, szz / area - (sz / area) ** 2
 
-    A profile that starts and ends on the axis gives a solid body; one that returns to its start gives a ring.
+
+class Mesh(NamedTuple):
+    """A mesh of solids; what looks sharp there has a point for each side of its edge."""
+
+    points: NDArray[np.float64]
+    """(n, 3) metres."""
+    normals: NDArray[np.float64]
+    """(n, 3)."""
+    faces: NDArray[np.int64]
+    """(m, 3)."""
+
+    @classmethod
+    def of(cls, solids: Sequence[ClosedSolid]) -> Mesh:
+        """Return the mesh of some solids.
+
+        The last digits of sines differ between maths libraries: rounded, meshes do not.
+        """
+        corners, faces, first = [], [], 0
+        for solid in solids:
+            rounded = ClosedSolid(np.round(solid.points, 6) + 0.0, solid.faces)
+            normals = np.round(_corner_normals(rounded), 3) + 0.0
+            both = np.concatenate([rounded.points[rounded.faces], normals], axis=2).reshape(-1, 6)
+            distinct, number = np.unique(both, axis=0, return_inverse=True)
+            corners.append(distinct)
+            faces.append(first + number.reshape(-1, 3))
+            first += len(distinct)
+        points, normals = np.split(np.concatenate(corners), 2, axis=1)
+        return cls(points, normals, np.concatenate(faces))
+
+
+def add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> str:
+    """Add a mesh to a spec, unless there is one of this name; return the name."""
+    if spec.mesh(name) is None:
+        spec.add_mesh(
+            name=name,
+            uservert=mesh.points.ravel(),
+            usernormal=mesh.normals.ravel(),
+            userface=mesh.faces.ravel(),
+        )
+    return name
+
+
+def add_hull(spec: mujoco.MjSpec, name: str, corners: ArrayLike) -> str:
+    """Add the convex solid of some corners (n, 3) as a mesh, unless there is one of this name; return the name."""
+    if spec.mesh(name) is None:
+        spec.add_mesh(name=name, uservert=np.round(np.asarray(corners, float), 6).ravel() + 0.0)
+    return name
+
+
+def _corner_normals(solid: ClosedSolid) -> NDArray[np.float64]:
+    """Return the unit normal (n, 3, 3) of each corner of each face.
+
+    It is the mean, weighted by area, over the faces around the corner's point that meet the face at less than a crease.
     """
-    solid = trimesh.creation.revolve(np.asarray(profile, float), sections=sections)
-    if solid.volume < 0:
-        solid.invert()
-    # revolve() turns about z; a quarter turn about x takes z to y.
-    solid.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-    return solid
-
-
-def moved(solid: trimesh.Trimesh, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> trimesh.Trimesh:
-    """Return a copy shifted by (x, y, z)."""
-    return solid.copy().apply_translation((x, y, z))
+    a, b, c = solid.points[solid.faces].transpose(1, 0, 2)
+    across = np.cross(b - a, c - a)
+    size = np.linalg.norm(across, axis=1)
+    own = across / size[:, None]
+    corners = solid.faces.ravel()
+    order = np.argsort(corners, kind="stable")
+    count = np.bincount(corners, minlength=len(solid.points))
+    place = np.arange(len(corners)) - np.repeat(np.cumsum(count) - count, count)
+    by_point = np.full((len(solid.points), count.max()), -1)
+    by_point[corners[order], place] = order // 3
+    around = by_point[solid.faces]  # (n, 3, most faces at a point), -1 where there are fewer
+    near = np.einsum("ni,ncki->nck", own, own[around]) > math.cos(_CREASE_RAD)
+    weights = np.where((around >= 0) & near, size[around], 0.0)
+    mean = np.einsum("nck,ncki->nci", weights, own[around])
+    normal: NDArray[np.float64] = mean / np.linalg.norm(mean, axis=2, keepdims=True)
+    return normal

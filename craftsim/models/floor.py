@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError
+from craftsim.mjcf.ground import FLOOR_RGBA, GROUND
 from craftsim.models.imperfection import Floor
 
 NAME: Final = "floor"
@@ -131,9 +132,10 @@ def tiles_of(floor: Floor, size: Cell) -> Tiles:
 
 
 def add_tiles(spec: mujoco.MjSpec, tiles: Tiles) -> None:
-    """Put tiles on the ground of a spec, which touch as it does."""
-    ground = spec.geom("ground")
-    body = spec.worldbody.add_body(name=NAME)
+    """Put tiles in the middle of the ground of a spec, which touch as it does, and its plane below them."""
+    ground = spec.geom(GROUND)
+    ground.pos[2] = tiles.bottom_m
+    body = spec.worldbody.add_body(name=NAME, pos=[*ground.pos[:2], 0.0])
     half, span, count = tiles.half_m, tiles.span_m, tiles.points
     for number, (x, y) in enumerate(tiles.centres):
         field = spec.add_hfield(
@@ -149,7 +151,7 @@ def add_tiles(spec: mujoco.MjSpec, tiles: Tiles) -> None:
             hfieldname=field.name,
             mass=0,
             pos=[x, y, -span / 2],
-            rgba=[0.80, 0.81, 0.80, 1.0],
+            rgba=FLOOR_RGBA,
             contype=ground.contype,
             conaffinity=ground.conaffinity,
             friction=ground.friction,
@@ -168,20 +170,13 @@ def level(model: mujoco.MjModel) -> None:
     model.hfield_data[:] = 0.5
 
 
-def put_below(model: mujoco.MjModel, tiles: Tiles) -> None:
-    """Put the tiles of a compiled model in the middle of its ground, and the plane of the ground below them."""
-    ground = model.geom_pos[model.geom("ground").id]
-    model.body_pos[tiles_body(model), :2] = ground[:2]
-    ground[2] = tiles.bottom_m
-
-
 def lay(model: mujoco.MjModel, tiles: Tiles, rng: np.random.Generator) -> float:
     """Draw the floor of a compiled model; return the height of its highest point in metres."""
     drawn = FloorDraw.of(tiles, rng)
     body, heights = tiles_body(model), tiles.heights(drawn)
     c, s = math.cos(drawn.turn_rad), math.sin(drawn.turn_rad)
     x, y = tiles.floor.tile_m * drawn.shift
-    middle_x, middle_y, _ = model.geom_pos[model.geom("ground").id]
+    middle_x, middle_y, _ = model.geom_pos[model.geom(GROUND).id]
     model.body_pos[body, :2] = middle_x + c * x - s * y, middle_y + s * x + c * y
     model.body_quat[body] = math.cos(drawn.turn_rad / 2), 0.0, 0.0, math.sin(drawn.turn_rad / 2)
     model.hfield_data[:] = (heights / tiles.span_m + 0.5).ravel()

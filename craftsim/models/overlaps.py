@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.mjcf.ground import GROUND
 from craftsim.models.floor import tiles_body
 
-GROUND: Final = "ground"
 WALL: Final = "wall"
 ALLOWED_M: Final = 1e-3
 """How deep things may stand in each other at a start: more than a drawing is inexact by."""

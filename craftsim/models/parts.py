@@ -1,69 +1,15 @@
-"""The parts of a world: loading their MJCF and finding their joints and motors in a compiled model."""
+"""The parts of a compiled world: handles of their bodies, joints and motors."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.drawing import CAR_COLOURS, car_colour
-from craftsim.mjcf.meshes import Figures, mesh_bytes, mesh_file
+from craftsim.mjcf.car import WHEELS, WholeCar
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
-from craftsim.mjcf.reduced import WholeCar
-from craftsim.mjcf.rendering import render
-
-WHEELS = ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr")
-"""Order of everything that is given per wheel: front left, front right, rear left, rear right."""
-
-
-def load_part(name: str, machines: Machines, car: int = 0) -> mujoco.MjSpec:
-    """Return the editable spec of a part: smartcar, block, slope, flag, wall or ground.
-
-    All but the ground come without the floor that their files show them on. The spec holds its meshes as assets, which
-    whoever attaches it has to hand on to the world. A smartcar has the colour of car number ``car``; it and a slope may
-    sleep when idle, unlike other trees with motors.
-    """
-    return shared_part(name, machines, car).copy()
-
-
-def shared_part(name: str, machines: Machines, car: int = 0) -> mujoco.MjSpec:
-    """Return the same spec as :func:`load_part`, to attach copies of and not to be changed: it is read once."""
-    return _part(name, machines, _figures(name, machines, car), car % len(CAR_COLOURS))
-
-
-@lru_cache(maxsize=64)
-def _part(name: str, machines: Machines, figures: Figures | None, colour: int) -> mujoco.MjSpec:
-    meshes = {} if figures is None else mesh_bytes(figures)
-    spec = mujoco.MjSpec.from_string(_text(name, machines, figures), assets=meshes)
-    if name == "smartcar":
-        spec.geom("chassis_visual").rgba = [*car_colour(colour), 1.0]
-    if name in ("smartcar", "slope"):
-        spec.body(name).sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
-    return spec
-
-
-def _figures(name: str, machines: Machines, car: int) -> Figures | None:
-    match name:
-        case "ground":
-            return None
-        case "smartcar":
-            return machines.car(car)
-        case "slope":
-            return machines.slope
-    return machines.block
-
-
-def _text(name: str, machines: Machines, figures: Figures | None) -> str:
-    car = figures if isinstance(figures, SmartcarParameters) else None
-
-    def file(mesh: str) -> str:
-        assert figures is not None
-        return mesh_file(figures, mesh)
-
-    return render(name, machines, car, alone=False, mesh=file)
 
 
 @dataclass(frozen=True)
@@ -164,3 +110,28 @@ class Slope:
     def find(cls, model: mujoco.MjModel, prefix: str) -> Slope:
         """Return the handles of the slope attached under this prefix."""
         return cls(FreeBody.find(model, prefix + "slope"), Drive.find(model, prefix + "hinge"))
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The machines of a compiled world that move, in the order of their numbers."""
+
+    cars: tuple[Car, ...]
+    slopes: tuple[Slope, ...]
+    blocks: tuple[FreeBody, ...]
+    flags: tuple[FreeBody, ...]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, machines: Machines) -> Parts:
+        """Return the machines of a model."""
+        names = [model.body(body).name for body in range(model.nbody)]
+
+        def prefixes(kind: str) -> list[str]:
+            return [name.removesuffix(kind) for name in names if name.endswith(f"/{kind}")]
+
+        return cls(
+            tuple(Car.find(model, name, machines.car(i)) for i, name in enumerate(prefixes("smartcar"))),
+            tuple(Slope.find(model, name) for name in prefixes("slope")),
+            tuple(FreeBody.find(model, name + "block") for name in prefixes("block")),
+            tuple(FreeBody.find(model, name + "flag") for name in prefixes("flag")),
+        )

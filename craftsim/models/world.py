@@ -20,13 +20,15 @@ from craftsim.discrete.kernel.jit import compiled
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
 from craftsim.models.bearings import Bearings
-from craftsim.models.compiled import compiled_parts
+from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import StepEffect, effects_of
 from craftsim.models.extent import check_extent
-from craftsim.models.imperfection import FLAT, IDEAL, Drivetrain, Floor
-from craftsim.models.overlaps import Overlap, overlaps
-from craftsim.models.parts import FreeBody
+from craftsim.models.floor import tiles_of
+from craftsim.models.grip import Grip
+from craftsim.models.imperfection import FLAT, Drivetrain, Floor
+from craftsim.models.overlaps import MachineNames, Overlap, overlaps
+from craftsim.models.parts import FreeBody, Parts, trees_of_motors
 from craftsim.models.placement import placements
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -183,11 +185,14 @@ class Site:
         self._start = (grid.size, *standing, tuple(goals), self.config, machines, floor)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
-        kinds = tuple(placed.kind for placed in self._placements)
-        uneven = None if floor.flat else (floor, grid.size)
-        parts = compiled_parts(kinds, len(goals), self.config, machines, uneven)
-        self.tiles, self._heights = parts.tiles, parts.qpos[:, 2]
-        self.model, self.data = parts.placed(self.size, self._placements, goals)
+        self.world_spec = WorldSpec(grid.copy(), self.config, machines, tuple(goals), floor)
+        self.tiles = None if floor.flat else tiles_of(floor, grid.size)
+        self.model = self.world_spec.model()
+        self.data = mujoco.MjData(self.model)
+        parts = Parts.of(self.model, machines)
+        self._heights = self.model.jnt_qposadr[self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] + 2
+        self._bearings = Bearings(self.model) if machines.drive == "rollers" else None
+        self._grip: Grip | None = None
         if machines.drive == "reduced":
             for car in parts.cars:
                 car.add_spin(self.model)
@@ -196,9 +201,9 @@ class Site:
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""
         """Which motors had a command in the last period, a byte each; empty where the policies may not fit it."""
-        self._tree_of_motor = parts.tree_of_motor
+        self._tree_of_motor = trees_of_motors(self.model)
         self.cars, self.slopes, self.blocks, self.flags = parts.cars, parts.slopes, parts.blocks, parts.flags
-        self.machine_names = parts.names
+        self.machine_names = MachineNames.of(self.model)
         """The machines by their geoms."""
         self.compiled = Baseline.of(self.model)
         """The parameters of the model as it was compiled; not to be changed."""

@@ -12,16 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import cell_position, yaw_angle
+from craftsim.mjcf.block import meshes as block_meshes
 from craftsim.mjcf.parameters import Machines
-from craftsim.models.parts import shared_part
+from craftsim.mjcf.slope import meshes as slope_meshes
+from craftsim.mjcf.solids import add_mesh
 from craftsim.rendering.trajectory import GoalCell, Trajectory
 
 _MESHES: Final = {
-    "block": ("block", "block"),
-    "base": ("slope", "slope_base"),
-    "flap": ("slope", "slope_flap"),
+    "block": "block",
+    "base": "slope_base",
+    "flap": "slope_flap",
 }
-"""The part that each mesh is of, and its name there."""
+"""The names of the meshes."""
 _RGBA: Final = np.array([0.10, 0.62, 0.42, 0.16], np.float32)
 _NEAR_M: Final = 0.02
 """What stands nearer than this to its place fills it."""
@@ -32,10 +34,9 @@ _HINGE_RAD: Final = {"fslope": math.pi, "body": 0.0}
 
 def add_ghost_meshes(spec: mujoco.MjSpec, machines: Machines) -> None:
     """Add the meshes of which ghosts are made to a scene."""
-    for name, (part, mesh) in _MESHES.items():
-        source = shared_part(part, machines)
-        spec.assets.update(source.assets)
-        spec.add_mesh(name=f"ghost/{name}", file=source.mesh(mesh).file)
+    meshes = block_meshes(machines.block) | slope_meshes(machines.slope)
+    for name in _MESHES.values():
+        add_mesh(spec, name, meshes[name])
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def _drawn(
     model: mujoco.MjModel, name: str, place: NDArray[np.float64], turn: NDArray[np.float64]
 ) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
     """Return a mesh's number, position and rotation: MuJoCo keeps meshes in the frame of their own inertia."""
-    mesh = model.mesh(f"ghost/{name}").id
+    mesh = model.mesh(_MESHES[name]).id
     pos, quat, mat = np.empty(3), np.empty(4), np.empty(9)
     mujoco.mju_rotVecQuat(pos, model.mesh_pos[mesh], turn)
     mujoco.mju_mulQuat(quat, turn, model.mesh_quat[mesh])

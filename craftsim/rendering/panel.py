@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from craftsim.models.parts import CAR_COLOURS
+from craftsim.discrete.drawing import CAR_COLOURS
 from craftsim.rendering.captions import Caption, CarCaption
 from craftsim.rendering.text import Colour, font, wrap
 

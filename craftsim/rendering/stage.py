@@ -13,11 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.drawing import CAR_COLOURS
 from craftsim.mjcf.parameters import Machines
-from craftsim.models.composition import compose
+from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parts import CAR_COLOURS, load_part
-from craftsim.models.placement import placements
 from craftsim.rendering.cameras import reached_m
 from craftsim.rendering.dressing import dress
 from craftsim.rendering.floor import FLOORS, lay_floor
@@ -46,10 +45,8 @@ class Stage:
         recipe = trajectory.story.recipe
         setup = recipe.setup
         machines = setup.machines
-        parts = placements(recipe.grid, machines)
         config = setup.simulation or SimulationConfig.of(machines.drive)
-        ground = load_part("ground", machines)
-        spec, _ = compose(ground, recipe.grid.size, parts, config, recipe.goals, machines)
+        spec = WorldSpec(recipe.grid, config, machines, recipe.goals).spec()
         _number_cars(spec, machines, recipe.grid.n_cars)
         add_ghost_meshes(spec, machines)
         if trajectory.story.design:

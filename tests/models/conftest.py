@@ -10,9 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.effects import Bearings
-from craftsim.models.parts import WHEELS
-from craftsim.models.world import Baseline
+from craftsim.mjcf.car import WHEELS
+from craftsim.models.bearings import Bearings
 
 GRAVITY = 9.81
 

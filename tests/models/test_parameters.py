@@ -1,16 +1,18 @@
 """MJCF and meshes follow the parameters, nominal or not, and every figure is read and says where it comes from."""
 
 import math
+import shutil
 from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import lru_cache
 from importlib.resources import files
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.mjcf.meshes import make_meshes, shipped
 from craftsim.mjcf.parameters import (
     NOMINAL,
     BlockParameters,
@@ -20,8 +22,8 @@ from craftsim.mjcf.parameters import (
     SmartcarParameters,
     provenance,
 )
-from craftsim.mjcf.rendering import PARTS, render
-from craftsim.models.parts import load_part
+from craftsim.models.composition import MACHINES, machine_spec
+from craftsim.models.exporting import machine_texts, text_of
 
 SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
 OTHER = Machines(
@@ -240,7 +242,7 @@ def figures_of(part: str, machines: Machines):
 @pytest.mark.parametrize("part", TABLES)
 def test_the_compiled_part_has_the_figures_that_it_is_made_from(part, machines):
     """Band: 1e-5 of the figure (what follows is written with six digits), 0.1 % for the wheel's inertia."""
-    model, parameters = load_part(part, machines).compile(), figures_of(part, machines)
+    model, parameters = machine_spec(part, machines).compile(), figures_of(part, machines)
     for name, measure in TABLES[part].items():
         band = 1e-3 if "inertia" in name else 1e-5
         assert measure(model) == pytest.approx(getattr(parameters, name), rel=band, abs=2e-6), name
@@ -272,29 +274,48 @@ KINDS = (SmartcarParameters, BlockParameters, SlopeParameters, ContactParameters
 )
 def test_a_figure_that_is_edited_changes_the_model(kind, name):
     machines = with_parameters(bumped(kind(), name))
-    assert any(render(part, machines) != render(part, NOMINAL) for part in PARTS)
+    assert any(_text(part, machines) != _text(part, NOMINAL) for part in MACHINES)
 
 
-@pytest.mark.parametrize("part", PARTS)
-def test_the_files_are_what_the_parameters_render(part):
-    text = (files("craftsim.mjcf") / f"{part}.xml").read_text(encoding="utf-8")
-    assert text == render(part, NOMINAL), "run 'make machines'"
+@lru_cache(maxsize=len(MACHINES))
+def _text(part: str, machines: Machines) -> str:
+    return text_of(machine_spec(part, machines))
 
 
-def test_the_reduced_car_is_what_the_parameters_render():
-    text = (files("craftsim.mjcf") / "smartcar_reduced.xml").read_text(encoding="utf-8")
-    assert text == render("smartcar", replace(NOMINAL, drive="reduced")), "run 'make machines'"
+def test_the_files_are_what_the_builders_make_and_no_others():
+    found = {path.name: path.read_text(encoding="utf-8") for path in _folder().glob("*.xml")}
+    assert found == {f"{name}.xml": text for name, text in machine_texts().items()}, "run 'make machines'"
 
 
-def test_an_edited_length_is_seen_by_the_meshes_before_they_are_made_again():
-    car = bumped(SMARTCAR, "chassis_length_m")
-    assert shipped(SMARTCAR)
-    assert not shipped(car)
-    assert shipped(bumped(SMARTCAR, "wheel_torque_nm"))
-    assert make_meshes(car)["chassis"] != make_meshes(SMARTCAR)["chassis"]
-    spec = load_part("smartcar", with_parameters(car))
-    assert "meshes/chassis.obj" not in spec.assets
-    assert spec.compile().mesh("chassis").vertnum[0] > 0
+def _folder() -> Path:
+    return Path(str(files("craftsim.mjcf")))
+
+
+@pytest.mark.parametrize("drive", ["rollers", "reduced"])
+@pytest.mark.parametrize("part", MACHINES)
+def test_a_file_opens_alone_as_what_the_builders_make(part, drive, tmp_path):
+    """Band: 5e-6 of the largest number of each array, for files have six digits."""
+    if drive == "reduced" and part != "smartcar":
+        return
+    name = "smartcar_reduced" if drive == "reduced" else part
+    copy = shutil.copy(_folder() / f"{name}.xml", tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(copy))
+    built = machine_spec(part, replace(NOMINAL, drive=drive)).compile()
+    compared = [
+        field for field in dir(built) if field.startswith(("body_", "geom_", "jnt_", "dof_", "actuator_"))
+    ]
+    for field in [*compared, "mesh_vert", "mesh_face", "tex_data", "qpos0"]:
+        one, other = (np.asarray(getattr(m, field)) for m in (model, built))
+        if one.dtype.kind in "fiub" and "plugin" not in field:
+            assert one.shape == other.shape, field
+            most = max(1.0, float(np.abs(other, dtype=float).max(initial=0)))
+            assert np.abs(one.astype(float) - other).max(initial=0) <= 5e-6 * most, field
+
+
+def test_an_edited_length_is_seen_by_the_meshes():
+    spec, other = (machine_spec("smartcar", machines) for machines in (NOMINAL, OTHER))
+    assert np.abs(spec.mesh("chassis").uservert).max() == pytest.approx(0.11, abs=1e-6)
+    assert np.abs(other.mesh("chassis").uservert).max() == pytest.approx(0.1075, abs=1e-6)
 
 
 def test_the_digest_tells_figures_apart():

@@ -80,7 +80,8 @@ def test_a_world_is_not_changed_by_its_stage(standing):
 
 def test_the_ghost_shows_what_the_design_still_wants(standing):
     stage, rest = Stage(standing, "draft"), standing.qpos[-1]
-    meshes = {name: 2 * stage.model.mesh(f"ghost/{name}").id for name in ("block", "base", "flap")}
+    names = {"block": "block", "base": "slope_base", "flap": "slope_flap"}
+    meshes = {name: 2 * stage.model.mesh(mesh).id for name, mesh in names.items()}
     found = _ghosts(_scene(stage, standing, rest))
     # One block stands in its place, as does the base of the slope; its flap is still folded.
     assert [ghost.dataid for ghost in found] == [meshes["block"], meshes["flap"]]

@@ -6,7 +6,7 @@ import pytest
 from craftsim.discrete.drawing import CAR_COLOURS, GOAL, KIND_COLOURS, car_colour
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.parts import load_part
+from craftsim.models.composition import machine_spec
 from craftsim.rendering.shapes import Outline, Wanted, level_shapes, levels_of
 from craftsim.rendering.world_image import CELL_PX, MARGIN_PX, world_image
 
@@ -83,7 +83,7 @@ def test_a_design_is_dashed_and_a_goal_is_not(kind):
     ],
 )
 def test_things_have_the_colours_that_films_show(part, geom, kind):
-    spec = load_part(part, NOMINAL)
+    spec = machine_spec(part, NOMINAL)
     shown = [tuple(g.rgba[:3].round(4).tolist()) for g in spec.geoms if geom is None or g.name == geom]
     assert tuple(np.float32(KIND_COLOURS[kind]).round(4).tolist()) in [
         tuple(np.float32(colour).round(4).tolist()) for colour in shown
@@ -92,5 +92,5 @@ def test_things_have_the_colours_that_films_show(part, geom, kind):
 
 def test_cars_have_the_colours_that_films_show():
     for car, colour in enumerate(CAR_COLOURS):
-        shown = load_part("smartcar", NOMINAL, car).geom("chassis_visual").rgba[:3]
+        shown = machine_spec("smartcar", NOMINAL, car).geom("chassis_visual").rgba[:3]
         assert np.allclose(shown, colour, atol=1e-6)

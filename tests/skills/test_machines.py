@@ -11,8 +11,10 @@ from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
 from craftsim.mjcf.machine_files import load_machines
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
-from craftsim.models.scene import write_scene
-from craftsim.models.world import Site
+from craftsim.models.composition import WorldSpec
+from craftsim.models.config import SimulationConfig
+from craftsim.models.exporting import write_scene
+from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 
@@ -88,11 +90,13 @@ def test_figures_for_another_number_of_cars_are_refused():
         Site(draw((1, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)
 
 
-def test_a_scene_of_other_machines_is_written_with_its_meshes(tmp_path):
+def test_a_scene_of_other_machines_is_written_with_its_meshes_in_one_file(tmp_path):
     import mujoco
 
     grid = draw((3, 1, 2), [(Kind.BLOCK, (2, 0, 1))], [(0, 0, 1, 0), (1, 0, 1, 0)])
-    write_scene(tmp_path, grid, machines=Machines(cars=(SmartcarParameters(), HEAVY)))
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "site.xml"))
+    machines = Machines(cars=(SmartcarParameters(), HEAVY))
+    path = write_scene(tmp_path / "site.xml", WorldSpec(grid, SimulationConfig(), machines))
+    assert list(tmp_path.iterdir()) == [path]
+    model = mujoco.MjModel.from_xml_path(str(path))
     assert model.nbody == Site(grid).model.nbody
-    assert len(list((tmp_path / "meshes").glob("chassis*.obj"))) == 4, "body and trim of two kinds of car"
+    assert {model.mesh(i).name for i in range(model.nmesh)} >= {"car0/chassis", "car1/chassis", "block"}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from craftsim.discrete.drawing import car_colour
-from craftsim.models.parts import WHEELS
+from craftsim.mjcf.car import WHEELS
 from craftsim.rendering.plots.signals import CarSignals, Signals
 from craftsim.rendering.plots.style import dash, shade
 from craftsim.rendering.plots.timeline import Diagram, each_car, legend, limit, line

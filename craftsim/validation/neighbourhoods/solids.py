@@ -11,7 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from craftsim.mjcf.parameters import Machines
-from craftsim.models.parts import load_part
+from craftsim.models.composition import machine_spec
 from craftsim.models.placement import Placement
 
 Pose = NDArray[np.float64]
@@ -66,7 +66,7 @@ def figure_of(kind: str, machines: Machines) -> Figure:
 
     A wheel is the cylinder round its rollers. Visual geometry is left out, and a car is the first of the machines'.
     """
-    model = load_part(kind, machines).compile()
+    model = machine_spec(kind, machines, visual=False).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     root = model.body(kind).id
@@ -76,7 +76,7 @@ def figure_of(kind: str, machines: Machines) -> Figure:
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
         touches = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        if not touches or model.body(body).name.startswith("roller_"):
+        if not (body and touches) or model.body(body).name.startswith("roller_"):
             continue
         pose = base @ _transform(data.geom_xpos[geom], data.geom_xmat[geom])
         points = trimesh.transform_points(_mesh(model, geom).vertices, pose)

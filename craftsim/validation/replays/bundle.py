@@ -18,8 +18,11 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, check_recipe, do, run_up
 from craftsim.checking.judge import CheckedSite
 from craftsim.errors import InputError
-from craftsim.models.scene import write_scene
-from craftsim.models.world import Site
+from craftsim.models.composition import WorldSpec
+from craftsim.models.config import SimulationConfig
+from craftsim.models.exporting import write_scene
+from craftsim.models.randomization import Nominal
+from craftsim.models.site import Site
 from craftsim.report import versions
 from craftsim.skills.library import check_known
 from craftsim.storage import limits
@@ -153,7 +156,10 @@ def _write(folder: Path, bundle: Bundle, checked: CheckedSite, before: Arrays) -
     assert checked.log is not None
     checked.log.write(folder / CONTACTS)
     recipe = bundle.recipe
-    write_scene(folder / SCENE, recipe.grid, recipe.setup.simulation, recipe.goals, recipe.setup.machines)
+    config = recipe.setup.simulation or SimulationConfig.of(recipe.setup.machines.drive)
+    write_scene(
+        folder / SCENE / "site.xml", WorldSpec(recipe.grid, config, recipe.setup.machines, recipe.goals)
+    )
     # Written last, so that a folder with this file is a whole bundle.
     write_whole(folder / TEXT, _SCHEMA.text(bundle))
 

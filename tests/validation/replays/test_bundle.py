@@ -4,7 +4,6 @@ import io
 import json
 import zipfile
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 
 import av
@@ -250,17 +249,14 @@ def test_a_pickle_in_the_place_of_an_array_is_not_opened(copy):
         read_bundle(copy)
 
 
-def test_a_bundle_is_text_meshes_and_plain_arrays(folder):
+def test_a_bundle_is_text_and_plain_arrays(folder):
     paths = [path for path in folder.rglob("*") if path.is_file()]
-    assert {path.suffix for path in paths} == {".json", ".npz", ".csv", ".xml", ".obj"}
+    assert {path.suffix for path in paths} == {".json", ".npz", ".csv", ".xml"}
     for path in paths:
         if path.suffix == ".npz":
             with zipfile.ZipFile(path) as archive:
                 for name in archive.namelist():
                     np.load(io.BytesIO(archive.read(name)), allow_pickle=False)
-        elif path.suffix == ".obj":
-            shipped = resources.files("craftsim.mjcf") / "meshes" / path.name
-            assert path.read_bytes() == shipped.read_bytes()
         else:
             assert all(c.isprintable() or c in "\r\n" for c in path.read_text(encoding="utf-8"))
 

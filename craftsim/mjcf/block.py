@@ -1,0 +1,188 @@
+"""The block, a table that stacks, and that a smartcar can drive under and lift; flag and wall have its shape.
+
+Frame: origin on the floor under the centre, z up. A flag is carried like a block, but nothing may stand on it; a wall
+is an obstacle, bolted to the floor.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Final, Literal
+
+import mujoco
+import numpy as np
+
+from craftsim.mjcf.building import (
+    CORNERS,
+    SEAT,
+    SEEN,
+    SOLID_GROUP,
+    Box,
+    Frame,
+    add_body,
+    bevel,
+    digits,
+    friction,
+    geom_class,
+    impedance,
+    surface,
+    touching,
+    weighed,
+)
+from craftsim.mjcf.parameters import BlockParameters, Machines
+from craftsim.mjcf.solids import ClosedSolid, Mesh, add_mesh, box, loft, square, turned
+
+Table = Literal["block", "flag", "wall"]
+_RGB: Final[dict[Table, list[float]]] = {
+    "block": [0.93, 0.72, 0.35],
+    "flag": [0.88, 0.84, 0.76],
+    "wall": [0.42, 0.44, 0.47],
+}
+_TOP: Final = {
+    "block": ("trim", "block_trim", [0.45, 0.32, 0.20, 1.0]),
+    "flag": ("flag_visual", "flag", [0.80, 0.16, 0.20, 1.0]),
+}
+"""What a block and a flag have besides: geom, mesh and colour."""
+
+
+def add_block(
+    spec: mujoco.MjSpec,
+    prefix: str,
+    pose: Frame,
+    machines: Machines,
+    kind: Table = "block",
+    visual: bool = True,
+) -> None:
+    """Add a block, a flag or a wall to a spec.
+
+    Four legs and a deck over a frame of four bars, which leaves a pocket for a smartcar's boss; the deck's mass is
+    shared by volume. Legs end in round rubber feet at their outer corners: a foot touches in one point where a leg's
+    end would in four; it stands as wide and, with a contact stiffer by ``foot_stiffness_ratio``, as firm. The frame
+    stands on a board by its front and back bars; the other two, a little higher, add nothing to that support but
+    contacts to compute, and only stop the boss, by its bevel.
+
+    Args:
+        spec: of the world.
+        prefix: begins the names of all its parts.
+        pose: where it stands.
+        machines: the parameters.
+        kind: which of them; a wall does not move.
+        visual: whether it has what is only seen.
+    """
+    block, contact = machines.block, machines.contact
+    solid = geom_class(
+        spec,
+        kind,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        group=SOLID_GROUP,
+        rgba=[*_RGB[kind], 0.4],
+        **touching("things"),
+        **surface(contact, block.friction),
+    )
+    body = add_body(spec, pose, prefix + kind, free=kind != "wall")
+    if visual:
+        seen = geom_class(spec, f"{kind}_seen", solid, type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
+        shown = {"table_visual": ("block", [*_RGB[kind], 1.0])}
+        if kind in _TOP:
+            name, mesh, rgba = _TOP[kind]
+            shown[name] = (mesh, rgba)
+        for name, (mesh, rgba) in shown.items():
+            mesh = add_mesh(spec, mesh, meshes(block)[mesh])
+            body.add_geom(seen, name=prefix + name, meshname=mesh, rgba=rgba)
+    for name, part in _bars(block).items():
+        body.add_geom(solid, name=prefix + name, **part.geom)
+    rubber = geom_class(
+        spec,
+        f"{kind}_foot",
+        solid,
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[block.foot_radius_m, 0, 0],
+        mass=0,
+        friction=friction(contact, block.foot_friction),
+        priority=1,
+        solimp=impedance(contact, contact.foot_stiffness_ratio),
+    )
+    leg, foot = block.leg_offset_m, digits(block.side_m / 2 - block.foot_radius_m)
+    length, proud = block.underside_m - block.foot_proud_m, block.underside_m + block.foot_proud_m
+    half = digits((block.leg_side_m / 2, block.leg_side_m / 2, length / 2))
+    for corner, (x, y) in CORNERS.items():
+        place = [x * leg, y * leg, digits(proud / 2)]
+        body.add_geom(solid, name=f"{prefix}leg_{corner}", pos=place, size=half, mass=block.leg_mass_kg)
+        body.add_geom(rubber, name=f"{prefix}foot_{corner}", pos=[x * foot, y * foot, block.foot_radius_m])
+
+
+def _bars(block: BlockParameters) -> dict[str, Box]:
+    """Return deck and frame of a block by name."""
+    half, pocket = block.side_m / 2, block.pocket_side_m / 2
+    low, high = block.underside_m, block.underside_m + block.pocket_depth_m
+    relief = block.frame_relief_m
+    side = pocket - relief * bevel(SEAT)
+    boxes = {
+        "deck": Box.over((-half, half), (-half, half), (high, block.height_m)),
+        "frame_front": Box.over((pocket, half), (-half, half), (low, high)),
+        "frame_back": Box.over((-half, -pocket), (-half, half), (low, high)),
+        "frame_left": Box.over((-pocket, pocket), (side, half), (low + relief, high)),
+        "frame_right": Box.over((-pocket, pocket), (-half, -side), (low + relief, high)),
+    }
+    return weighed(boxes, block.deck_mass_kg / sum(part.volume for part in boxes.values()))
+
+
+@lru_cache(maxsize=4)
+def meshes(block: BlockParameters) -> dict[str, Mesh]:
+    """Return the meshes that are only seen, by name."""
+    return {name: Mesh.of(solids) for name, solids in looks(block).items()}
+
+
+def looks(block: BlockParameters) -> dict[str, list[ClosedSolid]]:
+    """Return the solids of the meshes that are only seen, by name; their origin is on the floor, in the middle."""
+    return {"block": _block(block), "block_trim": _block_trim(block), "flag": _flag(block)}
+
+
+def _block(p: BlockParameters) -> list[ClosedSolid]:
+    """Table: deck with a pocket under it, four legs, round seats on top; origin on the floor."""
+    bottom, top, half, leg = p.underside_m, p.height_m, p.side_m / 2, p.leg_side_m
+    bevel = 0.005
+    pocket = p.pocket_side_m + 0.0018
+    deck = loft(
+        [
+            square(pocket, bottom + p.pocket_depth_m),
+            square(pocket, bottom),
+            square(2 * (half - bevel), bottom),
+            square(2 * half, bottom + bevel),
+            square(2 * half, top - bevel),
+            square(2 * (half - bevel), top),
+        ]
+    )
+    foot = loft([square(leg - 0.006, 0.0), square(leg, 0.003), square(leg, bottom + 0.001)])
+    low, high = top - 0.001, top + 0.0006
+    ring = [[0.0085, low], [0.0115, low], [0.0112, high], [0.0088, high], [0.0085, low]]
+    seat = turned(ring, 20, about_y=False)
+    corners = [(x, y) for x in (-p.leg_offset_m, p.leg_offset_m) for y in (-p.leg_offset_m, p.leg_offset_m)]
+    return [deck, *(foot.moved(x, y) for x, y in corners), *(seat.moved(x, y) for x, y in corners)]
+
+
+def _block_trim(p: BlockParameters) -> list[ClosedSolid]:
+    """Plates on the block's four flanks, 0.5 mm proud: a second colour over the block."""
+    parts = []
+    half = p.side_m / 2
+    for quarter in range(4):
+        panel = box(
+            (half - 0.002, half + 0.0005),
+            (0.040 - half, half - 0.040),
+            (p.underside_m + 0.0165, p.height_m - 0.017),
+        )
+        parts.append(panel.rolled(quarter * np.pi / 2))
+    return parts
+
+
+def _flag(p: BlockParameters) -> list[ClosedSolid]:
+    """Pole and pennant standing on a block's deck; origin on the floor, at the block's middle."""
+    pole = [[0.0, 0.0], [0.018, 0.0], [0.018, 0.003], [0.0045, 0.006], [0.0035, 0.158], [0.006, 0.161]]
+    rod = turned([*pole, [0.006, 0.165], [0.0, 0.168]], 14, about_y=False)
+    rings = []
+    for along in np.linspace(0.0, 1.0, 9):
+        wave = 0.006 * np.sin(2 * np.pi * 1.1 * along) * along
+        half = 0.034 * (1 - 0.92 * along)
+        corners = [(-0.0008, -half), (0.0008, -half), (0.0008, half), (-0.0008, half)]
+        rings.append(np.array([[0.002 + 0.105 * along, wave + y, 0.118 + z] for y, z in corners]))
+    return [part.moved(z=p.height_m) for part in (rod, loft(rings))]

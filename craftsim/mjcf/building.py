@@ -1,0 +1,172 @@
+"""What the builders of all machines share: poses, what touches what and how, and numbers as an MJCF file has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from craftsim.mjcf.parameters import ContactParameters, SmartcarParameters
+
+Point = tuple[float, float, float]
+
+TOUCHES: Final = {
+    "things": (1, 7),
+    "wheels": (2, 0),
+    "hulls": (4, 13),
+    "guards": (8, 12),
+    "seen": (0, 0),
+}
+"""What touches what: the bits (contype, conaffinity) of each kind of surface. Things are the floor and all that stands
+on it. Wheels, and the rollers of wheels, touch things; hulls touch things, other cars' hulls and guards; guards, the
+envelopes of wheels, stand in for wheels between cars. What is only seen touches nothing."""
+SOLID_GROUP, SEEN_GROUP = 3, 2
+"""MuJoCo's viewer shows geoms of the second group, and not those of the first unless asked to."""
+CORNERS: Final = {"fl": (1, 1), "fr": (1, -1), "rl": (-1, 1), "rr": (-1, -1)}
+"""Of a car or a block: front or rear, left or right, and the signs of x and y."""
+SEAT: Final = SmartcarParameters()
+"""Board and boss of every car, for which blocks and slopes are made: these parameters cannot be changed."""
+
+
+class Frame(NamedTuple):
+    """Where a machine's frame stands."""
+
+    position: ArrayLike = (0.0, 0.0, 0.0)
+    """(3,) metres, world."""
+    quaternion: ArrayLike = (1.0, 0.0, 0.0, 0.0)
+    """(4,) unit quaternion w, x, y, z."""
+
+
+def digits(values: float | Iterable[float]) -> Any:
+    """Return numbers that follow from parameters to ten digits: what sums and products add beyond is not theirs."""
+    if isinstance(values, int | float):
+        return float(f"{values:.10g}") + 0.0
+    return [digits(value) for value in values]
+
+
+def micro(values: float | Iterable[float]) -> Any:
+    """Return masses, inertias or coordinates to a milligram, 1e-6 kg m^2 or a micrometre."""
+    if isinstance(values, int | float):
+        return round(values, 6) + 0.0
+    return [micro(value) for value in values]
+
+
+def friction(contact: ContactParameters, sliding: float) -> list[float]:
+    """Return a surface's coefficients of sliding, torsional and rolling friction."""
+    return [sliding, contact.torsional_friction_m, contact.rolling_friction_m]
+
+
+def softness(contact: ContactParameters) -> list[float]:
+    """Return time constant and damping ratio of contacts, MuJoCo's solref."""
+    return [contact.time_constant_s, contact.damping_ratio]
+
+
+def impedance(contact: ContactParameters, stiffness: float = 1.0) -> list[float]:
+    """Return the impedance, MuJoCo's solimp, of contacts that are as many times as stiff as the others."""
+    # A contact of impedance d is as stiff as d / (1 - d).
+    low, high = (
+        round(stiffness * d / (1 - d + stiffness * d), 4)
+        for d in (contact.impedance_min, contact.impedance_max)
+    )
+    return [low, high, contact.impedance_depth_m, 0.5, 2.0]
+
+
+def surface(contact: ContactParameters, sliding: float) -> dict[str, Any]:
+    """Return the attributes of a geom with a sliding friction."""
+    return {
+        "friction": friction(contact, sliding),
+        "solref": softness(contact),
+        "solimp": impedance(contact),
+    }
+
+
+def touching(kind: str) -> dict[str, int]:
+    """Return the attributes of a geom that touches what its kind in TOUCHES does."""
+    contype, conaffinity = TOUCHES[kind]
+    return {"contype": contype, "conaffinity": conaffinity}
+
+
+SEEN: Final = {**touching("seen"), "mass": 0, "group": SEEN_GROUP}
+"""The attributes of a geom that is only seen."""
+
+
+def dry_friction(contact: ContactParameters) -> dict[str, Any]:
+    """Return the attributes of a joint with dry friction."""
+    impedance, width = contact.joint_impedance, contact.joint_impedance_width
+    return {
+        "solref_friction": softness(contact),
+        "solimp_friction": [impedance, impedance, width, 0.5, 2.0],
+    }
+
+
+def geom_class(
+    spec: mujoco.MjSpec, name: str, parent: mujoco.MjsDefault | None = None, **geom: Any
+) -> mujoco.MjsDefault:
+    """Return a class of geoms of a spec, which is made unless it is there; a world has one for equal machines."""
+    found = spec.find_default(name)
+    if found is None:
+        found = spec.add_default(name, parent or spec.default)
+        for attribute, value in geom.items():
+            setattr(found.geom, attribute, value)
+    return found
+
+
+def add_body(spec: mujoco.MjSpec, pose: Frame, name: str, free: bool = True) -> mujoco.MjsBody:
+    """Return a new body of the world at a pose, fixed or free to move; its free joint bears its name."""
+    position, quaternion = (np.asarray(part, float) + 0.0 for part in pose)
+    body = spec.worldbody.add_body(name=name, pos=position, quat=quaternion)
+    if free:
+        body.add_freejoint(name=name)
+    return body
+
+
+def set_inertia(body: mujoco.MjsBody, height_m: float, mass_kg: float, inertia_kgm2: Point) -> None:
+    """Give a body its mass and its inertia about a centre of mass at a height on its z axis."""
+    body.explicitinertial = True
+    body.mass, body.ipos, body.inertia = digits(mass_kg), digits((0.0, 0.0, height_m)), micro(inertia_kgm2)
+
+
+def both(limit: float) -> list[float]:
+    """Return the range from minus to plus a limit."""
+    return [-limit, limit]
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box: its centre, its half sizes and its mass."""
+
+    centre: Point
+    half: Point
+    mass: float = 0.0
+
+    @classmethod
+    def over(cls, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Box:
+        """Return the box over three intervals."""
+        spans = (x, y, z)
+        centre, half = ([(a + b) / 2 for a, b in spans], [(b - a) / 2 for a, b in spans])
+        return cls((centre[0], centre[1], centre[2]), (half[0], half[1], half[2]))
+
+    @property
+    def volume(self) -> float:
+        """Volume in cubic metres."""
+        return 8 * math.prod(self.half)
+
+    @property
+    def geom(self) -> dict[str, Any]:
+        """The attributes of a box geom."""
+        return {"pos": digits(self.centre), "size": digits(self.half), "mass": micro(self.mass)}
+
+
+def bevel(car: SmartcarParameters) -> float:
+    """Return by how much a boss narrows on each side per metre of its height."""
+    return (car.boss_side_m - car.boss_top_side_m) / 2 / car.boss_height_m
+
+
+def weighed(boxes: dict[str, Box], density: float) -> dict[str, Box]:
+    """Return boxes by name with the masses that a density in kg/m^3 gives them."""
+    return {name: Box(box.centre, box.half, density * box.volume) for name, box in boxes.items()}

@@ -1,0 +1,554 @@
+"""The mecanum smartcar with a lifting board, on either drive.
+
+Frame: origin on the floor between the wheels, x forward, y left, z up. Seen from above the upper rollers point at the
+car's centre (X arrangement). On ``rollers`` the only drive is the friction of forty free rollers, turned by four wheel
+motors. On ``reduced`` four frictionless spheres carry the car, and its motors push it as ideally rolling mecanum wheels
+would, no harder than their grip allows (craftsim/models/grip.py).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from craftsim.discrete.drawing import car_colour
+from craftsim.mjcf.building import (
+    CORNERS,
+    SEEN,
+    SEEN_GROUP,
+    SOLID_GROUP,
+    Frame,
+    Point,
+    add_body,
+    both,
+    digits,
+    dry_friction,
+    friction,
+    geom_class,
+    set_inertia,
+    surface,
+    touching,
+)
+from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
+from craftsim.mjcf.solids import (
+    ClosedSolid,
+    Mesh,
+    Ring,
+    add_hull,
+    add_mesh,
+    between,
+    box,
+    loft,
+    rectangle,
+    second_moments,
+    square,
+    turned,
+)
+
+WHEELS: Final = tuple(f"wheel_{corner}" for corner in CORNERS)
+"""Order of everything that is given per wheel: front left, front right, rear left, rear right."""
+BRISTLES: Final = (200.0, 0.5)
+"""Stiffness (Nm/rad) and damping (Nms/rad) of the dry friction of the reduced drive's gears: a loaded car on the slope
+gives way by 0.1 mm before it holds, without swinging."""
+STRIBECK_RAD_S: Final = 0.1
+"""Without effect while friction at rest is that of motion."""
+_ROLLER_GAP_M: Final = 0.0002
+"""What comes so near to a roller is listed as a contact before it touches (craftsim/models/bearings.py)."""
+_WELL_GAP_M: Final = 0.0034
+"""Between a wheel and its well."""
+_BLACK: Final = [0.13, 0.13, 0.14, 1.0]
+_HUB_RGBA: Final = [0.30, 0.31, 0.33, 1.0]
+
+
+@dataclass(frozen=True)
+class WholeCar:
+    """Chassis and wheels of the reduced drive in one, and how its motors push it."""
+
+    mass_kg: float
+    centre_m: float
+    """Height of the centre of mass above the floor."""
+    inertia_kgm2: Point
+    """About that centre."""
+    spin_kgm2: float
+    """Of a wheel and its motor about the axle."""
+    armature: tuple[float, ...]
+    """What the wheels' spin adds to the car's inertia: to its mass along x, y and z, and about its own x, y and z."""
+    gears: tuple[tuple[float, ...], ...]
+    """By wheel, in the order of WHEELS: what a twist of the car at its origin, on the floor, turns the wheel by."""
+    lugre: tuple[float, ...]
+    """Stiffness, damping, Coulomb and static friction and Stribeck speed of a gear, as MuJoCo's DC motor takes them."""
+
+    @classmethod
+    def of(cls, car: SmartcarParameters) -> WholeCar:
+        """Return a car without its board."""
+        mass = car.chassis_mass_kg + 4 * car.wheel_mass_kg
+        centre = car.wheel_radius_m + car.chassis_mass_kg * car.chassis_com_m / mass
+        radius, lever = car.wheel_radius_m, car.turn_radius_m
+        spin = car.wheel_spin_inertia_kgm2 + car.wheel_armature_kgm2
+        added = 4 * spin / radius**2
+        armature = (added, added, 0.0, 0.0, 0.0, added * lever**2)
+        signs = ((-1, -1), (1, 1), (1, -1), (-1, 1))
+        gears = tuple((1 / radius, y / radius, 0.0, 0.0, 0.0, z * lever / radius) for y, z in signs)
+        dry = car.gear_friction_nm
+        lugre = (*BRISTLES, dry, dry, STRIBECK_RAD_S)
+        return cls(mass, centre, _inertia(car, centre), spin, armature, gears, lugre)
+
+
+def _inertia(car: SmartcarParameters, centre_m: float) -> Point:
+    """Return the inertia of chassis and wheels about their common centre."""
+    x, y, z = _chassis_inertia(car)
+    wheel, radius = car.wheel_mass_kg, car.wheel_radius_m
+    tumble = wheel * (3 * radius**2 + car.wheel_width_m**2) / 12
+    up = (
+        car.chassis_mass_kg * (radius + car.chassis_com_m - centre_m) ** 2
+        + 4 * wheel * (radius - centre_m) ** 2
+    )
+    along, across = 4 * wheel * car.wheel_x_m**2, 4 * wheel * car.wheel_y_m**2
+    return (
+        x + up + 4 * tumble + across,
+        y + up + 4 * car.wheel_spin_inertia_kgm2 + along,
+        z + 4 * tumble + along + across,
+    )
+
+
+def _chassis_inertia(car: SmartcarParameters) -> Point:
+    """Return the inertia of the chassis about its centre: that of its solid hull."""
+    half, cut = car.chassis_length_m / 2, car.chassis_chamfer_m
+    bottom, top = car.chassis_bottom_m, car.chassis_top_m
+    outline = [
+        (-half, bottom + cut),
+        (cut - half, bottom),
+        (half - cut, bottom),
+        (half, bottom + cut),
+        (half, top),
+        (-half, top),
+    ]
+    _, xx, zz = second_moments(outline)
+    yy = car.chassis_width_m**2 / 12
+    m = car.chassis_mass_kg
+    return m * (yy + zz), m * (xx + zz), m * (xx + yy)
+
+
+def _hub_inertia(car: SmartcarParameters) -> Point:
+    """Return the inertia of a wheel without its rollers: a solid cylinder about y, less its rollers at their places.
+
+    A roller is an ellipsoid at 45 degrees to the axle.
+    """
+    n, m, radius = car.rollers_per_wheel, car.roller_mass_kg, car.wheel_radius_m
+    along = 0.4 * m * car.roller_radius_m**2
+    across = 0.2 * m * (car.roller_radius_m**2 + car.roller_half_length_m**2)
+    offset = m * (radius - car.roller_radius_m) ** 2
+    about_axle = (along + across) / 2
+    spin = car.wheel_spin_inertia_kgm2 - n * (about_axle + offset)
+    cylinder = car.wheel_mass_kg * (3 * radius**2 + car.wheel_width_m**2) / 12
+    tumble = cylinder - n * ((along + 2 * across - about_axle) + offset) / 2
+    return tumble, spin, tumble
+
+
+def _levels(*rings: Point) -> list[Point]:
+    """Return the corners of level rectangles about the z axis: half length, half width and height of each."""
+    return [(sx * x, sy * y, z) for x, y, z in rings for sx in (-1, 1) for sy in (-1, 1)]
+
+
+def _hull(car: SmartcarParameters) -> list[Point]:
+    """Return the corners of the chassis with its chamfered lower edges, over the floor."""
+    half, side, cut = car.chassis_length_m / 2, car.chassis_width_m / 2, car.chassis_chamfer_m
+    bottom, top = (car.wheel_radius_m + z for z in (car.chassis_bottom_m, car.chassis_top_m))
+    return _levels((half, side, bottom + cut), (half, side, top), (half - cut, side, bottom))
+
+
+def _boss(car: SmartcarParameters) -> list[Point]:
+    """Return the corners of the bevelled boss, over the board's upper face, on which it stands 1 mm deep."""
+    foot, top = car.boss_side_m / 2, car.boss_top_side_m / 2
+    return _levels((foot, foot, -0.001), (foot, foot, 0.0), (top, top, car.boss_height_m))
+
+
+def add_car(
+    spec: mujoco.MjSpec, prefix: str, pose: Frame, machines: Machines, number: int = 0, visual: bool = True
+) -> None:
+    """Add a smartcar to a spec.
+
+    Args:
+        spec: of the world.
+        prefix: begins the names of all its parts.
+        pose: where it stands.
+        machines: the parameters, of contacts and the drive, too.
+        number: of the car: decides its own parameters and its colour.
+        visual: whether it has what is only seen, and its camera.
+    """
+    building = _Building(spec, prefix, machines.car(number), machines.contact, visual)
+    body = add_body(spec, pose, f"{prefix}smartcar")
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
+    building.add_chassis(body, [*car_colour(number), 1.0])
+    if machines.drive == "rollers":
+        building.add_rollers(body)
+    else:
+        building.add_spheres(body)
+    building.add_board(body)
+
+
+class _Building:
+    """A car that is being added to a spec."""
+
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        prefix: str,
+        car: SmartcarParameters,
+        contact: ContactParameters,
+        visual: bool,
+    ) -> None:
+        self._spec, self._prefix, self._car, self._contact, self._visual = spec, prefix, car, contact, visual
+        self._solid = geom_class(
+            spec,
+            f"{prefix}smartcar",
+            group=SOLID_GROUP,
+            rgba=[0.75, 0.25, 0.25, 0.4],
+            **touching("hulls"),
+            **surface(contact, car.chassis_friction),
+        )
+
+    def _class(self, name: str, **geom: Any) -> mujoco.MjsDefault:
+        return geom_class(self._spec, f"{self._prefix}{name}", self._solid, **geom)
+
+    def _show(self, body: mujoco.MjsBody, name: str, mesh: str, rgba: list[float], **where: Any) -> None:
+        """Add a mesh that is only seen, where such are wanted."""
+        if self._visual:
+            seen = self._class("seen", type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
+            mesh = add_mesh(self._spec, f"{self._prefix}{mesh}", meshes(self._car)[mesh])
+            body.add_geom(seen, name=f"{self._prefix}{name}", meshname=mesh, rgba=rgba, **where)
+
+    def _add_guard(self, body: mujoco.MjsBody, corner: str, **where: Any) -> None:
+        car = self._car
+        guard = self._class(
+            "guard",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[*digits((car.wheel_radius_m, car.wheel_width_m / 2)), 0],
+            mass=0,
+            **touching("guards"),
+        )
+        body.add_geom(guard, name=f"{self._prefix}guard_{corner}", zaxis=[0, 1, 0], **where)
+
+    def _places(self) -> Iterator[tuple[str, int, list[float]]]:
+        """Yield of each wheel its corner, the side to which its rollers turn, and its place."""
+        car = self._car
+        for corner, (x, y) in CORNERS.items():
+            yield corner, x * y, [x * car.wheel_x_m, y * car.wheel_y_m, car.wheel_radius_m]
+
+    def add_chassis(self, body: mujoco.MjsBody, rgba: list[float]) -> None:
+        """Add the hull, without mass of its own, what a chassis of a colour looks like, and the camera in its nose."""
+        car, prefix = self._car, self._prefix
+        hull = add_hull(self._spec, f"{prefix}hull", _hull(car))
+        body.add_geom(
+            self._solid, name=f"{prefix}hull", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=hull, mass=0
+        )
+        axles = [0, 0, car.wheel_radius_m]
+        self._show(body, "chassis_visual", "chassis", rgba, pos=axles)
+        self._show(body, "chassis_trim", "chassis_trim", [0.95, 0.95, 0.98, 1.0], pos=axles)
+        if self._visual:
+            nose, pitch = car.chassis_length_m / 2 + car.camera_proud_m, car.camera_pitch_rad
+            body.add_camera(
+                name=f"{prefix}front",
+                pos=digits((nose, 0.0, car.wheel_radius_m + car.camera_z_m)),
+                xyaxes=digits((0.0, -1.0, 0.0, -math.sin(pitch), 0.0, math.cos(pitch))),
+                fovy=digits(math.degrees(car.camera_fovy_rad)),
+            )
+
+    def add_rollers(self, body: mujoco.MjsBody) -> None:
+        """Add the chassis' mass, and four wheels of free rollers with their motors."""
+        spec, prefix, car = self._spec, self._prefix, self._car
+        # Inertia of the solid hull about its own centre, at the centre of mass.
+        set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car))
+        roller = self._class(
+            "roller",
+            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+            size=[car.roller_radius_m, car.roller_radius_m, car.roller_half_length_m],
+            mass=car.roller_mass_kg,
+            group=SEEN_GROUP,
+            gap=_ROLLER_GAP_M,
+            friction=friction(self._contact, car.roller_friction),
+            rgba=_BLACK,
+            **touching("wheels"),
+        )
+        dry, out = dry_friction(self._contact), digits(car.roller_radius_m - car.wheel_radius_m)
+        for corner, side, place in self._places():
+            name = f"{prefix}wheel_{corner}"
+            wheel = body.add_body(name=name, pos=place)
+            mass = digits(car.wheel_mass_kg - car.rollers_per_wheel * car.roller_mass_kg)
+            set_inertia(wheel, 0.0, mass, _hub_inertia(car))
+            # Self-locking gear: its dry friction holds a loaded car on the slope without power.
+            wheel.add_joint(
+                name=name,
+                axis=[0, 1, 0],
+                frictionloss=car.gear_friction_nm,
+                damping=[car.wheel_damping_nms_rad, 0, 0],
+                armature=car.wheel_armature_kgm2,
+                **dry,
+            )
+            self._show(wheel, f"hub_{corner}", "wheel_hub", _HUB_RGBA)
+            self._add_guard(wheel, corner)
+            for number in range(car.rollers_per_wheel):
+                name = f"{prefix}roller_{corner}{number:02}"
+                spoke = wheel.add_frame(euler=[0, number * digits(math.tau / car.rollers_per_wheel), 0])
+                bearing = spoke.add_body(name=name, pos=[0, 0, out], zaxis=[1, -side, 0])
+                # A plain bearing: without its dry friction a car perched on two rollers would roll away.
+                bearing.add_joint(
+                    name=name,
+                    axis=[0, 0, 1],
+                    damping=[car.roller_damping_nms_rad, 0, 0],
+                    frictionloss=car.roller_bearing_friction_nm,
+                    **dry,
+                )
+                bearing.add_geom(roller, name=name)
+        for wheel in WHEELS:
+            target = {"target": prefix + wheel, "trntype": mujoco.mjtTrn.mjTRN_JOINT}
+            self._add_wheel_motor(spec.add_actuator(name=prefix + wheel, **target))
+
+    def _add_wheel_motor(self, motor: mujoco.MjsActuator) -> None:
+        car = self._car
+        motor.set_to_velocity(kv=car.wheel_gain_nms_rad)
+        motor.ctrlrange, motor.forcerange = both(car.wheel_speed_rad_s), both(car.wheel_torque_nm)
+
+    def add_spheres(self, body: mujoco.MjsBody) -> None:
+        """Add the mass of chassis and wheels, four spheres, and the motors and gears of wheels."""
+        spec, prefix, car = self._spec, self._prefix, self._car
+        whole = WholeCar.of(car)
+        set_inertia(body, whole.centre_m, whole.mass_kg, whole.inertia_kgm2)
+        body.add_site(name=f"{prefix}smartcar")
+        # By its priority no contact of a wheel has friction; the coefficient is that of its grip.
+        sphere = self._class(
+            "wheel",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[car.wheel_radius_m, 0, 0],
+            mass=0,
+            condim=1,
+            priority=1,
+            friction=friction(self._contact, car.roller_friction),
+            **touching("wheels"),
+        )
+        for corner, _, place in self._places():
+            self._show(body, f"hub_{corner}", "wheel_hub", _HUB_RGBA, pos=place)
+            if self._visual:
+                body.add_geom(
+                    self._solid,
+                    name=f"{prefix}tyre_{corner}",
+                    type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+                    size=[*digits((0.97 * car.wheel_radius_m, car.wheel_width_m / 2)), 0],
+                    pos=place,
+                    zaxis=[0, 1, 0],
+                    rgba=_BLACK,
+                    **SEEN,
+                )
+            self._add_guard(body, corner, pos=place)
+            body.add_geom(sphere, name=f"{prefix}wheel_{corner}", pos=place)
+        # A twist of the car times its gear is the speed of a wheel that rolls without slip.
+        on_car = {"target": f"{prefix}smartcar", "trntype": mujoco.mjtTrn.mjTRN_SITE}
+        gears = [digits(gear) for gear in whole.gears]
+        for wheel, gear in zip(WHEELS, gears, strict=True):
+            self._add_wheel_motor(spec.add_actuator(name=prefix + wheel, gear=gear, **on_car))
+        # Self-locking gears: their dry friction, by bristles that give way a little (LuGre), holds a loaded car on the
+        # slope without power. The motor behind it has no power of its own.
+        for wheel, gear in zip(WHEELS, gears, strict=True):
+            lock = spec.add_actuator(name=prefix + wheel.replace("wheel", "gear"), gear=gear, **on_car)
+            lock.set_to_dcmotor(motorconst=[1e-3, 1e-3], resistance=1e3, lugre=whole.lugre)
+
+    def add_board(self, body: mujoco.MjsBody) -> None:
+        """Add the board, whose frame is the upper face of its plate, and its motor."""
+        prefix, car = self._prefix, self._car
+        name = f"{prefix}board"
+        board = body.add_body(name=name, pos=digits((0.0, 0.0, car.board_rest_m)))
+        board.add_joint(
+            name=name,
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=[0, 0, 1],
+            range=[0, car.board_travel_m],
+            armature=car.board_armature_kg,
+            damping=[car.board_damping_ns_m, 0, 0],
+            frictionloss=car.screw_friction_n,
+        )
+        facing = self._class(
+            "board", friction=friction(self._contact, car.board_friction), rgba=[0.85, 0.85, 0.83, 0.4]
+        )
+        half = car.board_length_m / 2, car.board_width_m / 2, car.board_thickness_m / 2
+        board.add_geom(
+            facing,
+            name=f"{prefix}plate",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[0, 0, -digits(half[2])],
+            size=digits(half),
+            mass=car.board_mass_kg,
+        )
+        board.add_geom(
+            facing,
+            name=f"{prefix}boss",
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=add_hull(self._spec, f"{prefix}boss", _boss(car)),
+            mass=0,
+            friction=friction(self._contact, car.boss_friction),
+        )
+        self._show(board, "board_visual", "board", [0.85, 0.85, 0.83, 1.0])
+        self._show(board, "board_pads", "board_pads", [0.15, 0.15, 0.15, 1.0])
+        self._show(board, "lift_post", "lift_post", [0.50, 0.52, 0.55, 1.0])
+        # A lead screw: the command is a speed, the drive holds the height it has reached.
+        screw = self._spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        screw.set_to_intvelocity(kp=car.board_stiffness_n_m, kv=car.board_gain_ns_m)
+        screw.ctrlrange, screw.forcerange = both(car.board_speed_m_s), both(car.board_force_n)
+        screw.actrange = [0, car.board_travel_m]
+
+
+@lru_cache(maxsize=16)
+def meshes(car: SmartcarParameters) -> dict[str, Mesh]:
+    """Return the meshes that are only seen, by name."""
+    return {name: Mesh.of(solids) for name, solids in looks(car).items()}
+
+
+def looks(car: SmartcarParameters) -> dict[str, list[ClosedSolid]]:
+    """Return the solids of the meshes that are only seen, by name.
+
+    The chassis and its trim have their origin on the axle line, midway; a hub in its middle; board, pads and post in
+    the middle of the plate's upper face.
+    """
+    return {
+        "chassis": _chassis(car),
+        "chassis_trim": _chassis_trim(car),
+        "wheel_hub": _wheel_hub(car),
+        "board": _board(car),
+        "board_pads": _board_pads(car),
+        "lift_post": _lift_post(car),
+    }
+
+
+def _well_radius(car: SmartcarParameters) -> float:
+    return car.wheel_radius_m + _WELL_GAP_M
+
+
+def _well_inner_y(car: SmartcarParameters) -> float:
+    """Return where the wells begin: just inside the wheels' inner faces."""
+    return car.wheel_y_m - car.wheel_width_m / 2 - 0.0025
+
+
+def _chassis(car: SmartcarParameters) -> list[ClosedSolid]:
+    """Body with wheel arches and a bumper at either end; origin on the axle line, midway."""
+    bottom, top = car.chassis_bottom_m, car.chassis_top_m
+    half, inner_y, chamfer = car.chassis_length_m / 2, _well_inner_y(car), car.chassis_chamfer_m
+    bumper, bevel = 0.002, 0.004
+
+    def level(half_x: float, half_y: float, z: float) -> Ring:
+        return rectangle((-half_x, half_x), (-half_y, half_y), z)
+
+    nose = half - bumper
+    body = loft(
+        [
+            level(nose - chamfer, inner_y, bottom),
+            level(nose, inner_y, bottom + chamfer),
+            level(nose, inner_y, top - bevel),
+            level(nose - bevel, inner_y, top),
+        ]
+    )
+    strip = half - 0.006
+    strips = [
+        box((side * strip - 0.006, side * strip + 0.006), (-0.056, 0.056), (0.004, 0.022), bumper)
+        for side in (-1, 1)
+    ]
+    return [body, *strips, *_arches(car)]
+
+
+def _arches(car: SmartcarParameters) -> list[ClosedSolid]:
+    """What is left of the chassis beside the wheels: a column between them and a corner above each."""
+    bottom, top, well, axle = car.chassis_bottom_m, car.chassis_top_m, _well_radius(car), car.wheel_x_m
+    low = min(0.0, bottom)
+    heights = np.array([low, 0.75 * low, 0.375 * low, 0.0, 0.3 * top, 0.5 * top, 0.7 * top, 0.88 * top, top])
+    half_well = np.sqrt(np.maximum(well**2 - heights**2, 0.0))
+    column_half = np.maximum(axle - half_well, 0.001)
+    parts = []
+    end = car.chassis_length_m / 2 - 0.001
+    corner_z = np.array([0.37 * top, 0.52 * top, 0.7 * top, 0.88 * top, top])
+    corner_start = axle + np.sqrt(np.maximum(well**2 - corner_z**2, 0.0))
+    inside = corner_start < end + 0.001
+    for y in (
+        (-car.chassis_width_m / 2, -_well_inner_y(car)),
+        (_well_inner_y(car), car.chassis_width_m / 2),
+    ):
+        parts.append(loft([rectangle((-h, h), y, z) for h, z in zip(column_half, heights, strict=True)]))
+        for side in (-1, 1):
+            rings = [
+                rectangle((start, end) if side > 0 else (-end, -start), y, z)
+                for start, z in zip(corner_start[inside], corner_z[inside], strict=True)
+            ]
+            if len(rings) > 1:
+                parts.append(loft(rings))
+    return parts
+
+
+def _chassis_trim(car: SmartcarParameters) -> list[ClosedSolid]:
+    """Lamps at the front and a stripe on each flank: a second colour over the chassis."""
+    front, half_y, top = car.chassis_length_m / 2, car.chassis_width_m / 2, car.chassis_top_m
+    lamps = [
+        box((front - 0.010, front - 0.0012), (y - 0.011, y + 0.011), (top - 0.022, top - 0.010), 0.002)
+        for y in (-0.042, 0.042)
+    ]
+    flanks = [
+        box((-0.036, 0.036), (y - 0.0004, y + 0.0004), (top - 0.0095, top - 0.0035))
+        for y in (-half_y, half_y)
+    ]
+    return [*lamps, *flanks]
+
+
+def _wheel_hub(car: SmartcarParameters) -> list[ClosedSolid]:
+    """Two spoked side plates and the axle boss of a mecanum wheel about the y axis."""
+    half = car.wheel_width_m / 2
+    rim = car.wheel_radius_m - 0.0111
+    bevelled = half - 0.0015
+    parts = [
+        turned(
+            [[0, -half], [0.010, -half], [0.0115, -bevelled], [0.0115, bevelled], [0.010, half], [0, half]],
+            16,
+        )
+    ]
+    for y in (-1, 1):
+        inner, outer = between(y * (half - 0.004), y * (half - 0.0007))
+        hub = rim - 0.010
+        parts.append(turned([[hub, inner], [rim, inner], [rim, outer], [hub, outer], [hub, inner]], 30))
+        for angle in np.arange(5) * (2 * np.pi / 5):
+            spoke = box((0.009, rim - 0.0085), (inner, outer), (-0.0035, 0.0035))
+            parts.append(spoke.rolled(angle, about_y=True))
+    return parts
+
+
+def _board(car: SmartcarParameters) -> list[ClosedSolid]:
+    """Lifting plate with the boss that seats in what it lifts; origin at the middle of the plate's top."""
+    half_x, half_y, thickness = car.board_length_m / 2, car.board_width_m / 2, car.board_thickness_m
+    plate = box((-half_x, half_x), (-half_y, half_y), (-thickness, 0.0), min(0.001, thickness / 3))
+    foot, top = car.boss_side_m, car.boss_top_side_m
+    boss = loft([square(foot, -0.001), square(foot, 0.0), square(top, car.boss_height_m)])
+    return [plate, boss]
+
+
+def _board_pads(car: SmartcarParameters) -> list[ClosedSolid]:
+    """Rubber strips along the edges of the lifting plate and across its boss, 0.6 mm proud."""
+    x_edge, y_edge, y_boss = (
+        car.board_length_m / 2 - 0.017,
+        car.board_width_m / 2 - 0.008,
+        car.boss_side_m / 2 - 0.009,
+    )
+    edge = [box((x - 0.009, x + 0.009), (-y_edge, y_edge), (-0.001, 0.0006)) for x in (-x_edge, x_edge)]
+    height = car.boss_height_m
+    boss = [
+        box((x - 0.006, x + 0.006), (-y_boss, y_boss), (height - 0.002, height + 0.0006))
+        for x in (-0.030, 0.0, 0.030)
+    ]
+    return [*edge, *boss]
+
+
+def _lift_post(car: SmartcarParameters) -> list[ClosedSolid]:
+    """Column under the lifting plate that slides in the chassis, 7 mm longer than the board's travel."""
+    bottom = -car.board_travel_m - 0.007
+    post = box((-0.020, 0.020), (-0.020, 0.020), (bottom, -0.002))
+    ribs = [box((-0.026, 0.026), (y - 0.003, y + 0.003), (bottom, -0.002)) for y in (-0.012, 0.012)]
+    return [post, *ribs]

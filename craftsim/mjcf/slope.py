@@ -1,0 +1,419 @@
+"""The slope, a ramp that folds into a box: a hollow base, and a wedge, the flap, on a motorised hinge.
+
+Frame: origin on the floor under the centre of the base, x downhill, z up. At hinge angle 0 the flap lies on the floor
+in the next cell and continues the incline (16 degrees); at pi it lies upside down on the base and the top is level.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from craftsim.mjcf.building import (
+    SEAT,
+    SEEN,
+    SEEN_GROUP,
+    SOLID_GROUP,
+    Box,
+    Frame,
+    Point,
+    add_body,
+    bevel,
+    both,
+    digits,
+    geom_class,
+    micro,
+    softness,
+    surface,
+    touching,
+    weighed,
+)
+from craftsim.mjcf.parameters import Machines, SlopeParameters
+from craftsim.mjcf.solids import (
+    ClosedSolid,
+    Mesh,
+    Outline,
+    Ring,
+    add_hull,
+    add_mesh,
+    between,
+    loft,
+    plate_xz,
+    second_moments,
+    turned,
+)
+
+_LIP_M: Final = 0.001
+"""Thickness of the flap's edge."""
+_TEETH: Final = 18
+_GEAR_ROOT: Final = 0.86
+"""Radius between a gear's teeth, over that of their tips."""
+_WORM_POINTS, _WORM_RINGS = 12, 8
+"""Of a ring, and rings in a turn of the thread."""
+_SIDES: Final = {"left": 1, "right": -1}
+_DARK: Final = [0.25, 0.27, 0.30, 1.0]
+
+
+def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Frame, machines: Machines, visual: bool = True) -> None:
+    """Add a slope to a spec.
+
+    Args:
+        spec: of the world.
+        prefix: begins the names of all its parts.
+        pose: where it stands.
+        machines: the parameters.
+        visual: whether it has what is only seen.
+    """
+    slope, contact = machines.slope, machines.contact
+    solid = geom_class(
+        spec,
+        "slope",
+        group=SOLID_GROUP,
+        rgba=[0.35, 0.55, 0.75, 0.4],
+        **touching("things"),
+        **surface(contact, slope.friction),
+    )
+    body = add_body(spec, pose, f"{prefix}slope")
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
+    flap = body.add_body(name=f"{prefix}flap", pos=digits((slope.hinge_x_m, 0.0, slope.hinge_z_m)))
+    if visual:
+        _show(spec, prefix, slope, {"base": body, "flap": flap}, solid)
+    shapes = _Shapes.of(slope)
+    for name, (corners, mass) in shapes.solids.items():
+        hull: dict[str, Any] = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": add_hull(spec, name, corners)}
+        (flap if name == "flap" else body).add_geom(solid, name=prefix + name, mass=mass, **hull)
+    # Pads: two level rails that a smartcar's board lifts by, low enough that its plate clears the incline, and two
+    # bars, higher than the rails, that stop its boss: it slides in below pad_back, and seats between the four.
+    pad = geom_class(
+        spec,
+        "slope_pad",
+        solid,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        group=SEEN_GROUP,
+        rgba=[0.20, 0.22, 0.25, 1.0],
+    )
+    for name, box in shapes.pads.items():
+        body.add_geom(pad, name=prefix + name, **box.geom)
+    gear = geom_class(
+        spec,
+        "slope_gear",
+        solid,
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[slope.gear_radius_m, digits(slope.gear_width_m / 2), 0],
+        mass=shapes.gear_mass_kg,
+    )
+    for side, sign in _SIDES.items():
+        place = digits((slope.hinge_x_m, sign * _gear_y(slope), slope.hinge_z_m))
+        body.add_geom(gear, name=f"{prefix}gear_{side}", pos=place, zaxis=[0, 1, 0])
+    _add_hinge(spec, prefix, flap, machines)
+
+
+def _add_hinge(spec: mujoco.MjSpec, prefix: str, flap: mujoco.MjsBody, machines: Machines) -> None:
+    """Add the joint of a flap and its motor, and what the folded flap lies on."""
+    slope, contact, name = machines.slope, machines.contact, f"{prefix}hinge"
+    folded = digits(round(slope.hinge_range_rad, 8))
+    flap.add_joint(
+        name=name,
+        axis=[0, -1, 0],
+        range=[-slope.hinge_margin_rad, folded],
+        damping=[slope.hinge_damping_nms_rad, 0, 0],
+        frictionloss=slope.hinge_friction_nm,
+        armature=slope.hinge_armature_kgm2,
+    )
+    # MuJoCo leaves out contact between a body and its child: pairs, which have friction along each axis, put it back.
+    twist, roll = contact.torsional_friction_m, contact.rolling_friction_m
+    of_surface = surface(contact, slope.friction) | {
+        "friction": [slope.friction, slope.friction, twist, roll, roll],
+        "solref": softness(contact),
+    }
+    for below in ("incline", "wall_left", "wall_right"):
+        spec.add_pair(geomname1=f"{prefix}flap", geomname2=prefix + below, **of_surface)
+    # The command is a speed; the drive holds the angle it has reached.
+    motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.set_to_intvelocity(kp=slope.hinge_stiffness_nm_rad, kv=slope.hinge_gain_nms_rad)
+    motor.ctrlrange, motor.forcerange = both(slope.hinge_speed_rad_s), both(slope.hinge_torque_nm)
+    motor.actrange = [0, folded]
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """The shapes of a slope, the mass of its base shared by volume."""
+
+    solids: dict[str, tuple[list[Point], float]]
+    """Convex solids by name: their corners in the frame of their body, and their masses in kg."""
+    pads: dict[str, Box]
+    gear_mass_kg: float
+
+    @classmethod
+    def of(cls, p: SlopeParameters) -> _Shapes:
+        """Return the shapes of a slope."""
+        half, rise = p.side_m / 2, _rise(p)
+        inner, skin = half - p.wall_thickness_m, p.skin_m / math.cos(p.incline_rad)
+        back, front = (_incline(p, x) for x in (-half, half))
+        skin_outline = [(-half, back - skin), (half, front - skin), (half, front), (-half, back)]
+        wall_outline = [(-half, 0.0), (half, 0.0), (half, front), (-half, back)]
+        start = p.hinge_x_m - half
+        end, floor = start + p.side_m, -p.hinge_z_m
+        flap_outline = [
+            # Its heel is cut away: it would drag over the floor when the flap begins to turn.
+            (start, floor + p.heel_m),
+            (start + p.heel_m, floor),
+            (end, floor),
+            (start, -rise * start),
+            (end, -rise * end),
+        ]
+        pads = _pads(p)
+        volumes = [
+            2 * inner * second_moments(skin_outline)[0],
+            p.wall_thickness_m * second_moments(wall_outline)[0],
+            math.pi * p.gear_radius_m**2 * p.gear_width_m,
+        ]
+        pad_volume = sum(pad.volume for pad in pads.values())
+        density = p.base_mass_kg / (volumes[0] + 2 * volumes[1] + 2 * volumes[2] + pad_volume)
+        incline_kg, wall_kg, gear_kg = micro([density * volume for volume in volumes])
+        ends = ((-half, back), (half, front), (-half, back - skin), (half, front - skin))
+        wall = ((-half, 0.0), (half, 0.0), (-half, back), (half, front))
+        return cls(
+            {
+                "incline": (_prism(ends, (-inner, inner)), incline_kg),
+                "wall_left": (_prism(wall, (inner, half)), wall_kg),
+                "wall_right": (_prism(wall, (-inner, -half)), wall_kg),
+                "flap": (_prism(flap_outline, (-half, half)), p.flap_mass_kg),
+            },
+            weighed(pads, density),
+            gear_kg,
+        )
+
+
+def _prism(outline: Outline, ends: tuple[float, float]) -> list[Point]:
+    return [(x, y, z) for x, z in outline for y in ends]
+
+
+def _gear_y(p: SlopeParameters) -> float:
+    """Return how far to the side the gears are."""
+    return p.side_m / 2 - p.wall_thickness_m
+
+
+def _rise(p: SlopeParameters) -> float:
+    """Return rise over run of the incline."""
+    return p.hinge_z_m / (2 * p.hinge_x_m)
+
+
+def _pads(p: SlopeParameters) -> dict[str, Box]:
+    """Return the rails that a board lifts by, and the bars that stop its boss at their lower edges."""
+    inner, outer = SEAT.boss_side_m / 2 + p.boss_play_m, SEAT.board_width_m / 2
+    rear, low = -SEAT.board_length_m / 2, p.underside_m
+    rail = low, low + p.pad_thickness_m
+    back, front = low + p.stop_back_rise_m, low + p.stop_front_rise_m
+    stop_back, stop_front = (
+        SEAT.boss_side_m / 2 + p.boss_play_m - bevel(SEAT) * z
+        for z in (p.stop_back_rise_m, p.stop_front_rise_m)
+    )
+    return {
+        "pad_left": Box.over((rear, p.pad_front_m), (inner, outer), rail),
+        "pad_right": Box.over((rear, p.pad_front_m), (-outer, -inner), rail),
+        "pad_back": Box.over((rear, -stop_back), (-inner, inner), (back, back + p.pad_thickness_m)),
+        "pad_front": Box.over(
+            (stop_front, p.pad_front_m), (-inner, inner), (front, front + p.stop_thickness_m)
+        ),
+    }
+
+
+def _show(
+    spec: mujoco.MjSpec,
+    prefix: str,
+    slope: SlopeParameters,
+    bodies: dict[str, mujoco.MjsBody],
+    solid: mujoco.MjsDefault,
+) -> None:
+    """Add what is only seen: besides base and flap the gears' teeth, a knuckle in the gap at the hinge, and a worm and
+    its motor under each gear."""
+    seen = geom_class(spec, "slope_seen", solid, type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
+    base, flap = bodies["base"], bodies["flap"]
+
+    def show(
+        body: mujoco.MjsBody, name: str, mesh: str, rgba: list[float], place: Point = (0.0, 0.0, 0.0)
+    ) -> None:
+        mesh = add_mesh(spec, mesh, meshes(slope)[mesh])
+        body.add_geom(seen, name=f"{prefix}{name}_visual", meshname=mesh, rgba=rgba, pos=digits(place))
+
+    hinge_x, hinge_z = slope.hinge_x_m, slope.hinge_z_m
+    show(base, "base", "slope_base", [0.36, 0.56, 0.76, 1.0])
+    show(flap, "flap", "slope_flap", [0.52, 0.70, 0.86, 1.0])
+    base.add_geom(
+        seen,
+        name=f"{prefix}knuckle_visual",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        pos=digits((hinge_x, 0.0, hinge_z - 0.0041)),
+        size=[0.0038, digits(_gear_y(slope) - slope.gear_width_m / 2), 0],
+        zaxis=[0, 1, 0],
+        rgba=_DARK,
+    )
+    x, y, z = worm_offset(slope)
+    for side, sign in _SIDES.items():
+        gear_y = sign * _gear_y(slope)
+        show(
+            base,
+            f"worm_{side}",
+            "worm",
+            [0.40, 0.42, 0.45, 1.0],
+            (hinge_x + x, gear_y + sign * y, hinge_z + z),
+        )
+        show(flap, f"gear_{side}", "gear", _DARK, (0.0, gear_y, 0.0))
+
+
+def worm_offset(p: SlopeParameters) -> Point:
+    """Return where the worm stands that drives a slope's left gear, from the gear's centre: below, and off the wall.
+
+    It is only to be seen: its pitch circle, of a quarter of the gear's radius, touches that of the gear.
+    """
+    return 0.0, -0.325 * p.gear_radius_m, -(0.93 + 0.25) * p.gear_radius_m
+
+
+@lru_cache(maxsize=4)
+def meshes(slope: SlopeParameters) -> dict[str, Mesh]:
+    """Return the meshes that are only seen, by name."""
+    return {name: Mesh.of(solids) for name, solids in looks(slope).items()}
+
+
+def looks(slope: SlopeParameters) -> dict[str, list[ClosedSolid]]:
+    """Return the solids of the meshes that are only seen, by name.
+
+    The base has its origin on the floor, in its middle; the flap, unfolded, on the hinge's axis; gear and worm in the
+    middle of their teeth and thread.
+    """
+    return {
+        "slope_base": _slope_base(slope),
+        "slope_flap": _slope_flap(slope),
+        "gear": _gear(slope),
+        "worm": _worm(slope),
+    }
+
+
+def _incline(p: SlopeParameters, x: float) -> float:
+    """Return the height of the slope's incline at x, in the slope's frame (floor at z = 0)."""
+    return p.hinge_z_m - _rise(p) * (x - p.hinge_x_m)
+
+
+def _under_incline(
+    p: SlopeParameters, start: float, end: float, foot: float, gap: float
+) -> list[list[float]]:
+    """Return the (x, z) outline between a height over the floor and a gap under the incline."""
+    return [[start, foot], [end, foot], [end, _incline(p, end) - gap], [start, _incline(p, start) - gap]]
+
+
+def _slope_base(p: SlopeParameters) -> list[ClosedSolid]:
+    """Fixed wedge: incline plate on two framed side walls; origin on the floor, +x downhill."""
+    back, front = -p.side_m / 2, p.side_m / 2
+    side_y, skin = p.side_m / 2, p.skin_m + 0.0002
+    plate = plate_xz(
+        [
+            [back, _incline(p, back) - skin],
+            [front, _incline(p, front) - skin],
+            [front, _incline(p, front)],
+            [back, _incline(p, back)],
+        ],
+        (-side_y, side_y),
+    )
+    parts = [plate]
+    rim, rail = 0.0005, 0.014  # walls end just under the plate's face, so that the two do not flicker
+    for side in (-1, 1):
+        parts.append(
+            plate_xz(
+                _under_incline(p, back, front, 0.0, rim),
+                between(side * (side_y - 0.010), side * (side_y - 0.004)),
+            )
+        )
+        frame, post = (between(side * (side_y - 0.007), side * (side_y - inset)) for inset in (0.0, 0.001))
+        parts.append(plate_xz([[back, 0], [front, 0], [front, rail], [back, rail]], frame))
+        top = [[back, _incline(p, back) - rail], [front, _incline(p, front) - rail]]
+        parts.append(
+            plate_xz([*top, [front, _incline(p, front) - rim], [back, _incline(p, back) - rim]], frame)
+        )
+        for x in (back + 0.001, -rail / 2, front - 0.001 - rail):
+            parts.append(plate_xz(_under_incline(p, x, x + rail, 0.002, rail - 0.002), post))
+    return parts
+
+
+def _slope_flap(p: SlopeParameters) -> list[ClosedSolid]:
+    """Hinged wedge, unfolded, its root notched for the gears; origin on the hinge axis (along y)."""
+    ground, rise, half = -p.hinge_z_m, _rise(p), p.side_m / 2
+    start = p.hinge_x_m - half
+    end = start + p.side_m
+    lip_x = (p.hinge_z_m - _LIP_M) / rise  # where the wedge is as thin as its lip
+
+    def ring(x: float, half_y: float, bevel: float, heel: float = 0.0, sunk: float = 0.0) -> Ring:
+        top, bottom = max(-rise * x, ground + _LIP_M) - sunk, ground + heel
+        low, high = bottom + bevel, top - bevel
+        corners = [(half_y - bevel, bottom), (half_y, low), (half_y, high), (half_y - bevel, top)]
+        outline = corners + [(-y, z) for y, z in corners[::-1]]
+        return np.array([[x, y, z] for y, z in outline])
+
+    notch = p.heel_m + 0.002
+    # The heel is cut away: it would drag over the floor when the flap begins to turn.
+    # It ends sunk into the wedge: where two faces lie in one another, lights that cast shadows count twice.
+    root = loft(
+        [
+            ring(start, half - 0.020, 0.002, heel=p.heel_m),
+            ring(notch, half - 0.020, 0.002),
+            ring(notch + 0.001, half - 0.020, 0.002, sunk=0.001),
+        ]
+    )
+    wedge = loft(
+        [
+            ring(notch, half, 0.002),
+            ring(end - 0.02125, half, 0.002),
+            ring(lip_x, half, 0.0003),
+            ring(end, half, 0.0003),
+        ]
+    )
+    return [root, wedge]
+
+
+def _gear(p: SlopeParameters) -> list[ClosedSolid]:
+    """Toothed disc about the y axis, with a boss."""
+    tip, half = p.gear_radius_m, p.gear_width_m / 2
+    root = _GEAR_ROOT * tip
+    angles, radii = [], []
+    for tooth in range(_TEETH):
+        for part, radius in ((0.0, root), (0.30, root), (0.45, tip), (0.80, tip)):
+            angles.append((tooth + part) * 2 * np.pi / _TEETH)
+            radii.append(radius)
+    outline = np.column_stack([np.multiply(radii, np.cos(angles)), np.multiply(radii, np.sin(angles))])
+    disc = plate_xz(outline, (0.0008 - half, half - 0.0008))
+    inset = half - 0.001
+    boss = turned(
+        [[0, -half], [0.0075, -half], [0.009, -inset], [0.009, inset], [0.0075, half], [0, half]], 20
+    )
+    return [disc, boss]
+
+
+def _worm(p: SlopeParameters) -> list[ClosedSolid]:
+    """Worm about the x axis that meshes with a gear above its middle, and the motor behind it."""
+    pitch_radius, depth = 0.25 * p.gear_radius_m, (1 - _GEAR_ROOT) / 2 * p.gear_radius_m
+    pitch = np.pi * (1 + _GEAR_ROOT) * p.gear_radius_m / _TEETH
+    around = np.arange(_WORM_POINTS) * (2 * np.pi / _WORM_POINTS)
+    start = 0.125 * pitch  # a gap faces up where a tooth of the gear hangs lowest
+
+    def ring(x: float, radius: ArrayLike) -> Ring:
+        along = np.full(_WORM_POINTS, x)
+        return np.column_stack([along, radius * np.sin(around), radius * np.cos(around)])
+
+    places = np.linspace(-1.5, 1.5, 3 * _WORM_RINGS + 1) * pitch
+    turns = [(x - start) / pitch - around / (2 * np.pi) for x in places]
+    thread = [
+        ring(x, pitch_radius - depth * np.clip(1.4 * np.cos(2 * np.pi * turn), -1, 1))
+        for x, turn in zip(places, turns, strict=True)
+    ]
+    back = places[0]
+    motor, shaft = 0.325 * p.gear_radius_m, pitch_radius - depth
+    axle = loft([ring(back - 0.004, shaft), ring(back + 0.001, shaft)])
+    body = [ring(back - length, radius) for length, radius in ((0.034, motor - 0.001), (0.033, motor))]
+    body += [ring(back - length, radius) for length, radius in ((0.004, motor), (0.003, motor - 0.001))]
+    return [loft(thread), axle, loft(body)]

@@ -1,0 +1,66 @@
+"""Machines and worlds as MJCF text that opens alone in MuJoCo's viewer; ``python -m craftsim.models.exporting`` writes
+the nominal machines into ``craftsim/mjcf``, or into another folder."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+import mujoco
+
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.composition import MACHINES, WorldSpec, machine_spec
+from craftsim.storage.folders import directory_within
+from craftsim.storage.writing import write_whole
+
+_TITLES: Final = {
+    "ground": "The floor, the light and the physics settings of every world.",
+    "smartcar": "A mecanum smartcar with a lifting board: forty free rollers, turned by four wheel motors.",
+    "block": "A table that stacks, and that a smartcar can drive under and lift.",
+    "flag": "A flag on a table: lifted and carried like a block, but nothing may stand on it.",
+    "wall": "An obstacle: a table, bolted to the floor.",
+    "slope": "A ramp that folds into a box: a hollow base, and a wedge, the flap, on a motorised hinge.",
+    "smartcar_reduced": "The smartcar on the reduced drive: four spheres without friction, pushed by its motors.",
+}
+_SOURCE: Final = """
+       Written from the builders and parameters in craftsim/mjcf by python -m craftsim.models.exporting.
+       contype and conaffinity: TOUCHES in craftsim/mjcf/building.py says what touches what. """
+
+
+def text_of(spec: mujoco.MjSpec) -> str:
+    """Return the MJCF of a spec; its meshes are in it."""
+    spec.compile()
+    text: str = spec.to_xml()
+    return text
+
+
+def machine_texts() -> dict[str, str]:
+    """Return the MJCF of each nominal machine, alone on the floor, by the name of its file without its ending."""
+    reduced = replace(NOMINAL, drive="reduced")
+    specs = {kind: machine_spec(kind, NOMINAL) for kind in MACHINES}
+    specs["smartcar_reduced"] = machine_spec("smartcar", reduced)
+    for name, spec in specs.items():
+        spec.comment = f" {_TITLES[name]}{_SOURCE}"
+    return {name: text_of(spec) for name, spec in specs.items()}
+
+
+def write_scene(path: Path, scene: WorldSpec) -> Path:
+    """Write the start of a world, before it settles, into a file in a folder of results; return its path.
+
+    Raises InputError where the disk does not take the file.
+    """
+    folder = directory_within(path.parent.parent, path.parent.name)
+    return write_whole(folder / path.name, text_of(scene.spec()))
+
+
+def write_machines(folder: Path) -> None:
+    """Write the files of the nominal machines into a folder."""
+    for name, text in machine_texts().items():
+        write_whole(folder / f"{name}.xml", text)
+
+
+if __name__ == "__main__":
+    write_machines(Path(sys.argv[1] if len(sys.argv) > 1 else str(files("craftsim.mjcf"))))

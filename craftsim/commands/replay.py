@@ -140,11 +140,14 @@ def _viewer(checked: CheckedSite) -> Iterator[Observer]:
 
     import mujoco.viewer
 
-    site = checked.site
-    with mujoco.viewer.launch_passive(site.model, site.data) as viewer:
+    from craftsim.rendering.playback import SeenWorld
+
+    site, seen = checked.site, SeenWorld(checked.site)
+    with mujoco.viewer.launch_passive(seen.model, seen.now()) as viewer:
         ahead_s = time.monotonic() - site.time_s
 
         def watch(site: Site) -> None:
+            seen.now()
             viewer.sync()
             time.sleep(max(0.0, ahead_s + site.time_s - time.monotonic()))
 

@@ -129,7 +129,7 @@ class PhysicsBackend:
     def images(self) -> dict[str, NDArray[Any]]:
         """Return what the cameras see now, by kind, one entry a camera; empty without any."""
         site = self.checked.site
-        return {} if self._images is None else self._images.take(site.model, site.data.qpos)
+        return {} if self._images is None else self._images.take(site)
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return what the camera sees."""

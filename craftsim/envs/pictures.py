@@ -12,6 +12,7 @@ from craftsim.envs.backend import MOTION_FPS
 from craftsim.errors import InputError
 from craftsim.extras import install
 from craftsim.rendering.images import camera_number
+from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.renderer import make_renderer
 
 if TYPE_CHECKING:
@@ -51,14 +52,16 @@ class Pictures:
         """Look at a Site from now on, at the start of an episode; raises InputError for a camera that it lacks."""
         if site is not self._site:
             self.close()
-            self._number = camera_number(site.model, self.camera)
-            self._site = site
+            seen = SeenWorld(site)
+            self._number = camera_number(seen.model, self.camera)
+            self._site, self._seen = site, seen
         self._kept.clear()
         self._due_s = site.time_s
 
     def watch(self, site: Site) -> None:
         """Keep the viewer up to date, and a picture where its moment has come."""
         if self._viewer is not None:
+            self._seen.now()
             self._viewer.sync()
         # The allowance is for sums of time steps that end a rounding error before a picture's moment.
         if self.motion and site.time_s >= self._due_s - 1e-6:
@@ -69,8 +72,8 @@ class Pictures:
         """Return what the camera sees now."""
         assert self._site is not None, "begin() comes first"
         if self._renderer is None:
-            self._renderer = make_renderer(self._site.model, self.size)
-        self._renderer.update_scene(self._site.data, self._number)
+            self._renderer = make_renderer(self._seen.model, self.size)
+        self._renderer.update_scene(self._seen.now(), self._number)
         taken: Picture = self._renderer.render()
         return taken
 
@@ -90,7 +93,7 @@ class Pictures:
                 )
             import mujoco.viewer
 
-            self._viewer = mujoco.viewer.launch_passive(self._site.model, self._site.data)
+            self._viewer = mujoco.viewer.launch_passive(self._seen.model, self._seen.now())
         self._viewer.sync()
 
     def close(self) -> None:

@@ -187,7 +187,7 @@ class Site:
         """(n, 3): cells of the fixed obstacles."""
         self.world_spec = WorldSpec(grid.copy(), self.config, machines, tuple(goals), floor)
         self.tiles = None if floor.flat else tiles_of(floor, grid.size)
-        self.model = self.world_spec.model()
+        self.model = self.world_spec.model(visual=False)
         self.data = mujoco.MjData(self.model)
         parts = Parts.of(self.model, machines)
         self._heights = self.model.jnt_qposadr[self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] + 2

@@ -16,7 +16,7 @@ from craftsim.errors import InputError, suggestion
 from craftsim.models.overlaps import MachineNames
 from craftsim.rendering.cameras import View
 from craftsim.rendering.image_kinds import FAR_M, IMAGE_KINDS, LABELS, PIXELS, ImageKind, check_images
-from craftsim.rendering.playback import Posed
+from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.renderer import make_renderer
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def take_images(
         'car 0'
     """
     with CameraImages([camera], size, kinds) as images:
-        return {kind: taken[0] for kind, taken in images.take(site.model, site.data.qpos).items()}
+        return {kind: taken[0] for kind, taken in images.take(site).items()}
 
 
 class CameraImages:
@@ -87,20 +87,20 @@ class CameraImages:
         self.cameras, self.size, self.kinds = tuple(cameras), size, tuple(kinds)
         self._solids = mujoco.MjvOption()
         self._solids.sitegroup[:] = 0
-        self._model: mujoco.MjModel | None = None
+        self._site: Site | None = None
         self._renderer: mujoco.Renderer | None = None
 
-    def take(self, model: mujoco.MjModel, qpos: NDArray[np.float64], time_s: float = 0.0) -> Images:
+    def take(self, site: Site, qpos: NDArray[np.float64] | None = None, time_s: float = 0.0) -> Images:
         """Return what the cameras see of a world, each array with a leading dimension of one entry a camera.
 
         Args:
-            model: of a Site, or of a trajectory.
-            qpos: (nq,) MuJoCo's positions of everything.
+            site: the world.
+            qpos: (nq,) MuJoCo's positions of everything; those of the world unless given.
             time_s: simulated time, which moves views.
         """
-        if model is not self._model:
-            self._begin(model)
-        data = self._posed.at(qpos)
+        if site is not self._site:
+            self._begin(site)
+        model, data = self._seen.model, self._seen.now() if qpos is None else self._seen.at(qpos)
         width, height = self.size
         taken: Images = {
             kind: np.empty((len(self.cameras), height, width, *PIXELS[kind].shape), PIXELS[kind].dtype)
@@ -113,11 +113,13 @@ class CameraImages:
                 images[place] = self._image(kind, shot, zoom, data)
         return taken
 
-    def _begin(self, model: mujoco.MjModel) -> None:
+    def _begin(self, site: Site) -> None:
+        self._seen = SeenWorld(site)
+        model = self._seen.model
         if self._renderer is None or not _drawn_alike(self._renderer.model, model):
             self.close()
             self._renderer = make_renderer(self._plain(model), self.size)
-        self._model, self._posed = model, Posed(model)
+        self._site = site
         names = MachineNames.of(model)
         label = [LABELS.index(name.split()[0]) for name in names.names]
         self._labels = np.column_stack([names.of_geom, np.array(label)[names.of_geom]]).astype(np.int16)
@@ -136,7 +138,7 @@ class CameraImages:
         options = mujoco.MjvOption() if kind == "rgb" else self._solids
         # Not the renderer's own: that draws the world for which it was made.
         mujoco.mjv_updateScene(
-            self._model, data, options, None, shot, mujoco.mjtCatBit.mjCAT_ALL.value, scene
+            self._seen.model, data, options, None, shot, mujoco.mjtCatBit.mjCAT_ALL.value, scene
         )
         for eye in scene.camera:
             scale = zoom * _NEAR_M / eye.frustum_near
@@ -160,7 +162,7 @@ class CameraImages:
         """Close the renderer."""
         if self._renderer is not None:
             self._renderer.close()
-        self._renderer = self._model = None
+        self._renderer = self._site = None
 
     def __enter__(self) -> Self:
         return self

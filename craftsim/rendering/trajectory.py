@@ -187,10 +187,10 @@ class Trajectory:
         _check_columns(site, self)
         return site
 
-    @property
+    @cached_property
     def model(self) -> mujoco.MjModel:
-        """Of MuJoCo, in which ``qpos`` are positions."""
-        return self.site.model
+        """Of MuJoCo, in which ``qpos`` are positions: the world with what is only seen."""
+        return self.site.world_spec.model(visual=True)
 
     def _check(self) -> None:
         recipe, n = self.story.recipe, len(self.time) if self.time.ndim else 0

@@ -106,7 +106,9 @@ def test_only_rollers_carry_the_car(open_part):
 
 def test_goal_markers_have_no_contact():
     """A goal is a site, which MuJoCo draws and never collides: the model has no geom and no body more than without."""
-    grid = Grid.empty((4, 4, 2), 1)
-    bare, marked = Site(grid).model, Site(grid, goals=[(1, 1, 1), (2, 1, 2)]).model
+    worlds = (
+        Site(Grid.empty((4, 4, 2), 1), goals=goals, reset=False) for goals in ([], [(1, 1, 1), (2, 1, 2)])
+    )
+    bare, marked = (site.world_spec.model(visual=True) for site in worlds)
     assert marked.nsite == bare.nsite + 2
     assert (marked.ngeom, marked.nbody) == (bare.ngeom, bare.nbody)

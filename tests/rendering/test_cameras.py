@@ -17,6 +17,7 @@ from craftsim.models.framing import MARGIN, box_corners, overview, top
 from craftsim.models.world import Site
 from craftsim.rendering.cameras import make_view, reached_m
 from craftsim.rendering.painting import label_strip_m
+from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.recorder import Recorder
 
 AREAS = [(1, 1), (1, 8), (20, 10), (3, 12), (4, 4)]
@@ -72,13 +73,14 @@ def test_overview_shows_no_sky(aspect):
 
 
 def test_a_projection_is_that_of_mujocos_camera(turning):
-    site = Site(Grid.empty((3, 5, 2), n_cars=1))
+    seen = SeenWorld(Site(Grid.empty((3, 5, 2), n_cars=1)))
+    model, shown = seen.model, seen.at(seen.model.qpos0)
     for name, fit in (("overview", overview), ("top", top)):
-        aim, number = fit((3, 5), 2 * LEVEL_HEIGHT_M, 4 / 3), site.model.camera(name).id
-        assert site.data.cam_xpos[number] == pytest.approx(aim.position)
-        axes = site.data.cam_xmat[number].reshape(3, 3)
+        aim, number = fit((3, 5), 2 * LEVEL_HEIGHT_M, 4 / 3), model.camera(name).id
+        assert shown.cam_xpos[number] == pytest.approx(aim.position)
+        axes = shown.cam_xmat[number].reshape(3, 3)
         assert axes == pytest.approx(aim.axes, abs=1e-9)
-        assert site.model.cam_fovy[number] == pytest.approx(aim.fovy_deg)
+        assert model.cam_fovy[number] == pytest.approx(aim.fovy_deg)
     view = make_view("overview", turning, 1.5)
     scene = mujoco.MjvScene(turning.model, 1000)
     data = mujoco.MjData(turning.model)

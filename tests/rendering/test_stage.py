@@ -60,7 +60,7 @@ def _ghosts(scene: mujoco.MjvScene) -> list[mujoco.MjvGeom]:
 
 @pytest.mark.parametrize("quality", ["draft", "paper"])
 def test_a_stage_moves_as_the_physics_and_adds_nothing_that_touches(quality, standing):
-    model, physics = Stage(standing, quality).model, standing.model
+    model, physics = Stage(standing, quality).model, standing.site.model
     data, own = mujoco.MjData(model), mujoco.MjData(physics)
     own.qpos[:] = data.qpos[:] = standing.qpos[-1]
     mujoco.mj_forward(model, data)

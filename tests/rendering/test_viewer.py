@@ -19,6 +19,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.rendering.painting import label_strip_m
+from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.viewer.moment import live, recorded
@@ -181,9 +182,8 @@ def test_the_floor_shows_the_area_and_a_strip_with_its_coordinates():
 
 def test_reduced_cars_have_tyres():
     site = Site(Grid.empty((1, 1, 1), n_cars=1), machines=Machines(drive="reduced"))
-    (body,) = (
-        shape for shape in shapes_of(site.model) if site.model.body(shape.body).name == "car0/smartcar"
-    )
+    model = SeenWorld(site).model
+    (body,) = (shape for shape in shapes_of(model) if model.body(shape.body).name == "car0/smartcar")
     assert body.mesh.bounds[0, 2] == pytest.approx(0.0, abs=3e-3), "down to the floor"
 
 

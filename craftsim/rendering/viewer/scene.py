@@ -17,7 +17,7 @@ from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.composition import ground_pose_and_size
 from craftsim.models.site import Site
 from craftsim.rendering.painting import FLOOR_RGB, number_plate
-from craftsim.rendering.playback import Posed
+from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.viewer.shapes import floor_mesh, shapes_of
 
 if TYPE_CHECKING:
@@ -56,12 +56,12 @@ class BrowserScene:
 
         Args:
             server: of the page.
-            site: the world; its model is looked at alone.
+            site: the world, which is looked at alone.
             marks: cells to mark, such as those of a building that is to be put up, and how high in levels.
             on_pick: called with the number of a car that is clicked.
         """
-        self._server, self._model = server, site.model
-        self._posed = Posed(self._model)
+        self._server, self._posed = server, SeenWorld(site)
+        self._model = self._posed.model
         self.nodes: dict[int, SceneNodeHandle] = {}
         """What moves, by the number of its body."""
         self.sent = 0

@@ -16,7 +16,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.errors import InputError
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
-from craftsim.models.exporting import write_scene
+from craftsim.models.exporting import write_mjcf
 from craftsim.models.site import Site
 from craftsim.rendering.video import VideoWriter
 from craftsim.validation.statistics.durations import Duration, write_durations
@@ -79,11 +79,11 @@ def test_contacts_scenes_and_durations_are_whole_or_as_they_were(tmp_path):
     site = Site(Grid.empty((2, 2, 1), n_cars=1))
     log, row = ContactLog(site), Duration("LIFT", "none", 1, False, 2, 1.0, 1.0, 1.0, 1.0, 1.0)
     folder = tmp_path / "scene"
-    scene = WorldSpec(Grid.empty((2, 2, 1), n_cars=1), SimulationConfig())
+    scene = WorldSpec(Grid.empty((2, 2, 1), n_cars=1), SimulationConfig()).spec()
     writers = {
         tmp_path / "contacts.csv": lambda: log.write(tmp_path / "contacts.csv"),
         tmp_path / "durations.csv": lambda: write_durations(tmp_path, [row] * 20),
-        folder / "site.xml": lambda: write_scene(folder / "site.xml", scene),
+        folder / "site.xml": lambda: write_mjcf(folder / "site.xml", scene),
     }
     for path, write in writers.items():
         write()

@@ -2,30 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 
 from craftsim.commands.options import File
 from craftsim.commands.text import say
+from craftsim.errors import InputError
+from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import SEED
 
 if TYPE_CHECKING:
+    from mujoco import MjSpec
+
     from craftsim.discrete.files.design import Design
     from craftsim.discrete.files.plan import Plan
     from craftsim.discrete.grid import Grid
+    from craftsim.mjcf.parameters import Machines
 
+Machine = Literal["smartcar", "block", "flag", "wall", "slope"]
 _NAMED: Final = 12
 """Forbidden actions that are named."""
 
 
 def show(
-    blueprint: tyro.conf.Positional[Path],
+    blueprint: tyro.conf.Positional[Path | None] = None,
     seed: Annotated[int, SEED] = 0,
     goal: File = None,
     plan: File = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    mjcf: File = None,
+    urdf: File = None,
+    machine: Machine | None = None,
+    drive: Drive = "rollers",
 ) -> int:
     """Print the world that a blueprint describes, level by level; with --out draw it as a PNG.
 
@@ -40,7 +52,21 @@ def show(
         goal: goal file whose cells are marked in the picture; that of a shipped task unless given.
         plan: plan file, or the name of a shipped plan such as simple_two_story; judged by the physical rules.
         out: folder for the picture, which is named after the blueprint, and those of the plan.
+        mjcf: file for the world's start, or the machine, as MJCF that opens alone in MuJoCo's viewer.
+        urdf: file for the same as URDF, its meshes in a folder beside it, for RViz, Gazebo or Isaac: links, inertias,
+            shapes and joints; without contacts, motors besides their limits, and gears that lock themselves.
+        machine: writes one machine alone, in place of a blueprint.
+        drive: of the cars that are written.
     """
+    if (blueprint is None) == (machine is None):
+        raise InputError("give a blueprint, or a --machine with --mjcf or --urdf, and not both")
+    if machine is not None and mjcf is None and urdf is None:
+        raise InputError("--machine is written with --mjcf, --urdf or both")
+    if blueprint is None:
+        from craftsim.models.composition import machine_spec
+
+        _export(lambda machines: machine_spec(str(machine), machines), mjcf, urdf, drive)
+        return 0
     import numpy as np
 
     from craftsim.commands.terminal import Terminal
@@ -81,7 +107,32 @@ def show(
 
         file = output_directory(out) / f"{path.stem}.png"
         say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(design))}")
+    if mjcf is not None or urdf is not None:
+        from craftsim.models.composition import WorldSpec
+        from craftsim.models.config import SimulationConfig
+        from craftsim.models.extent import check_extent
+
+        check_extent(grid)
+        _export(
+            lambda machines: WorldSpec(grid, SimulationConfig.of(drive), machines).spec(), mjcf, urdf, drive
+        )
     return 0 if read is None else _show_plan(read, grid, design, out)
+
+
+def _export(
+    spec_of: Callable[[Machines], MjSpec], mjcf: Path | None, urdf: Path | None, drive: Drive
+) -> None:
+    """Write a machine or a world with a drive as MJCF, as URDF, or both."""
+    from craftsim.mjcf.parameters import NOMINAL
+    from craftsim.models.exporting import write_mjcf
+    from craftsim.models.urdf import LACKS, write_urdf
+
+    machines = replace(NOMINAL, drive=drive)
+    if mjcf is not None:
+        say(f"MJCF: {write_mjcf(mjcf, spec_of(machines))}")
+    if urdf is not None:
+        say(f"URDF: {write_urdf(urdf, spec_of(machines))}")
+        say(LACKS)
 
 
 def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:

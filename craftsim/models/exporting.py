@@ -12,8 +12,8 @@ from typing import Final
 import mujoco
 
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.composition import MACHINES, WorldSpec, machine_spec
-from craftsim.storage.folders import directory_within
+from craftsim.models.composition import MACHINES, machine_spec
+from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import write_whole
 
 _TITLES: Final = {
@@ -47,13 +47,12 @@ def machine_texts() -> dict[str, str]:
     return {name: text_of(spec) for name, spec in specs.items()}
 
 
-def write_scene(path: Path, scene: WorldSpec) -> Path:
-    """Write the start of a world, before it settles, into a file in a folder of results; return its path.
+def write_mjcf(path: Path, spec: mujoco.MjSpec) -> Path:
+    """Write a machine, or the start of a world before it settles, as one file; return its path.
 
     Raises InputError where the disk does not take the file.
     """
-    folder = directory_within(path.parent.parent, path.parent.name)
-    return write_whole(folder / path.name, text_of(scene.spec()))
+    return write_whole(output_directory(path.parent) / path.name, text_of(spec))
 
 
 def write_machines(folder: Path) -> None:

@@ -80,6 +80,7 @@ SLOTS = (
     *("conformance @.jsonl.gz", "conformance @", "conformance gone --out @", "bench @ --out out", "bench gone --out @"),
     *("design @.png", "design @.stl", "design @.obj", "design @", "design letters --text @", "design gone --out @"),
     *("show @.yaml", "show @", "show strip --goal @.yaml", "show strip --plan @.plan", "show gone --out @"),
+    *("show --machine wall --mjcf @", "show --machine wall --urdf @"),
     *("doctor --out @",),
 )  # fmt: skip
 """Words of commands with an ``@`` where the hostile thing stands: with the ending that its file should have, and in

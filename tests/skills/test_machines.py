@@ -13,7 +13,7 @@ from craftsim.mjcf.machine_files import load_machines
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
-from craftsim.models.exporting import write_scene
+from craftsim.models.exporting import write_mjcf
 from craftsim.models.site import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
@@ -95,7 +95,7 @@ def test_a_scene_of_other_machines_is_written_with_its_meshes_in_one_file(tmp_pa
 
     grid = draw((3, 1, 2), [(Kind.BLOCK, (2, 0, 1))], [(0, 0, 1, 0), (1, 0, 1, 0)])
     machines = Machines(cars=(SmartcarParameters(), HEAVY))
-    path = write_scene(tmp_path / "site.xml", WorldSpec(grid, SimulationConfig(), machines))
+    path = write_mjcf(tmp_path / "site.xml", WorldSpec(grid, SimulationConfig(), machines).spec())
     assert list(tmp_path.iterdir()) == [path]
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.nbody == Site(grid).model.nbody

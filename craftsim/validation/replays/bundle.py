@@ -20,7 +20,7 @@ from craftsim.checking.judge import CheckedSite
 from craftsim.errors import InputError
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
-from craftsim.models.exporting import write_scene
+from craftsim.models.exporting import write_mjcf
 from craftsim.models.randomization import Nominal
 from craftsim.models.site import Site
 from craftsim.report import versions
@@ -157,9 +157,8 @@ def _write(folder: Path, bundle: Bundle, checked: CheckedSite, before: Arrays) -
     checked.log.write(folder / CONTACTS)
     recipe = bundle.recipe
     config = recipe.setup.simulation or SimulationConfig.of(recipe.setup.machines.drive)
-    write_scene(
-        folder / SCENE / "site.xml", WorldSpec(recipe.grid, config, recipe.setup.machines, recipe.goals)
-    )
+    world = WorldSpec(recipe.grid, config, recipe.setup.machines, recipe.goals)
+    write_mjcf(directory_within(folder, SCENE) / "site.xml", world.spec())
     # Written last, so that a folder with this file is a whole bundle.
     write_whole(folder / TEXT, _SCHEMA.text(bundle))
 

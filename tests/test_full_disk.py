@@ -17,7 +17,7 @@ from craftsim.errors import InputError
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.video import VideoWriter
 from craftsim.validation.statistics.durations import Duration, write_durations
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.checking.settings import RANDOMIZE, nominal_gains
+from craftsim.checking.setup import RANDOMIZE, nominal_gains
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.floor import MOST_TILES
 

@@ -14,15 +14,22 @@ import numpy as np
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.judge import CheckedSite
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.discrete.rules import RuleSet
-from craftsim.errors import InputError, suggestion
+from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.errors import InputError, StartError, suggestion
 from craftsim.mjcf.machine_files import load_machines
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Drivetrain, Floor, Making
-from craftsim.models.noise import ASSUMED, MILD, NOISY, SensorNoise
-from craftsim.models.randomization import NONE, DomainRandomization
-from craftsim.models.randomization_files import load_noise, load_randomization
+from craftsim.models.measuring import Motors
+from craftsim.models.overlaps import ALLOWED_M
+from craftsim.models.randomization import NONE, DomainRandomization, load_noise, load_randomization, randomize
+from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise, Sensors
+from craftsim.models.world import Site
+from craftsim.report import LEFT_OUT_IF_EMPTY
+from craftsim.skills.disturbances import Disturbance, DisturbedFleet
+from craftsim.skills.executor import Executor
+from craftsim.skills.fleet import Fleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import OwnSkill, SkillChoice, own_skills
 

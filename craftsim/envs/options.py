@@ -20,7 +20,6 @@ from craftsim.errors import InputError, suggestion
 if TYPE_CHECKING:
     from craftsim.mjcf.parameters import Drive, Machines
     from craftsim.models.config import SimulationConfig
-    from craftsim.models.noise import SensorNoise
     from craftsim.models.randomization import DomainRandomization
     from craftsim.models.sensing import SensorNoise
     from craftsim.models.world import Site
@@ -169,7 +168,6 @@ class Options:
         from craftsim.envs.records import EpisodeRecords
         from craftsim.mjcf.parameters import NOMINAL
         from craftsim.models.config import SimulationConfig
-        from craftsim.models.noise import ASSUMED
         from craftsim.models.randomization import NONE
         from craftsim.models.sensing import ASSUMED
         from craftsim.rendering.images import CameraImages

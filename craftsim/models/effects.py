@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import Record, compiled, records
-from craftsim.mjcf.reduced import WholeCar
+from craftsim.mjcf.car import WholeCar
 from craftsim.models.imperfection import Drivetrain
 from craftsim.models.parts import WHEELS
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError
-from craftsim.mjcf.reduced import WholeCar
+from craftsim.mjcf.car import WholeCar
 from craftsim.models.floor import lay, tiles_body
 from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
 from craftsim.models.overlaps import GROUND

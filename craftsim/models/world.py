@@ -19,14 +19,12 @@ from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
-from craftsim.models.bearings import Bearings
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import StepEffect, effects_of
 from craftsim.models.extent import check_extent
 from craftsim.models.floor import tiles_of
-from craftsim.models.grip import Grip
-from craftsim.models.imperfection import FLAT, Drivetrain, Floor
+from craftsim.models.imperfection import FLAT, IDEAL, Drivetrain, Floor
 from craftsim.models.overlaps import MachineNames, Overlap, overlaps
 from craftsim.models.parts import FreeBody, Parts, trees_of_motors
 from craftsim.models.placement import placements
@@ -191,8 +189,6 @@ class Site:
         self.data = mujoco.MjData(self.model)
         parts = Parts.of(self.model, machines)
         self._heights = self.model.jnt_qposadr[self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] + 2
-        self._bearings = Bearings(self.model) if machines.drive == "rollers" else None
-        self._grip: Grip | None = None
         if machines.drive == "reduced":
             for car in parts.cars:
                 car.add_spin(self.model)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.trajectory import Trajectory
 
 

@@ -12,7 +12,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.config import SimulationConfig
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.robots.link import TIMEOUT_S, Link
 from craftsim.robots.mirror import Mirror
 from craftsim.robots.sockets import Caller

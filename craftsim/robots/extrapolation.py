@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
-from craftsim.models.sensing import CarMeasurement, PerWheel
+from craftsim.models.measuring import PerWheel
+from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.skill import Command
 

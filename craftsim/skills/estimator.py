@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.rotation import wrap
+from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.measuring import READING, Floats, Records
-from craftsim.models.parameters import SmartcarParameters
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import body_twist

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.mjcf.parameters import SmartcarParameters
-from craftsim.models.sensing import PerWheel
+from craftsim.models.measuring import CarMeasurement, PerWheel
+from craftsim.skills.state import GRAVITY
 
 Triple = tuple[float, float, float]
 """(x, y, heading) or (vx, vy, omega): a pose, a way or a speed."""

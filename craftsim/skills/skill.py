@@ -18,9 +18,11 @@ import numpy as np
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, yaw_angle
 from craftsim.discrete.kernel.jit import records
+from craftsim.discrete.readback import nearest_yaw
+from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
-from craftsim.models.measuring import READING, Floats, Records
-from craftsim.models.sensing import CarMeasurement, PerWheel, write_reading
+from craftsim.models.measuring import PerWheel, Records, write_reading
+from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.gains import Gains, careful
 from craftsim.skills.laws import Profile, feels_load, health_of, step_task
 from craftsim.skills.mecanum import Triple

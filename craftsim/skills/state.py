@@ -10,7 +10,7 @@ import numpy as np
 
 from craftsim.discrete.kernel.jit import records
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
-from craftsim.models.measuring import Records
+from craftsim.models.measuring import READING, Records
 from craftsim.skills.gains import SECTIONS, Gains
 from craftsim.skills.outcome import Outcome, Reason
 

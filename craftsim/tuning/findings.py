@@ -12,7 +12,7 @@ import numpy as np
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
 from craftsim.mjcf.parameters import Machines
-from craftsim.models.noise import SensorNoise
+from craftsim.models.sensing import SensorNoise
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.identification import Identification, Identified
 from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor

@@ -17,7 +17,7 @@ from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.config import STEPS_S, SimulationConfig
-from craftsim.models.motors import Motors
+from craftsim.models.measuring import Motors
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import Site
 from craftsim.storage.limits import IDENTIFIED_S

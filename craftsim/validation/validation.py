@@ -16,7 +16,7 @@ from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Drive, Machines
-from craftsim.models.noise import SensorNoise
+from craftsim.models.sensing import SensorNoise
 from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains

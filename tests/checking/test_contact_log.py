@@ -10,7 +10,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.state import GRAVITY
 

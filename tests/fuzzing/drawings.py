@@ -16,7 +16,7 @@ from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.discrete.tasks.registry import read_task
 from craftsim.errors import InputError
 from craftsim.mjcf.machine_files import load_machines
-from craftsim.models.randomization_files import load_noise
+from craftsim.models.randomization import load_noise
 from craftsim.skills.gains import load_gains
 from fuzzing.mutations import mutated_bytes, mutated_text
 

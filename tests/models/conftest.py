@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.car import WHEELS
-from craftsim.models.bearings import Bearings
+from craftsim.models.effects import Bearings
+from craftsim.models.world import Baseline
 
 GRAVITY = 9.81
 

@@ -9,8 +9,8 @@ from drawn import draw
 from craftsim.discrete.grid import Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
-from craftsim.models.randomization import DomainRandomization, Nominal, RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.randomization import DomainRandomization, randomize
+from craftsim.models.world import Site
 
 BEARING_NM = NOMINAL.cars[0].roller_bearing_friction_nm
 

@@ -13,7 +13,7 @@ from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameter
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import FLAT, Floor
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 GOALS = ((0, 0, 1), (1, 1, 2))
 ORDERED = {"body": "body", "jnt": "joint", "actuator": "actuator", "dof": None, "pair": None, "tree": None}

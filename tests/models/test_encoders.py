@@ -8,9 +8,8 @@ import pytest
 
 from craftsim.discrete.grid import Grid
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.noise import SensorNoise
-from craftsim.models.sensing import Sensors
-from craftsim.models.site import Site
+from craftsim.models.sensing import SensorNoise, Sensors
+from craftsim.models.world import Site
 
 STEP_RAD = 2 * math.pi / 4096
 WHEELS = {

@@ -10,9 +10,9 @@ import pytest
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.bearings import Bearings
 from craftsim.models.config import SimulationConfig
-from craftsim.models.site import Site
+from craftsim.models.effects import Bearings
+from craftsim.models.world import Site
 from craftsim.skills.mecanum import Mecanum
 
 GRAVITY = 9.81

@@ -8,8 +8,8 @@ from drawn import draw
 from craftsim.discrete.grid import Kind
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.randomization import DomainRandomization, RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.randomization import DomainRandomization, randomize
+from craftsim.models.world import Site
 
 GRAVITY = 9.81
 

@@ -10,8 +10,8 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Drive
 from craftsim.models.imperfection import FLAT, Floor
-from craftsim.models.randomization import NONE, DomainRandomization, RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.randomization import NONE, DomainRandomization, randomize
+from craftsim.models.world import Site
 
 LIPPAGE = Floor(lippage_m=0.001)
 SMOOTH = Floor(unevenness_m=0.002)

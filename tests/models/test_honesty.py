@@ -14,7 +14,7 @@ from drawn import draw
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Kind
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 PARTS = ("ground", "block", "flag", "wall", "slope", "smartcar")
 ALL_KINDS = draw(

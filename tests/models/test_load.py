@@ -17,7 +17,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import incline_under
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.skill import Terrain
 

@@ -9,8 +9,8 @@ import pytest
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.parameters import NOMINAL, Drive
 from craftsim.models.imperfection import Making
-from craftsim.models.randomization import NONE, RandomizedSite
-from craftsim.models.site import Site
+from craftsim.models.randomization import NONE, randomize
+from craftsim.models.world import Site
 
 DRIVES: tuple[Drive, ...] = ("rollers", "reduced")
 

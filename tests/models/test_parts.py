@@ -9,7 +9,7 @@ import pytest
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 SMARTCAR = NOMINAL.cars[0]
 

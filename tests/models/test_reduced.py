@@ -12,7 +12,7 @@ from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.randomization import DomainRandomization, RandomizedSite
+from craftsim.models.randomization import DomainRandomization, randomize
 from craftsim.models.sensing import measure
 from craftsim.models.world import Site
 from craftsim.skills.mecanum import Mecanum

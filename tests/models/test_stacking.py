@@ -7,7 +7,7 @@ from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 BLOCK = NOMINAL.block
 

@@ -7,7 +7,7 @@ import pytest
 
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 
 SLOPE, SMARTCAR = NOMINAL.slope, NOMINAL.cars[0]
 

@@ -10,7 +10,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.framing import overview
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.cameras import View
 from craftsim.rendering.image_kinds import FAR_M, LABELS
 from craftsim.rendering.images import CameraImages, take_images

@@ -12,8 +12,6 @@ from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Floor
-from craftsim.models.measuring import READING
-from craftsim.models.noise import SensorNoise
 from craftsim.models.randomization import NONE
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.estimator import update_floor

@@ -12,10 +12,19 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL, Machines
-from craftsim.models.measuring import READING
-from craftsim.models.noise import ASSUMED, EXACT, NOISY, SensorNoise
-from craftsim.models.sensing import CarMeasurement, Sensors, measure, measurement_of, write_reading
-from craftsim.models.site import Site
+from craftsim.models.measuring import READING, write_reading
+from craftsim.models.sensing import (
+    ASSUMED,
+    EXACT,
+    NOISY,
+    CarMeasurement,
+    SensorNoise,
+    Sensors,
+    measure,
+    measurement_of,
+)
+from craftsim.models.world import Site
+from craftsim.skills.estimator import PoseEstimator
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.laws import Profile

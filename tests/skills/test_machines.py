@@ -14,7 +14,7 @@ from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 

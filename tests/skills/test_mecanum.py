@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from craftsim.discrete.kinds import Kind
 from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
 from craftsim.skills.mecanum import Mecanum
 

@@ -5,7 +5,6 @@ import pytest
 
 from craftsim.discrete.kernel.jit import records
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.skills.driving_law import _shake
 from craftsim.skills.gains import careful, load_gains
 from craftsim.skills.laws import shake
 from craftsim.skills.state import DRIVE_TASK, constants_of

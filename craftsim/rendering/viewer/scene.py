@@ -15,7 +15,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_positi
 from craftsim.discrete.grid import Cell
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.composition import ground_pose_and_size
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.rendering.painting import FLOOR_RGB, number_plate
 from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.viewer.shapes import floor_mesh, shapes_of

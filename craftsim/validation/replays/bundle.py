@@ -21,8 +21,7 @@ from craftsim.errors import InputError
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
-from craftsim.models.randomization import Nominal
-from craftsim.models.site import Site
+from craftsim.models.world import Site
 from craftsim.report import versions
 from craftsim.skills.library import check_known
 from craftsim.storage import limits

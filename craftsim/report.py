@@ -15,13 +15,11 @@ from typing import Any, Final
 import numpy as np
 
 from craftsim.storage.folders import owned
+from craftsim.storage.schema import LEFT_OUT_IF_EMPTY
 from craftsim.storage.writing import writable, write_whole
 
 SCHEMA_VERSION: Final = 2
 """Raised whenever a key of the report changes its meaning or goes away."""
-
-LEFT_OUT_IF_EMPTY: Final = "left_out_if_empty"
-"""Key of a dataclass field's metadata: a report says nothing of it where it is empty."""
 
 
 def versions() -> dict[str, str]:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from pydantic import TypeAdapter
     from pydantic_core import SchemaValidator
 
+LEFT_OUT_IF_EMPTY: Final = "left_out_if_empty"
+"""Key of a dataclass field's metadata: a report says nothing of it where it is empty."""
+
 T = TypeVar("T")
 
 _TOLD: Final = 1000

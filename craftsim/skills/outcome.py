@@ -7,7 +7,15 @@ from enum import StrEnum
 
 
 class Reason(StrEnum):
-    """Why a skill failed."""
+    """Why a skill failed.
+
+    Example:
+        >>> import craftsim
+        >>> site = craftsim.Site(craftsim.Grid.empty((1, 1, 1), n_cars=1))
+        >>> outcome = craftsim.Executor(site).run({0: craftsim.Action.LIFT})[0]
+        >>> outcome.reason is craftsim.Reason.LOAD_LOST
+        True
+    """
 
     TIMEOUT = "timeout"
     """It took longer than its allowance."""

@@ -91,7 +91,13 @@ class SkillSetup:
 
 @dataclass(frozen=True)
 class Command:
-    """What a car commands its motors for one control period."""
+    """What a car commands its motors for one control period.
+
+    Example:
+        >>> import craftsim
+        >>> craftsim.Command(board=0.02)
+        Command(wheels=(0.0, 0.0, 0.0, 0.0), board=0.02, hinge=0.0)
+    """
 
     wheels: PerWheel = (0.0, 0.0, 0.0, 0.0)
     """In rad/s."""
@@ -243,6 +249,16 @@ class Skill(ABC):
     It is made with what is known of the car (:class:`SkillSetup`), started with a measurement, and stepped with a
     measurement each control period until its outcome is set. It sees what the car could see, and nothing else. A car
     whose readings are not finite or that has tipped ends it, as it does every skill.
+
+    Example:
+        >>> import craftsim
+        >>> class Raise(craftsim.Skill):
+        ...     def step(self, now):
+        ...         if now.board_m > self.setup.machine.board_travel_m - 0.0005:
+        ...             self.succeed()
+        ...         return craftsim.Command(board=0.02)
+        >>> issubclass(Raise, craftsim.Skill), Raise.time_limit_s
+        (True, 60.0)
     """
 
     time_limit_s: ClassVar[float] = 60.0

@@ -27,7 +27,6 @@ from .mjcf.parameters import Machines as Machines
 from .mjcf.parameters import SlopeParameters as SlopeParameters
 from .mjcf.parameters import SmartcarParameters as SmartcarParameters
 from .models.config import SimulationConfig as SimulationConfig
-from .models.noise import SensorNoise as SensorNoise
 from .models.randomization import DomainRandomization as DomainRandomization
 from .models.sensing import SensorNoise as SensorNoise
 from .models.sensing import Sensors as Sensors

@@ -21,12 +21,14 @@ from craftsim.mjcf.machine_files import load_machines
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import Drivetrain, Floor, Making
-from craftsim.models.noise import ASSUMED, MILD, NOISY, SensorNoise
-from craftsim.models.parameter_files import load_machines
-from craftsim.models.parameters import NOMINAL, Drive, Machines
-from craftsim.models.randomization import NONE, DomainRandomization
-from craftsim.models.randomization_files import load_noise, load_randomization
-from craftsim.skills.disturbances import Disturbance
+from craftsim.models.measuring import Motors
+from craftsim.models.overlaps import ALLOWED_M
+from craftsim.models.randomization import NONE, DomainRandomization, load_noise, load_randomization, randomize
+from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise, Sensors
+from craftsim.models.world import Site
+from craftsim.skills.disturbances import Disturbance, DisturbedFleet
+from craftsim.skills.executor import Executor
+from craftsim.skills.fleet import Fleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import OwnSkill, SkillChoice, own_skills
 from craftsim.storage.schema import LEFT_OUT_IF_EMPTY

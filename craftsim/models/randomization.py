@@ -22,7 +22,7 @@ from craftsim.models.overlaps import GROUND
 from craftsim.models.parts import WHEELS, Car
 from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.world import Baseline, Site
-from craftsim.storage.yaml import Document, Loc, described, read_document, unknown_words
+from craftsim.storage.yaml import Document, number, numbers, read_document, unknown_words
 
 T = TypeVar("T")
 
@@ -274,11 +274,11 @@ def load_randomization(
     with _naming(document):
         for name in names:
             if name in given and isinstance(part := getattr(whole, name), float):
-                figures[name] = _number(document, given[name], name, (name,))
+                figures[name] = number(document, given[name], name, (name,))
             elif name in given:
                 figures[name] = _changed(document, part, name, name)
         whole = replace(whole, **figures)
-    bounds = _numbers(document, "limits", limits, "limits") if "limits" in given else {}
+    bounds = numbers(document, "limits", limits, "limits") if "limits" in given else {}
     return base, whole, bounds
 
 
@@ -295,18 +295,4 @@ def _naming(document: Document) -> Iterator[None]:
 
 def _changed(document: Document, whole: T, name: str, *loc: str) -> T:
     """Return a dataclass of numbers with those that a section gives."""
-    return replace(whole, **_numbers(document, name, [f.name for f in fields(whole)], *loc))  # type: ignore[type-var,arg-type]
-
-
-def _numbers(document: Document, section: str, known: list[str], *loc: str) -> dict[str, float]:
-    """Return the numbers of a section; raise InputError for what is no known key or no number."""
-    given = document.mapping(known, *loc)
-    return {key: _number(document, value, f"{section}.{key}", (*loc, key)) for key, value in given.items()}
-
-
-def _number(document: Document, value: object, name: str, loc: Loc) -> float:
-    if not isinstance(value, int | float):
-        document.fail(loc, f"{name} must be a number, not {described(value)}")
-    if not math.isfinite(value):
-        document.fail(loc, f"{name} must be a finite number, not {value}")
-    return float(value)
+    return replace(whole, **numbers(document, name, [f.name for f in fields(whole)], *loc))  # type: ignore[type-var,arg-type]

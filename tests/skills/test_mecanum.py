@@ -5,6 +5,7 @@ import pytest
 
 from craftsim.discrete.kinds import Kind
 from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
+from craftsim.models.sensing import measure
 from craftsim.skills.mecanum import Mecanum
 
 SMARTCAR = NOMINAL.cars[0]

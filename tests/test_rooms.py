@@ -69,7 +69,7 @@ ALLOWED = {
         "storage",
         "discrete",
         "mjcf.parameters",
-        "checking.settings",
+        "checking.setup",
         "envs",
         "planning",
         "report",

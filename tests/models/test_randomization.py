@@ -6,12 +6,11 @@ from dataclasses import fields, replace
 import mujoco
 import numpy as np
 import pytest
-from craftsim.models.parameters import Drive
 from scipy.stats import kstest, uniform
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.parameters import NOMINAL, Drive
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization, _vary_bodies, by_name, randomize
 from craftsim.models.world import Site

@@ -11,9 +11,11 @@ from typing import Final
 
 import mujoco
 
+from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.storage.folders import output_directory
+from craftsim.storage.paths import is_folder
 from craftsim.storage.writing import write_whole
 
 _TITLES: Final = {
@@ -52,7 +54,14 @@ def write_mjcf(path: Path, spec: mujoco.MjSpec) -> Path:
 
     Raises InputError where the disk does not take the file.
     """
-    return write_whole(output_directory(path.parent) / path.name, text_of(spec))
+    return write_whole(new_file(path), text_of(spec))
+
+
+def new_file(path: Path) -> Path:
+    """Return the path of a file to be written, in whose folder it can be; raise InputError for what is no such path."""
+    if not path.name or is_folder(path):
+        raise InputError(f"{path}: is a folder; give the name of a file")
+    return output_directory(path.parent) / path.name
 
 
 def write_machines(folder: Path) -> None:

@@ -15,7 +15,10 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from craftsim.storage.folders import directory_within, output_directory
+from craftsim.errors import InputError
+from craftsim.models.exporting import new_file
+from craftsim.storage.folders import directory_within
+from craftsim.storage.paths import exists, is_folder
 from craftsim.storage.writing import write_whole
 
 LACKS: Final = (
@@ -34,12 +37,14 @@ def write_urdf(path: Path, spec: mujoco.MjSpec) -> Path:
 
     Raises InputError where the disk does not take a file.
     """
+    path = new_file(path)
     writer = _Writer(spec.compile(), f"{path.stem}_meshes")
+    if exists(path.parent / writer.folder) and not is_folder(path.parent / writer.folder):
+        raise InputError(f"{path.parent / writer.folder}: is no folder; the meshes of {path.name} need one")
     robot = writer.robot(spec.modelname)
-    folder = output_directory(path.parent)
     for name, text in writer.meshes.items():
-        write_whole(directory_within(folder, writer.folder) / f"{name}.obj", text)
-    return write_whole(folder / path.name, Xml.tostring(robot, encoding="unicode") + "\n")
+        write_whole(directory_within(path.parent, writer.folder) / f"{name}.obj", text)
+    return write_whole(path, Xml.tostring(robot, encoding="unicode") + "\n")
 
 
 class _Writer:

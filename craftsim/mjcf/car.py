@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
@@ -36,6 +35,7 @@ from craftsim.mjcf.building import (
     touching,
 )
 from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
+from craftsim.mjcf.reduced import WholeCar, chassis_inertia
 from craftsim.mjcf.solids import (
     ClosedSolid,
     Mesh,
@@ -46,93 +46,18 @@ from craftsim.mjcf.solids import (
     box,
     loft,
     rectangle,
-    second_moments,
     square,
     turned,
 )
 
 WHEELS: Final = tuple(f"wheel_{corner}" for corner in CORNERS)
 """Order of everything that is given per wheel: front left, front right, rear left, rear right."""
-BRISTLES: Final = (200.0, 0.5)
-"""Stiffness (Nm/rad) and damping (Nms/rad) of the dry friction of the reduced drive's gears: a loaded car on the slope
-gives way by 0.1 mm before it holds, without swinging."""
-STRIBECK_RAD_S: Final = 0.1
-"""Without effect while friction at rest is that of motion."""
 _ROLLER_GAP_M: Final = 0.0002
 """What comes so near to a roller is listed as a contact before it touches (craftsim/models/bearings.py)."""
 _WELL_GAP_M: Final = 0.0034
 """Between a wheel and its well."""
 _BLACK: Final = [0.13, 0.13, 0.14, 1.0]
 _HUB_RGBA: Final = [0.30, 0.31, 0.33, 1.0]
-
-
-@dataclass(frozen=True)
-class WholeCar:
-    """Chassis and wheels of the reduced drive in one, and how its motors push it."""
-
-    mass_kg: float
-    centre_m: float
-    """Height of the centre of mass above the floor."""
-    inertia_kgm2: Point
-    """About that centre."""
-    spin_kgm2: float
-    """Of a wheel and its motor about the axle."""
-    armature: tuple[float, ...]
-    """What the wheels' spin adds to the car's inertia: to its mass along x, y and z, and about its own x, y and z."""
-    gears: tuple[tuple[float, ...], ...]
-    """By wheel, in the order of WHEELS: what a twist of the car at its origin, on the floor, turns the wheel by."""
-    lugre: tuple[float, ...]
-    """Stiffness, damping, Coulomb and static friction and Stribeck speed of a gear, as MuJoCo's DC motor takes them."""
-
-    @classmethod
-    def of(cls, car: SmartcarParameters) -> WholeCar:
-        """Return a car without its board."""
-        mass = car.chassis_mass_kg + 4 * car.wheel_mass_kg
-        centre = car.wheel_radius_m + car.chassis_mass_kg * car.chassis_com_m / mass
-        radius, lever = car.wheel_radius_m, car.turn_radius_m
-        spin = car.wheel_spin_inertia_kgm2 + car.wheel_armature_kgm2
-        added = 4 * spin / radius**2
-        armature = (added, added, 0.0, 0.0, 0.0, added * lever**2)
-        signs = ((-1, -1), (1, 1), (1, -1), (-1, 1))
-        gears = tuple((1 / radius, y / radius, 0.0, 0.0, 0.0, z * lever / radius) for y, z in signs)
-        dry = car.gear_friction_nm
-        lugre = (*BRISTLES, dry, dry, STRIBECK_RAD_S)
-        return cls(mass, centre, _inertia(car, centre), spin, armature, gears, lugre)
-
-
-def _inertia(car: SmartcarParameters, centre_m: float) -> Point:
-    """Return the inertia of chassis and wheels about their common centre."""
-    x, y, z = _chassis_inertia(car)
-    wheel, radius = car.wheel_mass_kg, car.wheel_radius_m
-    tumble = wheel * (3 * radius**2 + car.wheel_width_m**2) / 12
-    up = (
-        car.chassis_mass_kg * (radius + car.chassis_com_m - centre_m) ** 2
-        + 4 * wheel * (radius - centre_m) ** 2
-    )
-    along, across = 4 * wheel * car.wheel_x_m**2, 4 * wheel * car.wheel_y_m**2
-    return (
-        x + up + 4 * tumble + across,
-        y + up + 4 * car.wheel_spin_inertia_kgm2 + along,
-        z + 4 * tumble + along + across,
-    )
-
-
-def _chassis_inertia(car: SmartcarParameters) -> Point:
-    """Return the inertia of the chassis about its centre: that of its solid hull."""
-    half, cut = car.chassis_length_m / 2, car.chassis_chamfer_m
-    bottom, top = car.chassis_bottom_m, car.chassis_top_m
-    outline = [
-        (-half, bottom + cut),
-        (cut - half, bottom),
-        (half - cut, bottom),
-        (half, bottom + cut),
-        (half, top),
-        (-half, top),
-    ]
-    _, xx, zz = second_moments(outline)
-    yy = car.chassis_width_m**2 / 12
-    m = car.chassis_mass_kg
-    return m * (yy + zz), m * (xx + zz), m * (xx + yy)
 
 
 def _hub_inertia(car: SmartcarParameters) -> Point:
@@ -264,7 +189,7 @@ class _Building:
         """Add the chassis' mass, and four wheels of free rollers with their motors."""
         spec, prefix, car = self._spec, self._prefix, self._car
         # Inertia of the solid hull about its own centre, at the centre of mass.
-        set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car))
+        set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, chassis_inertia(car))
         roller = self._class(
             "roller",
             type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,

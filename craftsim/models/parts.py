@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.mjcf.car import WHEELS, WholeCar
+from craftsim.mjcf.car import WHEELS
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
+from craftsim.mjcf.reduced import WholeCar
 
 
 @dataclass(frozen=True)

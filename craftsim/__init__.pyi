@@ -3,6 +3,7 @@
 from .checking.attempt import Attempt as Attempt
 from .checking.episode import perform as perform
 from .designs.tasks import designs_task as designs_task
+from .discrete.actions import register_action as register_action
 from .discrete.files.blueprint import Blueprint as Blueprint
 from .discrete.files.blueprint import read_blueprint as read_blueprint
 from .discrete.files.blueprint import write_blueprint as write_blueprint

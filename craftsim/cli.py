@@ -17,10 +17,12 @@ from typing import Annotated, Any, Final, get_args, get_type_hints
 from craftsim.commands.text import complain, drop_output, reader_is_gone, show_what_can_be_shown
 from craftsim.compiling import tell
 from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
-from craftsim.modules import safe_path
+from craftsim.modules import import_own, safe_path
 from craftsim.storage.limits import Range
 from craftsim.storage.paths import check_working_folder
 
+PLUGINS: Final = "--plugins"
+"""Comes before the command, with modules of one's own to import first, divided by commas."""
 BROKEN_PIPE: Final = 141
 """What a shell says of a process that SIGPIPE ended."""
 
@@ -93,8 +95,10 @@ def _answer(words: list[str]) -> int:
 
         print(f"craftsim {craftsim.__version__}")
         return 0
-    name = words[0]
     try:
+        if words[0] == PLUGINS:
+            words = _import_plugins(words)
+        name = words[0]
         if name not in COMMANDS:
             raise InputError(
                 f"no command '{name}'{suggestion(name, COMMANDS)} (commands: {', '.join(COMMANDS)})"
@@ -113,6 +117,22 @@ def _answer(words: list[str]) -> int:
             raise
         complain("interrupted")
         return 130
+
+
+def _import_plugins(words: list[str]) -> list[str]:
+    """Import the modules that register something, and return the words of the command."""
+    if len(words) < 3:
+        raise InputError(f"{PLUGINS} needs modules and then a command: craftsim {PLUGINS} MODULE,... COMMAND")
+    for module in words[1].split(","):
+        try:
+            import_own(module)
+        except CraftsimError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise InputError(
+                f"{PLUGINS}: the module '{module}' cannot be imported: {type(error).__name__}: {error}"
+            ) from error
+    return words[2:]
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -182,11 +202,12 @@ def _overview() -> str:
     width = max(map(len, COMMANDS))
     return "\n".join(
         [
-            "usage: craftsim [--help] [--version] COMMAND ...",
+            "usage: craftsim [--help] [--version] [--plugins MODULE,...] COMMAND ...",
             "",
             *(f"  {name:<{width}}  {summary}" for name, summary in COMMANDS.items()),
             "",
             "'craftsim COMMAND --help' explains a command's options.",
+            "--plugins imports modules of your own first, which register actions or tasks.",
         ]
     )
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
+from typing import Final
+
+REGISTERING: Final[list[str]] = []
+"""The modules that have registered something, in order; processes that craftsim starts import them, too."""
 
 SAFE_PATH = "PYTHONSAFEPATH"
 """What keeps Python from looking for modules in the working folder first (``python -P``), for ``-c`` and ``-m``."""
@@ -23,6 +27,34 @@ def import_own(name: str) -> ModuleType:
         if (here := os.getcwd()) not in sys.path:
             sys.path.append(here)
     return importlib.import_module(name)
+
+
+def note_registering(depth: int = 2) -> str:
+    """Note that the module whose code calls a registering function registers something, and return its name.
+
+    ``depth`` counts the calls from there to here.
+    """
+    name = str(sys._getframe(depth).f_globals.get("__name__", "__main__"))
+    if name not in REGISTERING:
+        REGISTERING.append(name)
+    return name
+
+
+def import_registering(name: str) -> None:
+    """Import a module for what it registers.
+
+    A program that is run itself has no name to import it by: processes that it starts run it again first, all but what
+    stands below ``if __name__ == "__main__":``.
+    """
+    if name not in ("__main__", "__mp_main__"):
+        import_own(name)
+
+
+def look_for_modules(path: Iterable[str], registering: Iterable[str]) -> None:
+    """Find the modules that another process finds on its path, and import what registers something there."""
+    sys.path += [place for place in path if place not in sys.path]
+    for name in registering:
+        import_registering(name)
 
 
 def place_of(module: ModuleType) -> str:

@@ -16,7 +16,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Final
 
 from craftsim.compiling import is_told, tell
-from craftsim.modules import SAFE_PATH, safe_path, set_safe_path
+from craftsim.modules import REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
 
 _starting: Final = threading.Lock()
 
@@ -36,6 +36,7 @@ class _Process(SpawnProcess):
     def start(self) -> None:
         self._inherited = os.environ.get(SAFE_PATH)
         self._tells = is_told()
+        self._registering = tuple(REGISTERING)
         with _safe_path():
             # Its first start would undo the block.
             resource_tracker.ensure_running()
@@ -50,6 +51,8 @@ class _Process(SpawnProcess):
         set_safe_path(self._inherited)
         if self._tells:
             tell()
+        for module in self._registering:
+            import_registering(module)
         super().run()
 
 

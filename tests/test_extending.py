@@ -1,114 +1,315 @@
-"""What docs/extending.md says works: an action is added to a copy of the package, performed and audited."""
+"""Actions of a user's own are registered from one file, and docs/extending.md says what works."""
 
+import importlib
 import os
+import pickle
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import craftsim
+from craftsim import Action, Grid, Kind
+from craftsim.checking.recipe import Act
+from craftsim.cli import main
+from craftsim.discrete import kinds
+from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.own_actions import as_own
+from craftsim.discrete.schedule import make_schedule, nominal_durations
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.envs.text import TextConstruction
+from craftsim.errors import InputError
 
 ROOT = Path(__file__).parents[1]
-PACKAGE = Path(craftsim.__file__).parent
 TEXT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", TEXT, re.MULTILINE | re.DOTALL))
-PROGRAM = "push.py"
 
-PARTS = {
-    "craftsim/discrete/kinds.py": "PUSH",
-    "craftsim/discrete/kernel/codes.py": "PUSH",
-    "craftsim/discrete/reasons.py": "of craftsim/discrete/kernel/codes.py has no words in craftsim/discrete/reasons.py",
-    "craftsim/discrete/kernel/rules.py": "PUSH is not chosen by why() in craftsim.discrete.kernel.rules",
-    "craftsim/discrete/kernel/effects.py": "PUSH is not chosen by apply() in craftsim.discrete.kernel.effects",
-    "craftsim/discrete/actions.py": "PUSH has a number in craftsim/discrete/kinds.py, but no row in "
-    "craftsim/discrete/actions.py",
-    "craftsim/data/durations.yaml": "PUSH: no row 'push' in craftsim/data/durations.yaml",
-    "craftsim/skills/pushing.py": "No module named 'craftsim.skills.pushing'",
-    "craftsim/skills/library.py": "PUSH has no skill in craftsim/skills/library.py",
-}
-"""The nine files, and what is said without each."""
+
+def _forget_actions():
+    """Undo all registrations of this process; a name is never free again where craftsim is used."""
+    for action in list(ACTIONS)[len(Action) :]:
+        del ACTIONS[action]
+    for known in (kinds._OWN_ACTIONS, kinds._REGISTERED_BY):
+        known.clear()
+    sys.modules.pop("push", None)
+
+
+@pytest.fixture
+def push():
+    """Register PUSH of tests/push.py."""
+    _forget_actions()
+    yield importlib.import_module("push").PUSH
+    _forget_actions()
+
+
+@pytest.fixture
+def free_names():
+    yield
+    _forget_actions()
+
+
+def _before_a_block(n_cars=1):
+    grid = Grid.empty((6, 3, 2), n_cars)
+    grid.cars[0, :4] = 1, 1, 1, 0
+    for car in range(1, n_cars):
+        grid.cars[car, :4] = car - 1, 0, 1, 0
+    grid.kind[2, 1, 1] = Kind.BLOCK
+    grid.derive_marks()
+    return grid
+
+
+def test_a_registered_action_has_a_number_a_name_and_a_row(push):
+    assert (int(push), push.name, repr(push)) == (15, "PUSH", "<Action.PUSH: 15>")
+    assert Action["PUSH"] is Action(15) is push
+    assert list(ACTIONS)[-1] is push
+    assert [int(action) for action in Action] == list(range(15))
+    assert nominal_durations()[push].tolist() == [4.1] * 4
+    assert pickle.loads(pickle.dumps(push)) is push
+    assert as_own(["PUSH"]) == (push,)
+
+
+def test_rules_judge_explain_and_carry_out_a_registered_action(push):
+    rules, grid = craftsim.Rules("physical"), _before_a_block()
+    assert rules.legal(grid, 0, push)
+    assert rules.explain(grid, 0, push).legal
+    after = rules.apply(grid, 0, push)
+    assert after.cars[0, :3].tolist() == [2, 1, 1]
+    assert after.kind[3, 1, 1] == Kind.BLOCK
+    assert after.kind[2, 1, 1] == Kind.AIR
+    assert grid.kind[2, 1, 1] == Kind.BLOCK
+    twice, applied = rules.tick(grid, [(0, push), (0, Action.MOVE_LEFT)])
+    assert applied.tolist() == [True, True]
+    assert twice.cars[0, 0] == 1
+    empty = Grid.empty((3, 1, 1), 1)
+    assert str(rules.explain(empty, 0, push)) == "PUSH is forbidden: there is nothing to push"
+    assert rules.apply(empty, 0, push).same_visible(empty)
+    assert not craftsim.Rules("published").legal(grid, 0, push)
+    assert not rules.legal(grid, 0, 16)
+
+
+def test_masks_have_a_column_for_those_that_are_named_alone(push):
+    grid = _before_a_block()
+    assert craftsim.Rules("physical").mask(grid).shape == (1, 15)
+    rules = craftsim.Rules("physical", actions=["PUSH"])
+    assert rules.mask(grid)[0, 15]
+    assert rules.reachable(grid)[0, 15]
+    assert rules.actions[-1] is push
+    assert not rules.mask(Grid.empty((3, 1, 1), 1))[0, 15]
+
+
+def test_a_schedule_waits_for_who_is_where_a_block_is_pushed(push):
+    grid = _before_a_block(3)
+    grid.cars[1, :2], grid.cars[2, :2] = (3, 1), (5, 0)
+    grid.derive_marks()
+    ticks = [[(1, Action.MOVE_FORWARD)], [(0, push)], [(2, Action.MOVE_FORWARD)]]
+    schedule = make_schedule(grid, ticks, craftsim.Rules("physical"))
+    assert [step.waits_for for step in schedule.steps] == [frozenset(), {0}, frozenset()]
+    assert schedule.makespan() > 4.1
+
+
+@pytest.mark.parametrize("depth", [None, 4])
+def test_a_batch_with_registered_actions_is_as_its_worlds_one_by_one(push, depth):
+    rng = np.random.default_rng(1)
+    task = craftsim.make_task("block")
+    episodes = Episodes(task, np.random.default_rng(0), 12, "physical", depth, actions=["PUSH"])
+    rules = craftsim.Rules("physical", actions=["PUSH"])
+    pushes = 0
+    for _ in range(25):
+        masks = episodes.offered()
+        chosen = np.where(
+            masks[..., 15] & (rng.random(masks.shape[:2]) < 0.5),
+            15,
+            (rng.random(masks.shape) * masks).argmax(-1),
+        )
+        before = [episodes.grid(i) for i in range(len(episodes))]
+        queued = episodes.queue[:, :, 0] >= 0
+        steps = episodes.step(chosen)
+        for i, grid in enumerate(before):
+            if depth is None:
+                assert np.array_equal(rules.mask(grid), masks[i])
+                joint = [(int(car), int(chosen[i, car])) for car in steps.order[i]]
+                after, applied = rules.tick(grid, joint)
+                assert after.same_visible(episodes.grids[i])
+                assert after.same_marks(episodes.grids[i])
+                assert np.array_equal(applied, steps.applied[i][steps.order[i]])
+        pushes += int(((chosen == 15) & steps.applied & ~queued).sum())
+    assert pushes > 0
+
+
+@pytest.mark.parametrize("backend", ["grid", "physics"])
+def test_environments_offer_what_they_are_asked_for(push, backend):
+    env = craftsim.parallel_env("block", backend, actions=("PUSH",))
+    assert env.action_space("car_0").n == 16
+    observations, _ = env.reset(seed=0, options={"grid": _as_start(env)})
+    assert observations["car_0"]["action_mask"].tolist()[15] == 1
+    _, _, _, _, infos = env.step({agent: 15 if agent == "car_0" else 10 for agent in env.agents})
+    assert not infos["car_0"]["illegal"]
+    assert infos["car_0"]["duration_s"] == pytest.approx(4.1, abs=0.1)
+    assert env.grid.cars[0, :2].tolist() == [2, 1]
+    plain = craftsim.parallel_env("block", backend)
+    assert plain.action_space("car_0").n == 15
+
+
+def _as_start(env):
+    task = env.core.task
+    grid = Grid.empty(task.starts[0].size, task.layout.n_cars)
+    for car in range(grid.n_cars):
+        grid.cars[car, :4] = 1, 1 + 2 * car, 1, 0
+    grid.kind[2, 1, 1] = Kind.BLOCK
+    grid.derive_marks()
+    return grid
+
+
+def test_text_and_batches_know_registered_actions(push):
+    text = TextConstruction("block", backend="grid", actions=("PUSH",))
+    text.reset(seed=0, options={"grid": _as_start(text)})
+    said = text.step("car_0: push")[0]
+    assert "car_0: PUSH: as predicted" in said or "push" in said
+    envs = craftsim.vector_env("block", 2, actions=("PUSH",))
+    observations, _ = envs.reset(seed=0)
+    assert observations["action_mask"].shape[-1] == 16
+    assert envs.single_action_space.nvec.tolist()[0] == 16
+
+
+def test_worker_processes_import_what_registers(push, monkeypatch):
+    # Given by its name or by itself, it is the same there.
+    for one in ("PUSH", push):
+        envs = craftsim.vector_env("block", 2, "physics", workers=1, actions=(one,))
+        try:
+            observations, _ = envs.reset(seed=0)
+            assert observations["action_mask"].shape[-1] == 16
+        finally:
+            envs.close()
+
+
+def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(
+    push, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    craftsim.write_blueprint(_before_a_block(), "world.yaml")
+    Path("mine.plan").write_text("0 0 PUSH\n1 0 MOVE_LEFT\n2 0 MOVE_RIGHT\n3 0 PUSH\n", encoding="utf-8")
+    result = craftsim.validate("world.yaml", plan="mine.plan")
+    assert result.agrees
+    assert [a.action for a in result.attempts].count("PUSH") == 2
+    arguments = [
+        "audit",
+        "--rules",
+        "physical",
+        "--actions",
+        "PUSH",
+        "--only",
+        "legal",
+        "--randomize",
+        "none",
+    ]
+    assert main([*arguments, "--trials", "1", "--workers", "2", "--out", "audit"]) == 0, (
+        capsys.readouterr().out
+    )
+    assert "0 of " in capsys.readouterr().out
+    assert Act(0, "PUSH").action == "PUSH"
+
+
+def test_commands_import_plugins_first(tmp_path):
+    (tmp_path / "world.yaml").write_text("", encoding="utf-8")
+    craftsim.write_blueprint(_before_a_block(), tmp_path / "world.yaml")
+    (tmp_path / "mine.plan").write_text("0 0 PUSH\n", encoding="utf-8")
+    (tmp_path / "push.py").write_text((Path(__file__).parent / "push.py").read_text("utf-8"), "utf-8")
+    words = ["validate", "world.yaml", "--plan", "mine.plan", "--randomize", "none"]
+
+    def run(*arguments):
+        command = [sys.executable, "-m", "craftsim", *arguments]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        return done.returncode, done.stdout + done.stderr
+
+    status, said = run("--plugins", "push", *words)
+    assert status == 0, said
+    status, said = run(*words)
+    assert status == 2
+    assert "unknown action 'PUSH'" in said
+    status, said = run("--plugins", "nowhere", *words)
+    assert status == 2
+    assert "the module 'nowhere' cannot be imported" in said
+
+
+def _legal(grid, car):
+    return None
+
+
+def _effect(grid, car):
+    """Change nothing."""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"name": "LIFT"}, "there is an action 'LIFT' already"),
+        ({"name": "MOVE"}, "there is an action 'MOVE' already"),
+        ({"name": "push it"}, "made of capitals"),
+        ({"legal": lambda grid: None}, "legal is called as legal\\(grid, car\\), but yours takes \\(grid\\)"),
+        ({"effect": None}, "effect must be a function"),
+        ({"duration_s": 0.0}, "duration_s is 0.0; allowed: seconds, more than 0"),
+        ({"duration_s": "1 s"}, "duration_s is '1 s'"),
+        ({"footprint": lambda grid, car: ()}, "footprint is called as footprint\\(before, after, car\\)"),
+        ({"skill": lambda: None}, "skill is called as skill\\(setup\\)"),
+    ],
+)
+def test_a_wrong_registration_says_what_is_wrong(arguments, message, free_names):
+    given = {"name": "NOD", "legal": _legal, "effect": _effect, "duration_s": 1.0} | arguments
+    with pytest.raises(InputError, match=message):
+        craftsim.register_action(**given)
+    assert len(ACTIONS) == 15
+
+
+def test_a_name_is_registered_once(free_names):
+    craftsim.register_action("NOD", _legal, _effect, duration_s=1.0)
+    with pytest.raises(InputError, match="there is an action 'NOD' already"):
+        craftsim.register_action("NOD", _legal, _effect, duration_s=1.0)
+
+
+def test_what_functions_return_is_checked(free_names):
+    def out_of_the_map(grid, car):
+        grid.cars[car, 0] = 99
+
+    grid, rules = Grid.empty((3, 1, 1), 1), craftsim.Rules("physical")
+    lost = craftsim.register_action("GET_LOST", _legal, out_of_the_map, duration_s=1.0)
+    with pytest.raises(
+        InputError, match=r"GET_LOST: after effect\(grid, 0\) car 0 is at \(99, 0, 1\), outside the map"
+    ):
+        rules.apply(grid, 0, lost)
+    odd = craftsim.register_action("ODD", lambda grid, car: False, _effect, duration_s=1.0)
+    with pytest.raises(InputError, match=r"ODD: legal\(grid, car\) returned False"):
+        rules.legal(grid, 0, odd)
+    new = craftsim.register_action("RENEW", _legal, lambda grid, car: grid.copy(), duration_s=1.0)
+    with pytest.raises(InputError, match="RENEW: effect"):
+        rules.apply(grid, 0, new)
+    nod = craftsim.register_action("NOD", _legal, _effect, duration_s=1.0)
+    with pytest.raises(InputError, match="'RENEW' was registered without a skill"):
+        craftsim.parallel_env("strip", "physics", actions=("RENEW",))
+    with pytest.raises(InputError, match="no skill performs NOD"):
+        craftsim.perform(craftsim.Site(grid), 0, nod)
+    with pytest.raises(InputError, match="no registered action 'LIFT'; there are GET_LOST, ODD, RENEW, NOD"):
+        craftsim.parallel_env("strip", "grid", actions=("LIFT",))
 
 
 def _examples(section):
-    """Yield (file, kind, text) of each example of a section that names its file in its first line."""
-    for kind, block in re.findall(
-        r"^```(python|diff)\n(.*?)^```", SECTIONS[section], re.MULTILINE | re.DOTALL
-    ):
+    """Yield (file, text) of each example of a section that names its file in its first line."""
+    for block in re.findall(r"^```python\n(.*?)^```", SECTIONS[section], re.MULTILINE | re.DOTALL):
         first, _, rest = block.partition("\n")
-        if first.startswith(("# ", "--- ")):
-            yield first.split(" ", 1)[1], kind, rest
+        if first.startswith("# "):
+            yield first.removeprefix("# "), rest
 
 
-def _edited(text, diff):
-    """Return a text with one edit: lines marked + come in, lines marked - go, all others find the place."""
-    lines = diff.splitlines()
-    old = "".join(f"{line[1:]}\n" for line in lines if line[0] in " -")
-    new = "".join(f"{line[1:]}\n" for line in lines if line[0] in " +")
-    assert text.count(old) == 1, f"the document's edit does not fit its file:\n{old}"
-    return text.replace(old, new)
-
-
-def _copy_with_push(place, without=None):
-    """Copy the package, and follow the document but for one file."""
-    ignored = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc")
-    shutil.copytree(PACKAGE, place / "craftsim", ignore=ignored)
-    for file, kind, text in _examples("An action"):
-        if file == without:
-            continue
-        path = place / file
-        path.write_text(_edited(path.read_text(encoding="utf-8"), text) if kind == "diff" else text, "utf-8")
-
-
-def _run(place, **environment):
-    return subprocess.run(
-        [sys.executable, PROGRAM],
-        cwd=place,
-        env={**os.environ, "PYTHONPATH": str(place), **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
-def test_push_takes_the_nine_files_that_are_named():
-    touched = list(dict.fromkeys(file for file, _, _ in _examples("An action") if file != PROGRAM))
-    assert touched == [*PARTS]
-    assert len(touched) <= 9
-
-
-def test_push_is_performed_in_physics_and_audited(tmp_path):
-    _copy_with_push(tmp_path)
-    # Plain Python is quicker here than compiling the copy's rules.
-    done = _run(tmp_path, NUMBA_DISABLE_JIT="1")
-    assert done.returncode == 0, done.stderr
-    said = done.stdout.splitlines()
-    assert said[:2] == ["PUSH is legal", "as predicted 2,1,1 +x"]
-    assert re.fullmatch(r"the block is 0\.\d mm off, nothing else moved: True", said[2])
-    assert said[3] == "the table's time: True"
-    assert re.fullmatch(r"[1-9]\d* legal rows, all as predicted: True", said[4])
-    assert said[5].startswith("PUSH is forbidden: there is nothing to push in (1, 0, 1)")
-
-
-@pytest.mark.parametrize("missing", PARTS)
-def test_a_part_that_is_left_out_is_named(tmp_path, missing):
-    _copy_with_push(tmp_path, without=missing)
-    done = _run(tmp_path, NUMBA_DISABLE_JIT="1")
-    assert done.returncode != 0
-    assert PARTS[missing] in done.stderr.splitlines()[-1]
-
-
-@pytest.mark.parametrize("section", [name for name in SECTIONS if name != "An action"])
-def test_the_other_examples_run(section, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for file, kind, text in _examples(section):
-        assert kind == "python"
-        Path(file).write_text(text, encoding="utf-8")
+@pytest.mark.parametrize("section", list(SECTIONS))
+def test_the_examples_of_the_page_run(section, tmp_path):
+    for file, text in _examples(section):
+        (tmp_path / file).write_text(text, encoding="utf-8")
         done = subprocess.run(
             [sys.executable, file],
-            env={**os.environ, "PYTHONPATH": str(PACKAGE.parent)},
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(Path(craftsim.__file__).parents[1])},
             capture_output=True,
             text=True,
             check=False,

@@ -1,22 +1,35 @@
-"""The table of actions: one row each, with what makes an action beyond its rules. docs/extending.md adds one.
+"""The table of actions: one row each. :func:`register_action` adds a row for an action of a user's own.
 
-When an action is legal and what it changes stand in ``craftsim/discrete/kernel/rules.py``, the words for why it is
-forbidden in ``craftsim/discrete/reasons.py``, the skills that perform actions in ``craftsim/skills/library.py`` and
+When one of the 15 is legal and what it changes is compiled (``craftsim/discrete/kernel``), with the words for why it is
+forbidden in ``craftsim/discrete/reasons.py``; the skills that perform them stand in ``craftsim/skills/library.py``,
 their nominal durations in ``craftsim/data/durations.yaml``. Skills and durations are checked against this table.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import inspect
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
 
 from craftsim.discrete import footprint as space
 from craftsim.discrete.footprint import Footprint
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.rules import why
-from craftsim.discrete.kinds import MOVE_DIRECTION, Action, CarField, Kind
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action, CarField, Kind, add_action
+from craftsim.errors import InputError
+from craftsim.modules import note_registering
+
+Legality = Callable[[Grid, int], str | None]
+"""(grid, car) -> why the car cannot do it now, in words; None or "" if it can."""
+Effect = Callable[[Grid, int], None]
+"""(grid, car): changes the grid as the car's action does; marks need no attention."""
+Touched = Callable[[Grid, Grid, int], Iterable[Cell]]
+"""(before, after, car) -> the cells (x, y, z) that the action sweeps, or whose things it changes."""
 
 
 def _nothing(grid: Grid, car: int) -> str:
@@ -25,7 +38,7 @@ def _nothing(grid: Grid, car: int) -> str:
 
 @dataclass(frozen=True)
 class ActionSpec:
-    """What makes an action in the grid world beyond its rules; see the table :data:`ACTIONS`."""
+    """What makes an action in the grid world; see the table :data:`ACTIONS`."""
 
     verb: str
     """What it is called whatever the map direction: reports, the audit and its contexts group by it."""
@@ -46,11 +59,19 @@ class ActionSpec:
     """Whether it matters what is above the own cell or, with ``ahead``, above the next one."""
     beyond: int | None = None
     """Relative direction in which it matters whether a block is in the cell after the next."""
+    legality: Legality | None = None
+    """Of a registered action; that of the 15 is compiled."""
+    effect: Effect | None = None
+    """The same."""
+    duration_s: float = 0.0
+    """Nominal duration of a registered action, which has no row in the file."""
+    skill: Callable[[Any], Any] | None = None
+    """Of a registered action: makes the skill that performs it from a ``SkillSetup``."""
 
     @property
     def performed(self) -> bool:
         """Whether a skill performs it."""
-        return bool(self.duration)
+        return bool(self.duration) or self.skill is not None
 
 
 def _own(grid: Grid, car: int) -> Kind:
@@ -92,7 +113,7 @@ def _diagonal(action: Action) -> ActionSpec:
     return ActionSpec("MOVE", action.name.replace("_", " ").lower(), space.of_nothing, "")
 
 
-ACTIONS: Final[Mapping[Action, ActionSpec]] = {
+ACTIONS: Final[dict[Action, ActionSpec]] = {
     Action.LIFT: ActionSpec("LIFT", "lift", space.of_board, "lift", _nothing_to_lift, over=True),
     Action.DROP: ActionSpec("DROP", "drop", space.of_board, "drop", _nothing_to_drop),
     Action.FOLD: ActionSpec("FOLD", "fold", space.of_flap, "fold", _nothing_to_fold, over=True, beyond=2),
@@ -111,7 +132,7 @@ ACTIONS: Final[Mapping[Action, ActionSpec]] = {
     Action.MOVE_BACK_LEFT: _diagonal(Action.MOVE_BACK_LEFT),
     Action.MOVE_BACK_RIGHT: _diagonal(Action.MOVE_BACK_RIGHT),
 }
-"""The table of actions, in the order of their numbers."""
+"""The table of actions, in the order of their numbers; registered ones come last."""
 
 if list(ACTIONS) != list(Action):
     missing = next(action for action in Action if action not in ACTIONS)
@@ -129,8 +150,132 @@ for _rules in (why, apply):
         ):
             raise RuntimeError(f"{_action.name} is not chosen by {_code.co_name}() in {_rules.__module__}")
 
-VERBS: Final = tuple(dict.fromkeys(spec.verb for spec in ACTIONS.values()))
-"""All verbs, in the order of the actions."""
+
+def verbs() -> tuple[str, ...]:
+    """Return all verbs, in the order of the actions."""
+    return tuple(dict.fromkeys(spec.verb for spec in ACTIONS.values()))
+
+
+def action_names() -> list[str]:
+    """Return the names of all actions."""
+    return [action.name for action in ACTIONS]
+
+
+def register_action(
+    name: str,
+    legal: Legality,
+    effect: Effect,
+    *,
+    duration_s: float,
+    footprint: Touched | None = None,
+    skill: Callable[[Any], Any] | None = None,
+    words: str = "",
+    ahead: Iterable[int] = (),
+    over: bool = False,
+    beyond: int | None = None,
+    nothing_to_try: Legality | None = None,
+) -> Action:
+    """Add an action of your own to those that rules, plans, environments, the judge and the audit know; return it.
+
+    Call it at the top level of a module: processes that craftsim starts import that module, too. Only the physical rule
+    set allows registered actions, for the published one is CraftEnv's.
+
+    Args:
+        name: in capitals, as in ``PUSH``.
+        legal: ``legal(grid, car)`` returns in words why the car cannot do it now, None or "" if it can.
+        effect: ``effect(grid, car)`` changes the grid as a legal action does; marks are derived after it.
+        duration_s: nominal duration, for schedules and the grid's clock.
+        footprint: ``footprint(before, after, car)`` returns the cells (x, y, z) that the car, its load or what it moves
+            sweeps; no other action that needs them runs at the same time. Unless given, the cells that change. Where
+            the car stands before and after counts in any case.
+        skill: returns the skill that performs it from a ``SkillSetup``; without one the action is for the grid alone.
+        words: how captions call it, the name in small letters unless given.
+        ahead: of what the audit varies: the directions, relative to the heading (0 forward, 1 left, 2 back, 3 right),
+            in which the next cell matters.
+        over: whether it matters what is above the own cell or, with ``ahead``, above the next one.
+        beyond: the direction in which it matters whether a block is in the cell after the next.
+        nothing_to_try: returns why the audit need not try it where it is forbidden, as ``legal`` does; what is legal
+            alone is tried unless given.
+
+    Raises InputError for a name that is taken or is none, a function of other arguments, and a duration that is none.
+
+    Example:
+        >>> import craftsim
+        >>> def on_the_floor(grid, car):
+        ...     return None if grid.cars[car, 2] == 1 else "the car is not on the floor"
+        >>> def about(grid, car):
+        ...     grid.cars[car, 3] = (grid.cars[car, 3] + 2) % 4
+        >>> TURN_ABOUT = craftsim.register_action("TURN_ABOUT", on_the_floor, about, duration_s=1.8)
+        >>> rules, grid = craftsim.Rules("physical"), craftsim.Grid.empty((3, 1, 1), n_cars=1)
+        >>> print(rules.explain(grid, 0, TURN_ABOUT), rules.apply(grid, 0, TURN_ABOUT).cars[0].tolist())
+        TURN_ABOUT is legal [0, 0, 1, 2, 0, 0, 0]
+    """
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Z][A-Z0-9_]{0,39}", name):
+        raise InputError(f"an action's name is made of capitals, digits and _, such as PUSH, not {name!r}")
+    if name in {*action_names(), *verbs()}:
+        raise InputError(f"there is an action '{name}' already; give yours another name")
+    for what, function, arguments in (
+        ("legal", legal, ("grid", "car")),
+        ("effect", effect, ("grid", "car")),
+        ("footprint", footprint, ("before", "after", "car")),
+        ("skill", skill, ("setup",)),
+        ("nothing_to_try", nothing_to_try, ("grid", "car")),
+    ):
+        if function is not None or what in ("legal", "effect"):
+            _check_takes(name, what, function, arguments)
+    seconds = isinstance(duration_s, int | float) and not isinstance(duration_s, bool)
+    if not (seconds and 0 < duration_s < np.inf):
+        raise InputError(f"{name}: duration_s is {duration_s!r}; allowed: seconds, more than 0")
+    spec = ActionSpec(
+        name,
+        words or name.replace("_", " ").lower(),
+        _touching(footprint or _changed),
+        "",
+        lambda grid, car: (nothing_to_try or legal)(grid, car) or "",
+        ahead=tuple(ahead),
+        over=over,
+        beyond=beyond,
+        legality=legal,
+        effect=effect,
+        duration_s=float(duration_s),
+        skill=skill,
+    )
+    action = add_action(name, note_registering())
+    ACTIONS[action] = spec
+    return action
+
+
+def _check_takes(name: str, what: str, function: Any, arguments: tuple[str, ...]) -> None:
+    """Raise InputError for what is no function of these arguments."""
+    form = f"{what}({', '.join(arguments)})"
+    if not callable(function):
+        raise InputError(f"{name}: {what} must be a function, {form}, not {function!r}")
+    try:
+        signature = inspect.signature(function)
+    except ValueError:  # some that are not written in Python do not tell
+        return
+    try:
+        signature.bind(*arguments)
+    except TypeError as error:
+        raise InputError(
+            f"{name}: {what} is called as {form}, but yours takes {signature}: {error}"
+        ) from error
+
+
+def _changed(before: Grid, after: Grid, car: int) -> Iterable[Cell]:
+    """Return the cells whose things differ."""
+    differs = (before.kind != after.kind) | (before.yaw != after.yaw)
+    return [(x, y, z) for x, y, z in np.argwhere(differs).tolist()]
+
+
+def _touching(touched: Touched) -> Callable[[Grid, Grid, int], Footprint]:
+    """Return the footprint of the cells that a user's function names: swept, changed, and a moving load in each."""
+
+    def of_cells(before: Grid, after: Grid, car: int) -> Footprint:
+        cells = frozenset((int(x), int(y), int(z)) for x, y, z in touched(before, after, car))
+        return Footprint(cells, cells, frozenset(), cells)
+
+    return of_cells
 
 
 def check_complete(parts: Mapping[Action, object], what: str, where: str) -> None:
@@ -141,7 +286,8 @@ def check_complete(parts: Mapping[Action, object], what: str, where: str) -> Non
         what: they are, such as ``skill``.
         where: the file that lists them.
     """
-    for action, spec in ACTIONS.items():
+    for action in Action:
+        spec = ACTIONS[action]
         if spec.performed and action not in parts:
             raise RuntimeError(f"{action.name} has no {what} in {where}")
         if not spec.performed and action in parts:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from enum import IntEnum, IntFlag, auto
-from typing import Final
+from enum import EnumType, IntEnum, IntFlag, auto
+from numbers import Integral
+from typing import Any, Final
+
+from craftsim.modules import import_registering
 
 
 class Kind(IntEnum):
@@ -68,8 +71,25 @@ class CarField(IntEnum):
     """0 off slopes, 1 in a foot's cell, 2 in the cell above a body."""
 
 
-class Action(IntEnum):
+_OWN_ACTIONS: Final[dict[str | int, Any]] = {}
+"""Registered actions by name and by number."""
+_REGISTERED_BY: Final[dict[str, str]] = {}
+"""The module that registers each, by its name."""
+
+
+class _ActionType(EnumType):
+    """Looks an action up by its name, a registered one too."""
+
+    def __getitem__(cls, name: str) -> Any:
+        own = _OWN_ACTIONS.get(name)
+        return super().__getitem__(name) if own is None else own
+
+
+class Action(IntEnum, metaclass=_ActionType):
     """A primitive action; the numbers are CraftEnv's. Moves are map directions, whatever the car's yaw.
+
+    Iterating gives these 15. ``Action["NAME"]`` and ``Action(number)`` also give a registered one
+    (:func:`craftsim.register_action`); the numbers of those begin at 15 and hold in one process.
 
     Example:
         >>> import craftsim
@@ -92,6 +112,32 @@ class Action(IntEnum):
     MOVE_FORWARD_RIGHT = 12
     MOVE_BACK_LEFT = 13
     MOVE_BACK_RIGHT = 14
+
+    @classmethod
+    def _missing_(cls, value: object) -> Action | None:
+        return _OWN_ACTIONS.get(int(value)) if isinstance(value, Integral) else None
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        # By its name: a process that loads it may have registered others before.
+        module = _REGISTERED_BY.get(self.name)
+        return super().__reduce_ex__(protocol) if module is None else (_load_action, (self.name, module))
+
+
+def add_action(name: str, module: str) -> Action:
+    """Return a new action, numbered after all others, which ``module`` registers; its name must be a new one."""
+    number = len(Action) + len(_OWN_ACTIONS) // 2
+    action = int.__new__(Action, number)
+    action._name_, action._value_ = name, number
+    _OWN_ACTIONS[name] = _OWN_ACTIONS[number] = action
+    _REGISTERED_BY[name] = module
+    return action
+
+
+def _load_action(name: str, module: str) -> Action:
+    """Return the action of a pickle; the module that registers it is imported if need be."""
+    if name not in _OWN_ACTIONS:
+        import_registering(module)
+    return Action[name]
 
 
 MOVE_DIRECTION: Final[dict[Action, int]] = {

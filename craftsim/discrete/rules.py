@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete import own_actions
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
@@ -46,8 +47,20 @@ class Rules:
         [1, 0, 1]
     """
 
-    def __init__(self, rule_set: RuleSet, corrections: Correction | None = None) -> None:
-        """Make a rule set; ``corrections`` gives others than its own, to see what a single one changes."""
+    def __init__(
+        self,
+        rule_set: RuleSet,
+        corrections: Correction | None = None,
+        actions: Iterable[Action | str] = (),
+    ) -> None:
+        """Make a rule set.
+
+        Args:
+            rule_set: its name.
+            corrections: others than its own, to see what a single one changes.
+            actions: registered actions, or their names, that masks have a further column for, in this order. Those that
+                are not named are judged and carried out all the same where one asks for them.
+        """
         if rule_set not in RULE_SETS:
             known = ", ".join(get_args(RuleSet))
             raise InputError(
@@ -55,16 +68,25 @@ class Rules:
             )
         self.rule_set: RuleSet = rule_set
         self.corrections = RULE_SETS[rule_set] if corrections is None else corrections
+        self.own = own_actions.as_own(tuple(actions))
+        self.actions = (*Action, *self.own)
+        """What the columns of masks stand for."""
         self._last: tuple[Cell, SearchBuffers] | None = None
 
     def mask(self, grid: Grid) -> NDArray[np.bool_]:
-        """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state."""
+        """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state.
+
+        Registered actions that the rules were made with have further columns.
+        """
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
         batch.masks(grid.cells[None], grid.cars[None], int(self.corrections), _NO_SPACE, NO_HELPER, out)
-        return out[0]
+        return self._with_own(out, grid)[0]
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
         """Return whether one car could do one action now."""
+        if own_actions.is_own(action):
+            _check_car(grid, car)
+            return not own_actions.why(grid, self.corrections, car, action)
         return bool(self.tick(grid, [(car, action)])[1][0])
 
     def explain(self, grid: Grid, car: int, action: int) -> Explanation:
@@ -84,6 +106,9 @@ class Rules:
         """Return the world as an action's effect would change it, whether the action is legal or not."""
         _check_car(grid, car)
         after = grid.copy()
+        if own_actions.is_own(action):
+            own_actions.carry_out(after, car, action)
+            return after
         batch.enforce(after.cells, after.cars, int(self.corrections), car, int(action))
         return after
 
@@ -92,13 +117,27 @@ class Rules:
 
         Returns the world after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
         """
-        for car, _ in joint:
+        highest = 0
+        for car, action in joint:
             _check_car(grid, car)
+            highest = max(highest, action)
+        if highest >= N_ACTIONS and any(own_actions.is_own(action) for _, action in joint):
+            return self._tick_with_own(grid, joint)
         turns = np.array([car for car, _ in joint], np.int64)[None]
         acts = np.array([int(action) for _, action in joint], np.int64)[None]
         after, applied = grid.copy(), np.zeros(turns.shape, np.bool_)
         batch.step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
         return after, applied[0]
+
+    def _tick_with_own(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:
+        after, applied = grid.copy(), []
+        for car, action in joint:
+            if own_actions.is_own(action):
+                applied.append(own_actions.act(after, self.corrections, car, action))
+            else:
+                after, legal = self.tick(after, [(car, action)])
+                applied.append(bool(legal[0]))
+        return after, np.array(applied, np.bool_)
 
     def reachable(self, grid: Grid, depth: int = DEFAULT_DEPTH) -> NDArray[np.bool_]:
         """Return (n_cars, 15): legal actions, and moves that are not legal but that the action helper has a plan for.
@@ -109,7 +148,7 @@ class Rules:
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
         arrays = grid.cells[None], grid.cars[None], int(self.corrections)
         batch.masks(*arrays, self._space(grid), depth, out)
-        return out[0]
+        return self._with_own(out, grid)[0]
 
     def plan_move(
         self, grid: Grid, car: int, action: Action, depth: int = DEFAULT_DEPTH
@@ -136,6 +175,10 @@ class Rules:
         first, *rest = self.plan_move(grid, car, action, queue.shape[1] - 1) or (Action.STOP,)
         queue[car, : len(rest)] = rest
         return first
+
+    def _with_own(self, mask: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
+        """Return a mask (1, n_cars, 15) with a column for each registered action that is offered."""
+        return own_actions.add_columns(mask, grid[None], self.corrections, self.own) if self.own else mask
 
     def _space(self, grid: Grid) -> SearchBuffers:
         """Return scratch arrays; those of one map size are kept, and no more: they may take 20 MB each."""

@@ -214,23 +214,29 @@ def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:
     return -INCLINE_RAD if yaw == downhill else INCLINE_RAD
 
 
-@cache
 def nominal_durations() -> NDArray[np.float64]:
-    """Return the shipped table in seconds, shape (15, 4): by action and situation, 0 for what does not happen.
+    """Return the table in seconds, shape (15, 4): by action and situation, 0 for what does not happen.
 
-    Raises RuntimeError, with the name of the action, if a row is missing or belongs to no action.
+    Registered actions follow the 15. Raises RuntimeError, with the name of the action, if a row of the shipped file is
+    missing or belongs to no action.
     """
+    return _durations(len(ACTIONS))
+
+
+@cache
+def _durations(n_actions: int) -> NDArray[np.float64]:
     rows = yaml.safe_load(files("craftsim.data").joinpath("durations.yaml").read_text(encoding="utf-8"))
-    table = np.zeros((len(Action), len(SITUATIONS)))
+    table = np.zeros((n_actions, len(SITUATIONS)))
     for action, spec in ACTIONS.items():
-        if not spec.performed:
+        if not spec.duration:
+            table[action] = spec.duration_s
             continue
         if spec.duration not in rows:
             raise RuntimeError(
                 f"{action.name}: no row '{spec.duration}' in {_DURATIONS}; measure it and add one"
             )
         table[action] = [rows[spec.duration].get(name, 0.0) for name in SITUATIONS]
-    known = {spec.duration for spec in ACTIONS.values()}
+    known = {spec.duration for spec in ACTIONS.values() if spec.duration}
     for row in rows:
         if row not in known:
             raise RuntimeError(f"{_DURATIONS}: row '{row}' belongs to no action{suggestion(row, known)}")
@@ -252,15 +258,29 @@ def tick_durations(
 ) -> NDArray[np.float64]:
     """Return how long a tick takes when all cars act at once, the slowest car's time, shape (...).
 
-    That cars may have to wait for each other is not counted. Arguments are the cars of worlds before and after the tick
-    (..., n, 7), their actions (..., n), and whether these were carried out. What the action helper does instead of a
-    move follows from what has changed.
+    That cars may have to wait for each other is not counted; arguments are those of :func:`car_durations`.
+    """
+    longest: NDArray[np.float64] = car_durations(before, after, actions, applied).max(-1, initial=0.0)
+    return longest
+
+
+def car_durations(
+    before: NDArray[np.integer],
+    after: NDArray[np.integer],
+    actions: NDArray[np.integer],
+    applied: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Return how long each car's action takes, shape (..., n).
+
+    Arguments are the cars of worlds before and after a tick (..., n, 7), their actions (..., n), and whether these were
+    carried out. What the action helper does instead of a move follows from what has changed.
     """
     turned = (before[..., CarField.YAW] != after[..., CarField.YAW]) & applied
     moved = (before[..., :3] != after[..., :3]).any(-1) | (
         before[..., CarField.SLOPE] != after[..., CarField.SLOPE]
     )
     done = np.where(moved, Action.MOVE_FORWARD, np.where(turned, Action.ROTATE_LEFT, actions))
-    seconds = nominal_durations()[done, situation(before, after)] * applied
-    longest: NDArray[np.float64] = seconds.max(-1, initial=0.0)
-    return longest
+    if len(ACTIONS) > len(Action):
+        done = np.where(actions >= len(Action), actions, done)
+    seconds: NDArray[np.float64] = nominal_durations()[done, situation(before, after)] * applied
+    return seconds

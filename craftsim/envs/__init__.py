@@ -95,7 +95,7 @@ def vector_env(
         workers: physics only: how many processes share the worlds, one for each processor unless given; no number
             depends on it.
         engine: physics only: processes of this machine, or actors of an existing Ray cluster.
-        options: on the grid ``rule_set``, ``helper_depth`` and ``time_weight``; in physics the fields of
+        options: on the grid ``rule_set``, ``helper_depth``, ``time_weight`` and ``actions``; in physics the fields of
             :class:`craftsim.envs.options.Options`, ``observe`` aside.
 
     Raises:
@@ -120,7 +120,7 @@ def vector_env(
 
     given = {"workers": workers is not None, "engine": engine != "local"}
     for name in [*(name for name, is_given in given.items() if is_given), *options]:
-        if name not in ("rule_set", "helper_depth", "time_weight"):
+        if name not in ("rule_set", "helper_depth", "time_weight", "actions"):
             raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
     return GridVectorEnv(task, num_envs, **options)
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 
-N_ACTIONS = len(Action)
-
 
 def by_agent(actions: Mapping[str, Any], agents: Sequence[str]) -> list[Any]:
     """Return the actions of agents in their order; raise InputError where one has none."""
@@ -24,10 +22,10 @@ def by_agent(actions: Mapping[str, Any], agents: Sequence[str]) -> list[Any]:
     return [actions[agent] for agent in agents]
 
 
-def checked(actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
+def checked(actions: Any, shape: tuple[int, ...], n_actions: int = len(Action)) -> NDArray[np.int64]:
     """Return actions as integers of this shape, whose last dimension is the cars.
 
-    Raises InputError for another shape, and for anything but whole numbers from 0 to 14.
+    Raises InputError for another shape, and for anything but whole numbers from 0 to ``n_actions`` - 1.
     """
     try:
         chosen = np.asarray(actions)
@@ -35,9 +33,22 @@ def checked(actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
         raise InputError(f"actions must have shape {shape}, not {actions}") from error
     if chosen.shape != shape:
         raise InputError(f"actions must have shape {shape}, not {chosen.shape}")
-    if chosen.dtype.kind not in "iu" or (chosen < 0).any() or (chosen >= N_ACTIONS).any():
-        raise InputError(f"actions must be whole numbers from 0 to {N_ACTIONS - 1}, not {actions}")
+    if chosen.dtype.kind not in "iu" or (chosen < 0).any() or (chosen >= n_actions).any():
+        raise InputError(f"actions must be whole numbers from 0 to {n_actions - 1}, not {actions}")
     return chosen.astype(np.int64)
+
+
+def numbers_of(
+    chosen: NDArray[np.int64], own: Sequence[Action], queued: NDArray[np.bool_] | None
+) -> NDArray[np.int64]:
+    """Return the numbers of actions that are chosen as columns of masks, registered ones in this order last.
+
+    What a car is asked for while it goes on with what the helper has queued is STOP: it is not done.
+    """
+    if not own:
+        return chosen
+    numbers = np.array([*Action, *own], np.int64)[chosen]
+    return numbers if queued is None else np.where(queued, int(Action.STOP), numbers)
 
 
 def illegal(
@@ -49,7 +60,7 @@ def illegal(
     """Return (..., n): which cars had a forbidden action chosen, and therefore did nothing.
 
     Args:
-        chosen: (..., n) the actions.
+        chosen: (..., n) the actions, as columns of the masks.
         applied: (..., n) whether the rules allowed each when the car's turn came.
         offered: (..., n, 15) the masks before the tick.
         queued: (..., n) which cars went on with what the action helper had queued; None without the helper.

@@ -6,7 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from craftsim.discrete.kinds import MOVE_DIRECTION, Action
+from craftsim.discrete.actions import ACTIONS, action_names
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError, suggestion
 
 MARK: Final = "ANSWER:"
@@ -25,12 +26,9 @@ def words_of(action: int) -> str:
     return Action(action).name.lower().replace("_", " ")
 
 
-OFFERED: Final = tuple(
-    words_of(action)
-    for action in Action
-    if action in MOVE_DIRECTION or not action.name.startswith("MOVE")  # the diagonal ones are never legal
-)
-"""The actions that can be legal, in words."""
+def offered() -> tuple[str, ...]:
+    """Return the actions that can be legal, in words."""
+    return tuple(words_of(action) for action, spec in ACTIONS.items() if spec.performed or spec.legality)
 
 
 def answer_text(actions: Mapping[str, Any]) -> str:
@@ -78,9 +76,9 @@ def read_answer(text: str, n_cars: int) -> list[Action]:
 
 def _action(words: str) -> Action:
     name = re.sub(r"[\s_]+", "_", words.strip()).upper()
-    if name not in Action.__members__:
-        hint = suggestion(words[:_SHOWN].lower(), OFFERED)
-        raise InputError(f"unknown action '{words[:_SHOWN]}'{hint}; there are {', '.join(OFFERED)}")
+    if name not in action_names():
+        hint = suggestion(words[:_SHOWN].lower(), offered())
+        raise InputError(f"unknown action '{words[:_SHOWN]}'{hint}; there are {', '.join(offered())}")
     return Action[name]
 
 

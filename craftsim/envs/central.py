@@ -39,8 +39,9 @@ class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
         self.core = Core(task, chosen)
         self.metadata = type(self).metadata | {"render_fps": chosen.render_fps}
         self.render_mode = render_mode
-        self.observation_space = central_space(self.core.task, chosen.images)
-        self.action_space = joint_action_space(self.core.task)
+        n_actions = len(self.core.rules.actions)
+        self.observation_space = central_space(self.core.task, chosen.images, n_actions)
+        self.action_space = joint_action_space(self.core.task, n_actions)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -61,6 +62,11 @@ class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
         for key in ("success", "duration_s", "problems"):
             info[key] = info[key][0]
         return self._observe(), result.reward, result.terminated, result.truncated, info
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Return what is offered now, shape (n * actions,): the masks of the cars one after the other, as MaskablePPO
+        of sb3-contrib asks for them."""
+        return self.core.masks.astype(np.bool_).ravel()
 
     def _observe(self) -> Observation:
         observation: Observation = {"observation": self.core.state(), "action_mask": self.core.masks.copy()}

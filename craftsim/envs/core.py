@@ -17,7 +17,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.discrete.tasks.starts import Starts, Targets
-from craftsim.envs.actions import checked, illegal
+from craftsim.envs.actions import checked, illegal, numbers_of
 from craftsim.envs.backend import Backend
 from craftsim.envs.options import Options
 from craftsim.errors import InputError
@@ -53,7 +53,7 @@ class Core:
         self.layout = self.task.layout
         self.n_cars = self.layout.n_cars
         self.backend = backend or options.make_backend(self.task)
-        self.rules = Rules(options.rule_set)
+        self.rules = Rules(options.rule_set, actions=options.actions)
         self.played = self.task
         """The task of the running episode: the task, or where each has a design of its own, the one with that."""
         self._episodes: Episodes | None = None
@@ -98,7 +98,7 @@ class Core:
         start = Starts(seen[None], start.designs)
         if self._episodes is None:
             kind = self.options.rule_set, self.options.helper_depth
-            self._episodes = Episodes(self.task, self._rng, 1, *kind, start)
+            self._episodes = Episodes(self.task, self._rng, 1, *kind, start, self.rules.own)
         else:
             self._episodes.begin(_ONE, start)
         self._runs = True
@@ -125,7 +125,7 @@ class Core:
     def _look(self) -> None:
         """Bring what the cars observe up to date; callers get copies, for the next tick is judged by these."""
         self.masks: NDArray[np.int8] = self.episodes.offered()[0].view(np.int8)
-        """(n, 15): what each car is offered; STOP, which then does nothing, where the rules leave it nothing."""
+        """(n, 15 or more): what each car is offered; STOP, which does nothing, where the rules leave it nothing."""
         self.rows: NDArray[np.int32] = self.episodes.entity_rows()[0]
         """(n_observed, 13): what is where, and what is to be built where that is shown."""
         self.images = self.backend.images()
@@ -155,14 +155,16 @@ class Core:
     def step(self, actions: Any) -> CoreStep:
         """Let all cars act once; ``actions`` (n,) by car. What the rules forbid counts as STOP and is flagged.
 
-        Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.
+        Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14,
+        or more with registered actions.
         """
         self.require_episode()
-        chosen = checked(actions, (self.n_cars,))
+        chosen = checked(actions, (self.n_cars,), len(self.rules.actions))
         episodes, offered = self.episodes, self.masks
         queued = None if episodes.depth is None else episodes.queue[0, :, 0] >= 0
         order = self._rng.permutation(self.n_cars)
-        tick = self.backend.tick(episodes, chosen, order)
+        acting = numbers_of(chosen, self.rules.own, queued)
+        tick = self.backend.tick(episodes, acting, order)
         steps = episodes.score(tick.applied[None], order[None], readable=not tick.problems)
         success, over = bool(steps.success[0]), bool(steps.done[0])
         self._look()

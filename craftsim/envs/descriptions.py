@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -124,7 +125,7 @@ def legal_words(grid: Grid, masks: NDArray[np.int8], rules: Rules) -> str:
     """Return what each car may do now, with where that leads, a line a car; ``masks`` (n, 15) as they are offered."""
     return "\n".join(
         f"  car_{car}: "
-        + "; ".join(words_of(a) + _effect(grid, rules, car, Action(a)) for a in np.flatnonzero(mask).tolist())
+        + "; ".join(words_of(a) + _effect(grid, rules, car, a) for a in compress(rules.actions, mask))
         for car, mask in enumerate(masks)
     )
 

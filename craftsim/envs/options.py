@@ -9,6 +9,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
+from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.own_actions import as_own
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.envs.backend import MOTION_FPS, Backend
@@ -94,6 +97,9 @@ class Options:
     """What cars observe instead of the rows of all entities; PettingZoo forms only."""
     images: Images | None = None
     """What cameras see, beside that; physics only."""
+    actions: tuple[Action | str, ...] = ()
+    """Registered actions (:func:`craftsim.register_action`), or their names, that are offered after the 15, in this
+    order: the action space has so many more."""
 
     def __post_init__(self) -> None:
         choices = {"backend": get_args(BackendName), "render_mode": (None, *RENDER_MODES)}
@@ -120,6 +126,12 @@ class Options:
             raise InputError(f"render_size is {size!r}; allowed: (width, height) in pixels, 1 and more")
         if not isinstance(self.record, str | Path | None):
             raise InputError(f"record is {self.record!r}; allowed: the path of a folder")
+        object.__setattr__(self, "actions", as_own(self.actions))
+        for action in as_own(self.actions):
+            if self.backend == "physics" and not ACTIONS[action].performed:
+                raise InputError(
+                    f"the action '{action.name}' was registered without a skill; physics needs one"
+                )
         self._check_callables()
 
     def _check_callables(self) -> None:

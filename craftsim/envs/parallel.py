@@ -11,7 +11,7 @@ from pettingzoo import ParallelEnv
 
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import Task
-from craftsim.envs.actions import N_ACTIONS, by_agent
+from craftsim.envs.actions import by_agent
 from craftsim.envs.backend import Backend
 from craftsim.envs.core import Core
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
@@ -52,18 +52,18 @@ class ParallelConstruction(ParallelEnv[str, Observation, int]):
         self.state_space = state_space(self.core.task)
         self._own = options.observe
         self._images = options.images
-        space = None if self._own is None else self._own.space
+        space, n = None if self._own is None else self._own.space, len(self.core.rules.actions)
         self._observation_spaces = {
-            agent: car_space(self.core.task, space, self._images) for agent in self.possible_agents
+            agent: car_space(self.core.task, space, self._images, n) for agent in self.possible_agents
         }
-        self._action_spaces = {agent: spaces.Discrete(N_ACTIONS) for agent in self.possible_agents}
+        self._action_spaces = {agent: spaces.Discrete(n) for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """Return an agent's observation space: what it observes, and its action mask."""
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Discrete:
-        """Return an agent's action space: the 15 primitive actions."""
+        """Return an agent's action space: the 15 primitive actions, and registered ones."""
         return self._action_spaces[agent]
 
     @property

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.tasks import ROW
+from craftsim.discrete.own_actions import as_own
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked
@@ -76,7 +77,12 @@ class PhysicsVectorEnv(TaskVectorEnv):
         Raises:
             InputError: there is no such task, option or option value, or no Ray cluster.
         """
-        super().__init__(task, num_envs, Options.named(**options).images)
+        chosen = Options.named(**options)
+        if chosen.actions:
+            options["actions"] = (
+                chosen.actions
+            )  # by themselves: a name alone does not say where it is registered
+        super().__init__(task, num_envs, chosen.images, as_own(chosen.actions))
         if workers is not None and not isinstance(workers, int):
             raise InputError(f"workers is {workers!r}; allowed: None, or {WORKERS}")
         if workers is not None:
@@ -150,7 +156,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
         if not self._begun:
             raise InputError("call reset() before anything else")
         chosen = np.arange(self.num_envs) if ids is None else self._checked_ids(ids)
-        rows = checked(actions, (len(chosen), self.task.layout.n_cars))
+        rows = checked(actions, (len(chosen), self.task.layout.n_cars), self.n_actions)
         if self._acting[chosen].any():
             acting = chosen[self._acting[chosen]].tolist()
             raise InputError(f"worlds {acting} are acting; recv() what they come to first")

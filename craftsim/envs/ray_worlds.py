@@ -12,6 +12,7 @@ from gymnasium.vector.utils import CloudpickleWrapper
 from craftsim.envs.ray_connection import LOOK_S, check_reachable, connect, processors
 from craftsim.envs.world_requests import Answer, Make, Request, perform
 from craftsim.errors import CraftsimError, InputError
+from craftsim.modules import REGISTERING, look_for_modules
 
 _HINT: Final = "Then make the environment anew"
 
@@ -19,9 +20,9 @@ _HINT: Final = "Then make the environment anew"
 class _WorldsActor:
     """A process of the cluster that holds some worlds, and finds the modules that this process finds."""
 
-    def __init__(self, path: list[str]) -> None:
-        """Look for modules along this path too."""
-        sys.path += [place for place in path if place not in sys.path]
+    def __init__(self, path: list[str], registering: list[str]) -> None:
+        """Look for modules along this path too, and import those that register something."""
+        look_for_modules(path, registering)
 
     def hold(self, make: Make, worlds: Sequence[int]) -> None:
         """Make these worlds."""
@@ -49,7 +50,7 @@ class RayWorlds:
         self._ray, self._head = connect(_HINT)
         self.workers = min(n_worlds, workers or n_worlds, processors(self._ray))
         kind = self._ray.remote(num_cpus=1, max_restarts=0, scheduling_strategy="SPREAD")(_WorldsActor)
-        self._actors = [kind.remote(sys.path) for _ in range(self.workers)]
+        self._actors = [kind.remote(sys.path, REGISTERING) for _ in range(self.workers)]
         sent = CloudpickleWrapper(make)
         for number, actor in enumerate(self._actors):
             actor.hold.remote(sent, range(number, n_worlds, self.workers))

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.tasks import Task
-from craftsim.envs.actions import N_ACTIONS
 from craftsim.envs.images import Images
 
 
@@ -24,7 +24,12 @@ def state_space(task: Task) -> spaces.Box:
     return entity_space(task, task.layout.n_observed)
 
 
-def car_space(task: Task, own: spaces.Space[Any] | None = None, images: Images | None = None) -> spaces.Dict:
+def car_space(
+    task: Task,
+    own: spaces.Space[Any] | None = None,
+    images: Images | None = None,
+    n_actions: int = N_ACTIONS,
+) -> spaces.Dict:
     """Return one car's observation space, and the actions that it is offered.
 
     What it observes is its own row, then all rows, or an observation of one's ``own``; and images.
@@ -32,23 +37,23 @@ def car_space(task: Task, own: spaces.Space[Any] | None = None, images: Images |
     return spaces.Dict(
         {
             "observation": own or entity_space(task, 1 + task.layout.n_observed),
-            "action_mask": spaces.Box(0, 1, (N_ACTIONS,), np.int8),
+            "action_mask": spaces.Box(0, 1, (n_actions,), np.int8),
             **({} if images is None else images.spaces()),
         }
     )
 
 
-def central_space(task: Task, images: Images | None = None) -> spaces.Dict:
+def central_space(task: Task, images: Images | None = None, n_actions: int = N_ACTIONS) -> spaces.Dict:
     """Return the observation space of one who acts for all cars: the global state, all masks and all images."""
     return spaces.Dict(
         {
             "observation": state_space(task),
-            "action_mask": spaces.Box(0, 1, (task.layout.n_cars, N_ACTIONS), np.int8),
+            "action_mask": spaces.Box(0, 1, (task.layout.n_cars, n_actions), np.int8),
             **({} if images is None else images.spaces(task.layout.n_cars)),
         }
     )
 
 
-def joint_action_space(task: Task) -> spaces.MultiDiscrete:
+def joint_action_space(task: Task, n_actions: int = N_ACTIONS) -> spaces.MultiDiscrete:
     """Return the space of one action a car."""
-    return spaces.MultiDiscrete([N_ACTIONS] * task.layout.n_cars)
+    return spaces.MultiDiscrete([n_actions] * task.layout.n_cars)

@@ -110,7 +110,11 @@ class TextConstruction(gymnasium.Env[str, str]):
         self.core.require_episode()
         chosen = read_answer(action, self.core.n_cars)
         before = self.core.grid
-        result = self.core.step(chosen)
+        offered = self.core.rules.actions
+        for one in chosen:
+            if one not in offered:
+                raise InputError(f"the action '{words_of(one)}' is not offered here; name it in 'actions'")
+        result = self.core.step([offered.index(one) for one in chosen])
         self._tick += 1
         feedback = self._feedback(before, chosen, result)
         shared = result.infos[0]

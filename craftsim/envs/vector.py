@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.own_actions import as_own
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.schedule import tick_durations
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.envs.actions import checked, illegal
+from craftsim.envs.actions import checked, illegal, numbers_of
 from craftsim.envs.images import Images
 from craftsim.envs.options import Options
 from craftsim.envs.spaces import central_space, joint_action_space
@@ -37,14 +40,18 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         "render_modes": [],
     }
 
-    def __init__(self, task: Task | str, num_envs: int, images: Images | None = None) -> None:
+    def __init__(
+        self, task: Task | str, num_envs: int, images: Images | None = None, own: Sequence[Action] = ()
+    ) -> None:
         """Make the spaces; raises InputError for a task that there is not and for a number that is none."""
         if not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs is {num_envs}; allowed: 1 or more")
         self.task = as_task(task)
         self.num_envs = num_envs
-        self.single_observation_space = central_space(self.task, images)
-        self.single_action_space = joint_action_space(self.task)
+        self.own, self.n_actions = tuple(own), len(Action) + len(own)
+        """The registered actions that are offered, and how many there are with the 15."""
+        self.single_observation_space = central_space(self.task, images, self.n_actions)
+        self.single_action_space = joint_action_space(self.task, self.n_actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -60,15 +67,18 @@ class GridVectorEnv(TaskVectorEnv):
         rule_set: RuleSet = "physical",
         helper_depth: int | None = None,
         time_weight: float = 0.0,
+        actions: Sequence[Action | str] = (),
     ) -> None:
         """Prepare ``num_envs`` worlds; the options are as in :class:`craftsim.envs.options.Options`.
 
         Raises InputError for a task or an option value that there is not.
         """
-        super().__init__(task, num_envs)
-        options = Options("grid", rule_set, helper_depth, time_weight)
+        options = Options("grid", rule_set, helper_depth, time_weight, actions=tuple(actions))
+        super().__init__(task, num_envs, own=as_own(options.actions))
         self.time_weight = options.time_weight
-        self.episodes = Episodes(self.task, np.random.default_rng(), num_envs, rule_set, helper_depth)
+        self.episodes = Episodes(
+            self.task, np.random.default_rng(), num_envs, rule_set, helper_depth, actions=self.own
+        )
         self._begun = False
 
     def reset(
@@ -94,12 +104,14 @@ class GridVectorEnv(TaskVectorEnv):
         """
         if not self._begun:
             raise InputError("call reset() before anything else")
-        episodes, chosen = self.episodes, checked(actions, (self.num_envs, self.task.layout.n_cars))
+        episodes = self.episodes
+        chosen = checked(actions, (self.num_envs, self.task.layout.n_cars), self.n_actions)
         offered = self._masks
         queued = None if episodes.depth is None else episodes.queue[:, :, 0] >= 0
         before = episodes.grids.cars.copy()
-        steps = episodes.step(chosen)
-        duration = tick_durations(before, episodes.grids.cars, chosen, steps.applied)
+        numbers = numbers_of(chosen, self.own, queued)
+        steps = episodes.step(numbers)
+        duration = tick_durations(before, episodes.grids.cars, numbers, steps.applied)
         terminated = steps.success & self.task.ends_on_success
         truncated = steps.done & ~terminated
         infos: dict[str, Any] = {

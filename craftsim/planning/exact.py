@@ -118,7 +118,7 @@ class _Worlds:
         self._grid = start.copy()
         self._world = self._grid.world(rules.corrections)
         self._n_cells = start.kind[:, :, 1:].size
-        actions = [action for action, spec in ACTIONS.items() if spec.performed and action != Action.STOP]
+        actions = [action for action in Action if ACTIONS[action].performed and action != Action.STOP]
         self._actions = np.array(actions, np.int64)
         self._costs = np.rint(nominal_durations() * 1000).astype(np.int64)
         things = list(start.pieces())

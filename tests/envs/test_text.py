@@ -10,7 +10,7 @@ import pytest
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import answers, parallel_env, text
-from craftsim.envs.answers import OFFERED, answer_text, read_answer, words_of
+from craftsim.envs.answers import answer_text, offered, read_answer, words_of
 from craftsim.envs.conversation import converse
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import TextConstruction
@@ -64,7 +64,7 @@ def test_the_legal_actions_that_are_listed_are_those_of_the_masks(task):
             words = [action.split(" (")[0] for action in actions.split("; ")]
             assert name == f"car_{car}"
             assert words == [words_of(a) for a in np.flatnonzero(env.core.masks[car])]
-            assert set(words) <= set(OFFERED)
+            assert set(words) <= set(offered())
         chosen = {name: int(rng.choice(np.flatnonzero(env.core.masks[i]))) for i, name in enumerate(AGENTS)}
         text = env.step(answer_text(chosen))[0]
         assert env.observation_space.contains(text)

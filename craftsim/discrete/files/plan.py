@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple, NoReturn
 
+from craftsim.discrete.actions import action_names
 from craftsim.discrete.files.shipped import find
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Constraints, Schedule
@@ -27,7 +28,6 @@ MAX_TICK: Final = 100_000
 
 _NUMBER: Final = re.compile(r"[0-9]{1,9}")
 _REFERENCE: Final = re.compile(r"([0-9]{1,9}):([0-9]{1,9})")
-_NAMES: Final = [action.name for action in Action]
 _LINE: Final = "tick car ACTION, or tick car ACTION after CAR:TICK ..."
 
 
@@ -168,9 +168,9 @@ class _Line(NamedTuple):
         if not _NUMBER.fullmatch(car) or int(car) >= n_cars:
             cars = f"there are cars 0 to {n_cars - 1}" if n_cars else "there are no cars"
             self.fail(f"no car '{car[:40]}'; {cars}")
-        if name not in _NAMES:
-            hint = suggestion(name[:80], _NAMES)
-            self.fail(f"unknown action '{name[:40]}'{hint}; allowed: {', '.join(_NAMES)}")
+        if name not in (names := action_names()):
+            hint = suggestion(name[:80], names)
+            self.fail(f"unknown action '{name[:40]}'{hint}; allowed: {', '.join(names)}")
         return int(car), Action[name]
 
     def after(self, car: int, acts: Collection[tuple[int, int]]) -> tuple[tuple[int, int], ...]:

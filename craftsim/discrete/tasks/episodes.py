@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete import own_actions
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
@@ -43,7 +44,7 @@ class Episodes:
 
     With ``helper_depth`` the action helper is on: a MOVE asks for the neighbour cell, and ``queue`` holds what is left
     to do. ``rng`` draws starts and, where the caller gives none, the order in which cars act; episodes whose ``starts``
-    are given begin with those.
+    are given begin with those. Masks have a further column for each of the registered ``actions``.
     """
 
     def __init__(
@@ -54,12 +55,14 @@ class Episodes:
         rule_set: RuleSet = "physical",
         helper_depth: int | None = None,
         starts: Starts | None = None,
+        actions: Sequence[Action | str] = (),
     ) -> None:
         starts = task.draw_starts(rng, n) if starts is None else starts.take(np.arange(len(starts)))
         self.task = task
         self.rng = rng
         self.layout = task.layout
-        self.corrections = int(Rules(rule_set).corrections)
+        rules = Rules(rule_set, actions=actions)
+        self.corrections, self.own = int(rules.corrections), rules.own
         self.depth = helper_depth
         self.grids = starts.grids
         """The B worlds, a batch that is changed in place."""
@@ -130,14 +133,48 @@ class Episodes:
             raise ValueError(f"an order must name each of the cars 0 to {self.n_cars - 1} once")
         acting = np.take_along_axis(acts, turns, axis=1)
         in_order = np.empty(turns.shape, np.bool_)
-        if self.depth is None:
-            batch.step(*self._world, turns, acting, in_order)
+        if acting.max(initial=0) < N_ACTIONS:
+            self._step(slice(None), slice(None), turns, acting, in_order)
         else:
-            helper = self.queue, self._space, self.depth
-            batch.step_with_helper(*self._world, turns, acting, in_order, *helper)
+            self._step_with_own(turns, acting, in_order)
         applied = np.empty_like(in_order)
         np.put_along_axis(applied, turns, in_order, axis=1)
         return applied
+
+    def _step(
+        self,
+        worlds: slice,
+        places: slice,
+        turns: NDArray[np.int64],
+        acting: NDArray[np.int64],
+        applied: NDArray[np.bool_],
+    ) -> None:
+        """Let the cars whose turns are at these places of the order act in some worlds, by the compiled rules."""
+        some = self.grids.cells[worlds], self.grids.cars[worlds], self.corrections
+        rows = turns[worlds, places], acting[worlds, places], applied[worlds, places]
+        if self.depth is None:
+            batch.step(*some, *rows)
+        else:
+            batch.step_with_helper(*some, *rows, self.queue[worlds], self._space, self.depth)
+
+    def _step_with_own(
+        self, turns: NDArray[np.int64], acting: NDArray[np.int64], applied: NDArray[np.bool_]
+    ) -> None:
+        """Do the same where some actions are registered ones: their worlds take one turn after the other.
+
+        A car whose queue still has something to do goes on with that, as it does whatever else it is asked for.
+        """
+        done = 0
+        for i in [*np.flatnonzero((acting >= N_ACTIONS).any(axis=1)).tolist(), len(self)]:
+            self._step(slice(done, i), slice(None), turns, acting, applied)
+            done = i + 1
+            for turn in range(self.n_cars if i < len(self) else 0):
+                car, action = int(turns[i, turn]), int(acting[i, turn])
+                queued = self.depth is not None and self.queue[i, car, 0] >= 0
+                if queued or not own_actions.is_own(action):
+                    self._step(slice(i, i + 1), slice(turn, turn + 1), turns, acting, applied)
+                else:
+                    applied[i, turn] = own_actions.act(self.grids[i], self.corrections, car, action)
 
     def score(self, applied: NDArray[np.bool_], order: NDArray[np.int64], readable: bool = True) -> Steps:
         """End a tick: return what it brought. What is not ``readable`` as a grid has the potential of before."""
@@ -156,7 +193,7 @@ class Episodes:
         return self.grids.world(self.corrections)
 
     def legal(self) -> NDArray[np.bool_]:
-        """Return (B, n, 15): what each car could do at once."""
+        """Return (B, n, 15): what each car could do at once; registered actions have further columns."""
         return self._masks(NO_HELPER)
 
     def reachable(self) -> NDArray[np.bool_]:
@@ -166,7 +203,7 @@ class Episodes:
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
         batch.masks(*self._world, self._space, depth, out)
-        return out
+        return own_actions.add_columns(out, self.grids, self.corrections, self.own) if self.own else out
 
     def offered(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what is legal, with the helper also what is reachable; never all false.

@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.discrete.actions import verbs as all_verbs
 from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet
@@ -49,10 +50,14 @@ class Row:
         return min((mm for mm in near if mm is not None), default=None)
 
 
-@cache
 def audit_plan(rule_set: RuleSet, verbs: tuple[str, ...] = ()) -> tuple[Row, ...]:
     """Return the rows of these verbs, or all: what a rule set allows, what it forbids, the scenes, and the
     neighbourhoods, by name."""
+    return _plan(rule_set, tuple(verb for verb in all_verbs() if not verbs or verb in verbs))
+
+
+@cache
+def _plan(rule_set: RuleSet, verbs: tuple[str, ...]) -> tuple[Row, ...]:
     found = survey(rule_set, verbs)
     members: dict[tuple[str, bool, str], list[Situation]] = {}
     for context in found.contexts:
@@ -64,7 +69,7 @@ def audit_plan(rule_set: RuleSet, verbs: tuple[str, ...] = ()) -> tuple[Row, ...
             name = f"{name.split('/', 1)[0]}/nothing intended: {reason}"
         members.setdefault((name, False, reason), []).append(context)
     for scene in SCENES:
-        if verbs and not set(scene.id.split("/")[0].split("+")) & set(verbs):
+        if not set(scene.id.split("/")[0].split("+")) & set(verbs):
             continue
         legal = scene.legal(Rules(rule_set))
         members.setdefault((scene.id, legal, "" if legal else scene.why_nothing()), []).append(scene)

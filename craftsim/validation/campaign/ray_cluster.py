@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from craftsim.envs.ray_connection import LOOK_S, check_reachable, connect, processors
 from craftsim.errors import InputError
+from craftsim.modules import REGISTERING, look_for_modules
 from craftsim.validation.campaign.distribute import Worker, WorkerDiedError
 from craftsim.validation.campaign.items import Answer, Item, Work, perform
 
@@ -30,9 +31,9 @@ def ray_workers(work: Work, n: int) -> list[Worker]:
 class _Actor:
     """A process of the cluster, which finds the modules that this process finds."""
 
-    def __init__(self, path: list[str]) -> None:
-        """Look for modules along this path too."""
-        sys.path += [place for place in path if place not in sys.path]
+    def __init__(self, path: list[str], registering: list[str]) -> None:
+        """Look for modules along this path too, and import those that register something."""
+        look_for_modules(path, registering)
 
     def ready(self) -> None:
         """Answer as soon as the process has started."""
@@ -60,7 +61,7 @@ class RayWorker:
         try:
             if self._actor is None:
                 check_reachable(self._head, _HINT)
-                self._actor = self._class.remote(sys.path)
+                self._actor = self._class.remote(sys.path, REGISTERING)
             self._wait(self._actor.ready.remote(), math.inf)
             answers: list[Answer] = self._wait(
                 self._actor.perform.remote(self._work, [item.job for item in items]), timeout_s

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Final
 
-from craftsim.discrete.actions import ACTIONS, VERBS, ActionSpec
+from craftsim.discrete.actions import ACTIONS, ActionSpec, verbs
 from craftsim.discrete.grid import KINDS_WITH_YAW, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
@@ -15,23 +15,28 @@ FORWARD, LEFT, BACK, RIGHT = range(4)
 """Directions and yaws relative to the car's heading."""
 DIRECTION_NAMES: Final = ("forward", "left", "back", "right")
 """Their names, by number."""
-_ACTION_OF: Final = {
-    (spec.verb, spec.direction): action for action, spec in ACTIONS.items() if spec.performed
-}
-_SPEC_OF: Final = {spec.verb: spec for spec in ACTIONS.values() if spec.performed}
 
 
 class Verb(StrEnum):
     """An action whatever the map direction: the verbs of the table of actions."""
 
     _ignore_ = "verb"
-    for verb in VERBS:
+    for verb in verbs():
         vars()[verb] = verb
+
+    @classmethod
+    def _missing_(cls, value: object) -> Verb | None:
+        """Return the verb of an action that was registered later."""
+        if value not in verbs():
+            return None
+        own = str.__new__(cls, value)
+        own._name_ = own._value_ = str(value)
+        return own
 
     @property
     def spec(self) -> ActionSpec:
         """Its row in the table of actions, of a move any: what its contexts vary is the same."""
-        return _SPEC_OF[self.value]
+        return next(spec for spec in ACTIONS.values() if spec.verb == self.value and spec.performed)
 
 
 class Ground(Enum):
@@ -151,5 +156,5 @@ def verb_of(act: str) -> tuple[Verb, int | None]:
 def action_of(verb: Verb, direction: int | None, heading: int) -> Action:
     """Return the primitive action for a car of a grid yaw; the direction is relative to it."""
     way = None if direction is None else (heading + direction) % 4
-    key = (verb.value, way)
-    return _ACTION_OF[key if key in _ACTION_OF else (verb.value, None)]
+    performed = [(action, spec.direction) for action, spec in ACTIONS.items() if spec.verb == verb.value]
+    return next(action for action, goes in performed if goes in (way, None) and ACTIONS[action].performed)

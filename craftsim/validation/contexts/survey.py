@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from craftsim.discrete.actions import verbs as all_verbs
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid, Kind
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.errors import CraftsimError
@@ -63,13 +64,17 @@ def _inner(verb: Verb) -> list[tuple[int | None, Thing | None, int, Thing, bool]
     return found
 
 
-@cache
 def survey(rule_set: RuleSet = "physical", verbs: tuple[str, ...] = ()) -> Survey:
     """Try every combination of these verbs, or of all, and return the contexts of a rule set."""
+    return _survey(rule_set, tuple(verb for verb in all_verbs() if not verbs or verb in verbs))
+
+
+@cache
+def _survey(rule_set: RuleSet, verbs: tuple[str, ...]) -> Survey:
     rules = Rules(rule_set)
     found: list[Context] = []
     illegal: list[Context] = []
-    for verb in (verb for verb in Verb if not verbs or verb in verbs):
+    for verb in map(Verb, verbs):
         inner = _inner(verb)
         for ground, own, load in product(Ground, _OWN, _LOADS):
             try:

@@ -18,6 +18,7 @@ SAYS = {
     "heavier_car": r"shipped: 24 of 24 actions[^\n]*\nheavier: 24 of 24 actions",
     "my_gains": r"shipped gains: a move takes .*agrees: True\nmy gains: a move takes .*agrees: True",
     "own_action": r"TURN_ABOUT is legal\nin physics: as predicted, 1\.1\d s\n(?s:.)*physics: Discrete\(16\)",
+    "own_reward": r"grid: -?\d\.\d\d in 8 ticks\nphysics: -?\d\.\d\d in 8 ticks",
     "speak_a_plan": r"car_0: lift; car_1: lift\n(?s:.)*built: True",
     "starts_from_physics": r"\d+ worlds in out/reached\.npz",
     "train_my_task": r"\n2 \[",

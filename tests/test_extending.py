@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from registered import forget
 
 import craftsim
 from craftsim import Action, Grid, Kind
 from craftsim.checking.recipe import Act
 from craftsim.cli import main
-from craftsim.discrete import kinds
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.own_actions import as_own
 from craftsim.discrete.schedule import make_schedule, nominal_durations
@@ -28,27 +28,19 @@ TEXT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", TEXT, re.MULTILINE | re.DOTALL))
 
 
-def _forget_actions():
-    """Undo all registrations of this process; a name is never free again where craftsim is used."""
-    for action in list(ACTIONS)[len(Action) :]:
-        del ACTIONS[action]
-    for known in (kinds._OWN_ACTIONS, kinds._REGISTERED_BY):
-        known.clear()
-    sys.modules.pop("push", None)
-
-
 @pytest.fixture
 def push():
     """Register PUSH of tests/push.py."""
-    _forget_actions()
+    sys.modules.pop("push", None)
     yield importlib.import_module("push").PUSH
-    _forget_actions()
+    forget()
 
 
 @pytest.fixture
 def free_names():
+    """Forget what the test registers."""
     yield
-    _forget_actions()
+    forget()
 
 
 def _before_a_block(n_cars=1):

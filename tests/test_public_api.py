@@ -4,6 +4,7 @@ import doctest
 import inspect
 
 import pytest
+from registered import forget
 
 import craftsim
 
@@ -51,7 +52,9 @@ def test_the_example_of_a_public_name_runs(name, tmp_path, request):
     test = doctest.DocTest(examples, names, name, None, None, None)
     report: list[str] = []
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
-    assert runner.run(test, out=report.append).failed == 0, "".join(report)
+    failed = runner.run(test, out=report.append).failed
+    forget()
+    assert failed == 0, "".join(report)
 
 
 @pytest.fixture(scope="session")

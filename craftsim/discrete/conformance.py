@@ -369,6 +369,7 @@ def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, A
     task = _task(record["task"])
     layout, designs = _layout(record, task, before), targets_of(task.design)[None]
     reward = Reward("flag_nearness", "published_barrier") if "goal" in record else task.reward
+    assert isinstance(reward, Reward)
     assert isinstance(reward.potential, str)
     measure = POTENTIALS[reward.potential]
     earlier, later = (measure(grid[None], designs, layout) for grid in (before, after))

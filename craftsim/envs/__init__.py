@@ -1,6 +1,6 @@
 """Environments for training, on the grid or in contact physics: PettingZoo, Gymnasium, and batches.
 
-Importing this package registers ``craftsim/SimpleTwoStory-v0`` and its like with Gymnasium.
+Importing this package registers ``craftsim/SimpleTwoStory-v0`` and its like with Gymnasium, and registered tasks, too.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import gymnasium
 
 from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, Task, as_task
+from craftsim.discrete.tasks.registry import gymnasium_id, on_registration
 from craftsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -125,16 +126,24 @@ def vector_env(
     return GridVectorEnv(task, num_envs, **options)
 
 
-GYMNASIUM_IDS: Final = {
-    name: f"craftsim/{''.join(word.capitalize() for word in name.split('_'))}-v0"
-    for name in (*TASK_NAMES, *VARIED_NAMES)
-}
-"""What craftsim's tasks are called in ``gymnasium.make`` and ``gymnasium.make_vec``."""
+GYMNASIUM_IDS: Final[dict[str, str]] = {}
+"""What tasks are called in ``gymnasium.make`` and ``gymnasium.make_vec``, by their names."""
 
-for _name, _id in GYMNASIUM_IDS.items():
+
+def _add_id(task: Task | str) -> None:
+    name = task if isinstance(task, str) else task.name
+    GYMNASIUM_IDS[name] = gymnasium_id(name)
+    gymnasium.registry.pop(
+        GYMNASIUM_IDS[name], None
+    )  # a task that is registered again replaces the first one
     gymnasium.register(
-        _id,
+        GYMNASIUM_IDS[name],
         entry_point="craftsim.envs.central:CentralConstruction",
         vector_entry_point="craftsim.envs:vector_env",
-        kwargs={"task": _name},
+        kwargs={"task": task},
     )
+
+
+for _name in (*TASK_NAMES, *VARIED_NAMES):
+    _add_id(_name)
+on_registration(_add_id)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.tasks.episodes import Episodes
+
+if TYPE_CHECKING:
+    from craftsim.checking.attempt import Attempt
 
 MOTION_FPS: Final = 10
 """Pictures a simulated second of the motion between two ticks (``rgb_array_list`` in physics)."""
@@ -28,6 +31,12 @@ class Tick:
     """Why the world cannot be read as a grid any more, in words; empty when it can."""
     of_car: tuple[dict[str, Any], ...] = field(default=())
     """By car: further entries of its info; empty when there are none."""
+    durations_s: tuple[float, ...] = ()
+    """By car: how long its action took."""
+    attempts: tuple[Attempt | None, ...] = ()
+    """By car: what the judge found; empty on the grid."""
+    contacts: tuple[Any, ...] | None = None
+    """What touched what; None where that is not logged."""
 
 
 class Backend(Protocol):

@@ -16,9 +16,10 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
+from craftsim.discrete.tasks.rewards import Reward, Transition
 from craftsim.discrete.tasks.starts import Starts, Targets
 from craftsim.envs.actions import checked, illegal, numbers_of
-from craftsim.envs.backend import Backend
+from craftsim.envs.backend import Backend, Tick
 from craftsim.envs.options import Options
 from craftsim.errors import InputError
 
@@ -164,8 +165,10 @@ class Core:
         queued = None if episodes.depth is None else episodes.queue[0, :, 0] >= 0
         order = self._rng.permutation(self.n_cars)
         acting = numbers_of(chosen, self.rules.own, queued)
+        before = None if isinstance(self.task.reward, Reward) else self.grid
         tick = self.backend.tick(episodes, acting, order)
-        steps = episodes.score(tick.applied[None], order[None], readable=not tick.problems)
+        seen = [] if before is None else [self._transition(before, acting, tick)]
+        steps = episodes.score(tick.applied[None], order[None], not tick.problems, seen)
         success, over = bool(steps.success[0]), bool(steps.done[0])
         self._look()
         self._show()
@@ -186,6 +189,11 @@ class Core:
             infos=infos,
             order=order,
         )
+
+    def _transition(self, before: Grid, acting: NDArray[np.int64], tick: Tick) -> Transition:
+        judged = {"attempts": tick.attempts, "contacts": tick.contacts, "problems": tick.problems}
+        seconds = np.array(tick.durations_s)
+        return self.episodes.transition(0, before, acting, tick.applied, seconds, tick.duration_s, **judged)
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | str | None:
         """Return what ``render_mode`` says: a picture (height, width, 3), pictures, text, or nothing if it is shown.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.schedule import tick_durations
+from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.backend import Tick
 
@@ -25,7 +25,8 @@ class GridBackend:
         """Let all cars act by the rules."""
         before = episodes.grids.cars[0].copy()
         applied = episodes.act(actions[None], order[None])[0]
-        return Tick(applied, float(tick_durations(before, episodes.grids.cars[0], actions, applied)))
+        seconds = car_durations(before, episodes.grids.cars[0], actions, applied)
+        return Tick(applied, float(seconds.max(initial=0.0)), durations_s=tuple(seconds.tolist()))
 
     def images(self) -> dict[str, NDArray[Any]]:
         """Return nothing: there are no cameras."""

@@ -110,7 +110,12 @@ class PhysicsBackend:
             if attempt.skill != "succeeded" or attempt.read != attempt.predicted:
                 episodes.queue[0, attempt.car] = -1  # what was planned starts from where the car is not
         duration_s = round(self.checked.site.time_s - began_s, 6)
-        return Tick(legal, duration_s, self.checked.problems, tuple(infos))
+        by_car = {attempt.car: attempt for attempt in attempts}
+        tried = tuple(by_car.get(car) for car in range(len(actions)))
+        seconds = tuple(0.0 if attempt is None else attempt.duration_s for attempt in tried)
+        log = self.checked.log
+        contacts = None if log is None else tuple(log.contacts)
+        return Tick(legal, duration_s, self.checked.problems, tuple(infos), seconds, tried, contacts)
 
     def _primitives(
         self, queue: NDArray[np.int8], actions: NDArray[np.int64], order: NDArray[np.int64]

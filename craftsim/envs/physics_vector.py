@@ -241,6 +241,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
                 self.close()
                 raise answer
             if isinstance(answer, Seen):
+                self._masks[world] = answer.observation["action_mask"]
                 self._rows[world] = answer.observation["observation"].reshape(self._rows.shape[1:])
         return answers
 

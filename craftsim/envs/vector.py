@@ -52,8 +52,13 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         """The registered actions that are offered, and how many there are with the 15."""
         self.single_observation_space = central_space(self.task, images, self.n_actions)
         self.single_action_space = joint_action_space(self.task, self.n_actions)
+        self._masks = np.zeros((num_envs, self.task.layout.n_cars, self.n_actions), np.int8)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Return what is offered now, (B, n * actions), as :meth:`CentralConstruction.action_masks` does of a world."""
+        return self._masks.astype(np.bool_).reshape(self.num_envs, -1)
 
 
 class GridVectorEnv(TaskVectorEnv):
@@ -129,7 +134,7 @@ class GridVectorEnv(TaskVectorEnv):
         return self._observe(), reward, terminated, truncated, infos
 
     def _look(self) -> None:
-        self._masks: NDArray[np.int8] = self.episodes.offered().view(np.int8)
+        self._masks = self.episodes.offered().view(np.int8)
         self._rows = self.episodes.entity_rows()
 
     def _observe(self) -> Observation:

@@ -18,7 +18,9 @@ from craftsim.discrete.kernel.search import search_buffers
 from craftsim.discrete.kernel.state import World
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import DEFAULT_DEPTH, Rules, RuleSet, empty_queue
+from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks.observation import car_vectors, entity_rows
+from craftsim.discrete.tasks.rewards import Reward, Transition, rewards_of
 from craftsim.discrete.tasks.starts import Starts
 from craftsim.discrete.tasks.task import Task
 
@@ -116,7 +118,38 @@ class Episodes:
     def step(self, actions: NDArray[np.integer], order: NDArray[np.integer] | None = None) -> Steps:
         """Let all cars act once; ``actions`` (B, n) by car, ``order`` (B, n) of the cars' turns."""
         turns = self.draw_order() if order is None else np.asarray(order, np.int64)
-        return self.score(self.act(actions, turns), turns)
+        if isinstance(self.task.reward, Reward):
+            return self.score(self.act(actions, turns), turns)
+        before = self.grids.copy()
+        applied = self.act(actions, turns)
+        seconds = car_durations(before.cars, self.grids.cars, np.asarray(actions), applied)
+        seen = [
+            self.transition(i, before[i], actions[i], applied[i], seconds[i], seconds[i].max(initial=0.0))
+            for i in range(len(self))
+        ]
+        return self.score(applied, turns, transitions=seen)
+
+    def transition(
+        self,
+        i: int,
+        before: Grid,
+        actions: NDArray[np.integer],
+        applied: NDArray[np.bool_],
+        durations_s: NDArray[np.float64],
+        duration_s: float,
+        **judged: Any,
+    ) -> Transition:
+        """Return what a reward function sees of a tick that an episode has just had; arguments are its fields."""
+        return Transition(
+            before,
+            self.grid(i),
+            int(self.t[i]),
+            tuple(Action(action) for action in actions.tolist()),
+            tuple(applied.tolist()),
+            tuple(durations_s.tolist()),
+            float(duration_s),
+            **judged,
+        )
 
     def act(self, actions: NDArray[np.integer], order: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Let all cars act; return (B, n), by car, whether what each did was legal when its turn came.
@@ -176,13 +209,27 @@ class Episodes:
                 else:
                     applied[i, turn] = own_actions.act(self.grids[i], self.corrections, car, action)
 
-    def score(self, applied: NDArray[np.bool_], order: NDArray[np.int64], readable: bool = True) -> Steps:
-        """End a tick: return what it brought. What is not ``readable`` as a grid has the potential of before."""
+    def score(
+        self,
+        applied: NDArray[np.bool_],
+        order: NDArray[np.int64],
+        readable: bool = True,
+        transitions: Sequence[Transition] = (),
+    ) -> Steps:
+        """End a tick: return what it brought. What is not ``readable`` as a grid has the potential of before.
+
+        ``transitions``, one an episode, are for a reward that is a function of them.
+        """
         after, success = self.potential, np.zeros(len(self), np.bool_)
         if readable:
             after = self.task.potential(self.grids, self.designs)
             success = self.task.reached(self.grids, self.designs)
-        reward, self.bonus_given = self.task.reward.of_tick(self.potential, after, self.t, self.bonus_given)
+        if isinstance(self.task.reward, Reward):
+            reward, self.bonus_given = self.task.reward.of_tick(
+                self.potential, after, self.t, self.bonus_given
+            )
+        else:
+            reward = rewards_of(self.task.reward, transitions)
         self.potential = after
         self.done = self.task.over(self.t, success)
         self.t = self.t + 1

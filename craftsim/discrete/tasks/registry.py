@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -28,7 +29,7 @@ from craftsim.discrete.tasks.task import (
     make_task,
 )
 from craftsim.errors import BlueprintError, CraftsimError, InputError, suggestion
-from craftsim.modules import import_own, place_of
+from craftsim.modules import import_own, note_registering, place_of
 from craftsim.storage.paths import is_file
 from craftsim.storage.writing import writable
 from craftsim.storage.yaml import Between, Document, read_document
@@ -58,6 +59,7 @@ class _File:
 _KEYS: Final = [one.name for one in fields(_File)]
 
 _REGISTERED: Final[dict[str, Task]] = {}
+_LISTENERS: Final[list[Callable[[Task], None]]] = []
 _ANYTHING: Final = (Exception, SystemExit)
 """What others' code may raise, when it is imported or called."""
 _LONGEST: Final = 1000
@@ -66,10 +68,12 @@ _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 def register_task(task: Task) -> Task:
-    """Make a task known by its name, in this process, wherever a task's name is asked for; return it.
+    """Make a task known by its name wherever a task's name is asked for, and to Gymnasium; return it.
 
-    Registering a task again replaces it. Raises InputError for a name of craftsim's own tasks, and for one that is not
-    made of letters, digits, ``_`` and ``-``.
+    Processes that craftsim starts import the modules that register at their top level. Registering a task again
+    replaces it. Raises InputError for a name of craftsim's own tasks, for one that is not made of letters, digits,
+    ``_`` and ``-``, and for one that Gymnasium could not tell from another's (``long_strip`` is
+    ``craftsim/LongStrip-v0``).
 
     Example:
         >>> import craftsim
@@ -86,8 +90,28 @@ def register_task(task: Task) -> Task:
         raise InputError(f"'{task.name}' is a task of craftsim's own; give yours another name")
     if not _NAME.fullmatch(task.name):
         raise InputError(f"a task's name is made of letters, digits, _ and -, not '{task.name}'")
+    for other in task_names():
+        if other != task.name and gymnasium_id(other) == gymnasium_id(task.name):
+            raise InputError(
+                f"the task '{other}' is {gymnasium_id(other)} already; give '{task.name}' another name"
+            )
+    note_registering()
     _REGISTERED[task.name] = task
+    for listener in _LISTENERS:
+        listener(task)
     return task
+
+
+def gymnasium_id(name: str) -> str:
+    """Return what Gymnasium calls a task of this name: ``craftsim/LongStrip-v0`` is ``long_strip``."""
+    return f"craftsim/{''.join(word.capitalize() for word in name.split('_'))}-v0"
+
+
+def on_registration(listener: Callable[[Task], None]) -> None:
+    """Have a function called with each task that is registered, and has been."""
+    _LISTENERS.append(listener)
+    for task in _REGISTERED.values():
+        listener(task)
 
 
 def task_names() -> list[str]:

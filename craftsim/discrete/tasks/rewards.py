@@ -18,6 +18,7 @@ from craftsim.discrete.kernel.tasks import (
     score_buildings,
     score_buildings_as_published,
 )
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.starts import Targets
 from craftsim.errors import InputError, suggestion
@@ -34,6 +35,43 @@ RewardRule = Callable[[Floats, Floats, NDArray[np.int64], Bools], tuple[Floats, 
 All arguments and results have one element a world: the potential before and after the tick, the tick's number from 0,
 and whether the bonus was given in an earlier tick.
 """
+
+
+@dataclass(frozen=True)
+class Transition:
+    """What a reward function sees of one tick of one world; arrays and grids are its own to keep, not to change."""
+
+    before: Grid
+    after: Grid
+    """As it is seen: on the grid by the rules, in physics as read from poses."""
+    t: int
+    """Number of the tick in its episode, from 0."""
+    actions: tuple[Action, ...]
+    """By car, as chosen."""
+    applied: tuple[bool, ...]
+    """By car, whether the rules allowed what it was to do when its turn came."""
+    durations_s: tuple[float, ...]
+    """By car: nominal on the grid, simulated in physics, 0 where nothing was done."""
+    duration_s: float
+    """Of the tick."""
+    attempts: tuple[Any, ...] = ()
+    """By car the :class:`craftsim.Attempt` of the judge: primitive, result, errors and forces. Empty on the grid."""
+    contacts: tuple[Any, ...] | None = None
+    """What touched what during the tick, each with ``first``, ``second`` and ``peak_n``; None on the grid, and in
+    physics unless the option ``check_contacts`` is on."""
+    problems: tuple[str, ...] = ()
+    """Why the world cannot be read as a grid any more; empty where it can."""
+
+    @property
+    def verdicts(self) -> tuple[str | None, ...]:
+        """By car ``as predicted``, ``failed``, ``side effect``, ``unsafe`` or ``numerics``; None on the grid."""
+        if not self.attempts:
+            return (None,) * len(self.actions)
+        return tuple(None if attempt is None else str(attempt.result) for attempt in self.attempts)
+
+
+RewardFunction = Callable[[Transition], float]
+"""A reward of a user's own: one number for all cars, from one tick of one world."""
 
 COMPLETION: Final = 4.0
 """Extra potential of a finished building by the paper's table 1."""
@@ -186,6 +224,17 @@ class Reward:
         """Return the reward of tick t, and whether the bonus is spent; see :data:`RewardRule`."""
         rule = REWARD_RULES[self.rule] if isinstance(self.rule, str) else self.rule
         return rule(before, after, t, given)
+
+
+def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> Floats:
+    """Return what a reward function gives for ticks of worlds; raises InputError where that is no finite number."""
+    found = []
+    for transition in transitions:
+        value: object = function(transition)
+        if not isinstance(value, int | float | np.number) or not np.isfinite(value):
+            raise InputError(f"the reward function returned {value!r}; it must return a finite number")
+        found.append(float(value))
+    return np.array(found, np.float64)
 
 
 def check_name(what: str, value: Any, known: Iterable[str]) -> None:

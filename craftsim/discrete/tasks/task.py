@@ -19,7 +19,7 @@ from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.grid_checks import check_grid
 from craftsim.discrete.tasks.observation import Layout
-from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS, Reward, check_name
+from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS, Reward, RewardFunction, check_name
 from craftsim.discrete.tasks.starts import Split, Starts, StartSampler, Targets, targets_of
 from craftsim.errors import BlueprintError, InputError, suggestion
 
@@ -59,7 +59,8 @@ class Task:
     name: str
     starts: tuple[Blueprint, ...]
     """One of them is drawn for every episode; all announce the same numbers of cars, slopes and blocks."""
-    reward: Reward
+    reward: Reward | RewardFunction
+    """A potential and a rule, or any function of a :class:`craftsim.discrete.tasks.rewards.Transition`."""
     success: str | Callable[[Grid], float | bool] | None
     """When the work is done: a name in :data:`craftsim.discrete.tasks.rewards.GOALS`, or any function of a Grid that is
     not zero then; None where there is nothing to reach."""
@@ -80,6 +81,10 @@ class Task:
     def __post_init__(self) -> None:
         if not self.starts:
             raise InputError(f"task '{self.name}' needs at least one start file")
+        if not isinstance(self.reward, Reward) and not callable(self.reward):
+            raise InputError(
+                f"task '{self.name}': reward must be a Reward or a function, not {self.reward!r}"
+            )
         if self.max_steps < 0:
             raise InputError(f"task '{self.name}': max_steps is {self.max_steps}, allowed: 0 or more")
         first = self.starts[0]
@@ -230,7 +235,12 @@ class Task:
                 raise InputError(f"the start has {count} {what}; task '{self.name}' observes at most {most}")
 
     def potential(self, grids: Grid, designs: Targets) -> NDArray[np.float64]:
-        """Return (B,): the potential of each of B worlds, in which ``designs`` (B, T, 5) are to be built."""
+        """Return (B,): the potential of each of B worlds, in which ``designs`` (B, T, 5) are to be built.
+
+        It is 0 where a function of a tick is the reward.
+        """
+        if not isinstance(self.reward, Reward):
+            return np.zeros(len(grids))
         potential = self.reward.potential
         if isinstance(potential, str):
             return POTENTIALS[potential](grids, designs, self.layout)

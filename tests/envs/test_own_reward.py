@@ -1,0 +1,141 @@
+"""A reward that is a function of a tick, on either backend; tasks of one's own in Gymnasium; masks for MaskablePPO."""
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+from registered import forget
+
+import craftsim
+import craftsim.envs
+from craftsim import Action
+from craftsim.discrete.schedule import nominal_durations
+from craftsim.discrete.tasks import make_task, register_task
+from craftsim.errors import InputError
+
+
+@pytest.fixture
+def free_names():
+    yield
+    forget()
+
+
+class Watch:
+    """A reward function that keeps what it has seen, and rewards cars that moved."""
+
+    def __init__(self):
+        self.seen = []
+
+    def __call__(self, tick):
+        self.seen.append(tick)
+        moved = (tick.before.cars[:, :3] != tick.after.cars[:, :3]).any(axis=1)
+        return 2.0 * moved.sum() - tick.duration_s
+
+
+def _task(reward):
+    return replace(make_task("strip"), name="own_strip", reward=reward)
+
+
+def _play(env, ticks=3):
+    observations, _ = env.reset(seed=0)
+    rewards = []
+    for _ in range(ticks):
+        actions = {agent: int(np.flatnonzero(o["action_mask"])[-1]) for agent, o in observations.items()}
+        actions["car_1"] = int(Action.LIFT)
+        observations, reward, _, _, infos = env.step(actions)
+        rewards.append((reward["car_0"], infos["car_0"]["duration_s"]))
+    return rewards
+
+
+def test_on_the_grid_a_reward_sees_actions_and_nominal_times():
+    watch = Watch()
+    rewards = _play(craftsim.parallel_env(_task(watch), "grid"))
+    assert [tick.t for tick in watch.seen] == [0, 1, 2]
+    first = watch.seen[0]
+    assert first.actions[1] is Action.LIFT
+    assert first.verdicts == (None, None)
+    assert first.contacts is None
+    assert first.attempts == ()
+    assert first.problems == ()
+    assert first.duration_s == max(first.durations_s) == rewards[0][1]
+    expected = nominal_durations()[first.actions[0], 0] if first.applied[0] else 0.0
+    assert first.durations_s[0] == pytest.approx(expected)
+    for tick, (reward, _) in zip(watch.seen, rewards, strict=True):
+        moved = (tick.before.cars[:, :3] != tick.after.cars[:, :3]).any(axis=1).sum()
+        assert reward == 2.0 * moved - tick.duration_s
+
+
+def test_in_physics_it_sees_verdicts_times_and_contacts():
+    watch = Watch()
+    env = craftsim.parallel_env(_task(watch), "physics", check_contacts=True)
+    env.reset(seed=0)
+    env.step({"car_0": int(Action.MOVE_RIGHT), "car_1": int(Action.LIFT)})
+    (tick,) = watch.seen
+    assert tick.actions == (Action.MOVE_RIGHT, Action.LIFT)
+    assert tick.verdicts[0] == "as predicted"
+    assert tick.attempts[0].action == "MOVE_RIGHT"
+    assert tick.applied[0]
+    assert tick.durations_s[0] == tick.attempts[0].duration_s > 0
+    assert any({"car 0", "ground"} == {one.first, one.second} for one in tick.contacts)
+    assert tick.after.cars[0, 0] == tick.before.cars[0, 0] + 1
+    plain = craftsim.parallel_env(_task(watch), "physics")
+    plain.reset(seed=0)
+    plain.step({"car_0": int(Action.STOP), "car_1": int(Action.STOP)})
+    assert watch.seen[-1].contacts is None
+
+
+def test_a_batch_rewards_world_by_world():
+    watch = Watch()
+    envs = craftsim.vector_env(_task(watch), 4)
+    observations, _ = envs.reset(seed=0)
+    actions = np.full((4, 2), int(Action.STOP))
+    actions[:, 0] = int(Action.MOVE_RIGHT)
+    _, rewards, _, _, infos = envs.step(actions)
+    assert len(watch.seen) == 4
+    moved = [(t.before.cars[:, :3] != t.after.cars[:, :3]).any() for t in watch.seen]
+    assert rewards.tolist() == [2.0 * m - s for m, s in zip(moved, infos["duration_s"], strict=True)]
+    assert envs.action_masks().shape == (4, 30)
+    assert np.array_equal(envs.action_masks().reshape(observations["action_mask"].shape), envs._masks == 1)
+
+
+@pytest.mark.parametrize("value", [None, np.nan, "much"])
+def test_a_reward_that_is_no_number_is_refused(value):
+    env = craftsim.parallel_env(_task(lambda tick: value), "grid")
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="must return a finite number"):
+        env.step({"car_0": 10, "car_1": 10})
+    with pytest.raises(InputError, match="reward must be a Reward or a function"):
+        _task(3.0)
+
+
+def test_a_registered_task_has_its_own_gymnasium_id(free_names):
+    task = register_task(_task(Watch()))
+    assert craftsim.envs.GYMNASIUM_IDS["own_strip"] == "craftsim/OwnStrip-v0"
+    env = gymnasium.make("craftsim/OwnStrip-v0", backend="grid")
+    assert env.unwrapped.core.task.name == task.name
+    assert gymnasium.make_vec("craftsim/OwnStrip-v0", num_envs=2).num_envs == 2
+    register_task(replace(task, max_steps=3))
+    assert gymnasium.make("craftsim/OwnStrip-v0", backend="grid").unwrapped.core.task.max_steps == 3
+    with pytest.raises(InputError, match="the task 'own_strip' is craftsim/OwnStrip-v0 already"):
+        register_task(replace(task, name="own_strip_"))
+    with pytest.raises(InputError, match="the task 'strip' is craftsim/Strip-v0 already"):
+        register_task(replace(task, name="Strip"))
+
+
+def test_masks_are_flat_as_sb3_contrib_asks_for_them():
+    env = gymnasium.make("craftsim/Strip-v0", backend="grid")
+    observation, _ = env.reset(seed=0)
+    masks = env.get_wrapper_attr("action_masks")()
+    assert masks.dtype == np.bool_
+    assert masks.shape == (env.action_space.nvec.sum(),)
+    assert np.array_equal(masks, observation["action_mask"].ravel() == 1)
+
+
+def test_masks_of_worlds_in_processes_are_those_observed_last():
+    envs = craftsim.vector_env("strip", 2, "physics", workers=1)
+    try:
+        observations, _ = envs.reset(seed=0)
+        assert np.array_equal(envs.action_masks(), observations["action_mask"].reshape(2, -1) == 1)
+    finally:
+        envs.close()

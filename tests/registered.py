@@ -1,0 +1,20 @@
+"""Undoing what a test has registered; a name is never free again where craftsim is used."""
+
+import gymnasium
+
+from craftsim import envs
+from craftsim.discrete import kinds
+from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.tasks import registry
+
+
+def forget():
+    """Forget all actions and tasks that were registered in this process."""
+    for action in list(ACTIONS)[len(Action) :]:
+        del ACTIONS[action]
+    kinds._OWN_ACTIONS.clear()
+    kinds._REGISTERED_BY.clear()
+    for name in list(registry._REGISTERED):
+        gymnasium.registry.pop(envs.GYMNASIUM_IDS.pop(name), None)
+        del registry._REGISTERED[name]

@@ -22,6 +22,7 @@ from craftsim.discrete.schedule import make_schedule, nominal_durations
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.text import TextConstruction
 from craftsim.errors import InputError
+from craftsim.rendering.plots.gantt import draw_gantt
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -100,6 +101,11 @@ def test_a_schedule_waits_for_who_is_where_a_block_is_pushed(push):
     schedule = make_schedule(grid, ticks, craftsim.Rules("physical"))
     assert [step.waits_for for step in schedule.steps] == [frozenset(), {0}, frozenset()]
     assert schedule.makespan() > 4.1
+
+
+def test_a_chart_of_a_schedule_draws_registered_actions(push, tmp_path):
+    schedule = make_schedule(_before_a_block(), [[(0, push)]], craftsim.Rules("physical"))
+    assert draw_gantt(tmp_path / "chart.png", schedule, "pushing").stat().st_size > 0
 
 
 @pytest.mark.parametrize("depth", [None, 4])

@@ -20,7 +20,7 @@ from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.rules import why
-from craftsim.discrete.kinds import MOVE_DIRECTION, Action, CarField, Kind, add_action
+from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, Action, CarField, Kind, add_action
 from craftsim.errors import InputError
 from craftsim.modules import note_registering
 
@@ -80,11 +80,7 @@ def _own(grid: Grid, car: int) -> Kind:
 
 
 def _nothing_to_lift(grid: Grid, car: int) -> str:
-    lifted = grid.cars[car, CarField.LOAD] == Kind.AIR and _own(grid, car) in (
-        Kind.BLOCK,
-        Kind.FLAG,
-        Kind.FSLOPE,
-    )
+    lifted = grid.cars[car, CarField.LOAD] == Kind.AIR and _own(grid, car) in CARRIED
     return "" if lifted else "there is nothing to lift"
 
 

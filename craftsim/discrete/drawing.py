@@ -10,6 +10,7 @@ from rich.style import Style
 from rich.text import Text
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kinds import KINDS
 
 Rgb = tuple[float, float, float]
 """Red, green, blue, each 0..1."""
@@ -26,17 +27,7 @@ CAR_COLOURS: Final[tuple[Rgb, ...]] = (
 )
 """What distinguishes the cars; car ids beyond the last start over."""
 
-KIND_COLOURS: Final[dict[Kind, Rgb]] = {
-    Kind.AIR: (1.0, 1.0, 1.0),
-    Kind.GROUND: (0.93, 0.93, 0.92),
-    Kind.WALL: (0.42, 0.44, 0.47),
-    Kind.BLOCK: (0.93, 0.72, 0.35),
-    Kind.FLAG: (0.80, 0.16, 0.20),
-    Kind.FSLOPE: (0.36, 0.56, 0.76),
-    Kind.GEAR: (0.25, 0.27, 0.30),
-    Kind.BODY: (0.36, 0.56, 0.76),
-    Kind.FOOT: (0.52, 0.70, 0.86),
-}
+KIND_COLOURS: Final[dict[Kind, Rgb]] = {kind: spec.colour for kind, spec in KINDS.items()}
 """What is in a cell; machines as their MJCF colours them, an unfolded slope's two cells as its base and its flap."""
 
 TRIM: Final[Rgb] = (0.45, 0.32, 0.20)
@@ -53,32 +44,6 @@ LINE: Final[Rgb] = (0.74, 0.74, 0.73)
 ARROWS: Final = "→↑←↓"
 """Signs of the yaws 0..3, with x to the right and y up."""
 
-SIGNS: Final = {
-    Kind.AIR: " .",
-    Kind.GROUND: "__",
-    Kind.WALL: "##",
-    Kind.BLOCK: "[]",
-    Kind.FLAG: "|>",
-    Kind.FSLOPE: "S",
-    Kind.GEAR: "g",
-    Kind.BODY: "B",
-    Kind.FOOT: "f",
-}
-"""How the text shows each kind; those with a yaw are followed by its arrow."""
-
-STYLES: Final = {
-    Kind.AIR: "dim",
-    Kind.GROUND: "dim",
-    Kind.WALL: "white on grey37",
-    Kind.BLOCK: "yellow",
-    Kind.FLAG: "bold red",
-    Kind.FSLOPE: "cyan",
-    Kind.GEAR: "cyan",
-    Kind.BODY: "bold cyan",
-    Kind.FOOT: "bold cyan",
-}
-
-LOAD_LETTERS: Final = {Kind.BLOCK: "b", Kind.FLAG: "f", Kind.FSLOPE: "s"}
 
 LEGEND: Final = (
     "[] block  |> flag  ## wall  S folded slope, g its gear  B body and f foot of a slope\n"
@@ -105,14 +70,14 @@ def cars_by_cell(grid: Grid) -> dict[Cell, list[int]]:
 
 def _cell_text(grid: Grid, cell: Cell, cars: list[int], goal: bool) -> Text:
     kind = grid.kind_at(cell)
-    sign = SIGNS[kind]
+    sign = KINDS[kind].sign
     if len(sign) == 1:
         sign += ARROWS[grid.yaw[cell]]
-    text = Text(sign, STYLES[kind])
+    text = Text(sign, KINDS[kind].style)
     for car in cars:
         row = grid.cars[car]
         text.append(
-            f"{car}{ARROWS[row[CarField.YAW]]}{LOAD_LETTERS.get(row[CarField.LOAD], '')}", _car_style(car)
+            f"{car}{ARROWS[row[CarField.YAW]]}{KINDS[Kind(row[CarField.LOAD])].letter}", _car_style(car)
         )
     if goal:
         text.append("*", "bold magenta")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.kernel.state import World, derive_all_marks
-from craftsim.discrete.kinds import CarField, CellField, Kind
+from craftsim.discrete.kinds import CARRIED, CarField, CellField, Kind
 from craftsim.errors import InputError
 
 __all__ = ["KINDS_WITH_YAW", "SECOND_PART", "CarField", "Cell", "Grid", "Kind", "Piece", "beside"]
@@ -21,7 +21,7 @@ KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
 SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
 """What a slope has in the next cell in direction of its yaw."""
 
-MOVABLE: Final = (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
+MOVABLE: Final = (*CARRIED, Kind.BODY)
 """What cars can move, an unfolded slope once it is folded."""
 
 Cell = tuple[int, int, int]

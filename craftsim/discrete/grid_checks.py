@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.files.blueprint import MAX_CARS, MAX_CELLS, MAX_SIDE
 from craftsim.discrete.grid import KINDS_WITH_YAW, Cell, Grid
-from craftsim.discrete.kinds import CarField, CellField, Kind
+from craftsim.discrete.kinds import CARRIED, NAMES, CarField, CellField, Kind
 from craftsim.errors import InputError
 
-_LOADS: Final = (Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
+_LOADS: Final = (Kind.AIR, *CARRIED)
 _ARRAYS: Final = {"cells": len(CellField), "cars": len(CarField)}
 """Of a :class:`Grid`, with the length of the last axis."""
 
@@ -79,7 +79,7 @@ def _cell_checks(grid: Grid) -> Checks:
     most_yaw = 3 * np.isin(kind, KINDS_WITH_YAW)
     landing = (grid.landing != 0) & ((kind != Kind.BLOCK) | (grid.landing != 1))
     return [
-        ("kind", kind, (kind < Kind.AIR) | (kind > Kind.FOOT), "the kinds 0 to 8"),
+        ("kind", kind, (kind < Kind.AIR) | (kind >= len(Kind)), f"the kinds 0 to {len(Kind) - 1}"),
         ("kind", kind, in_ground_layer != (kind == Kind.GROUND), "ground in the layer 0, and nowhere else"),
         ("yaw", yaw, (yaw < 0) | (yaw > most_yaw), "the yaws 0 to 3 for what has one, else 0"),
         (
@@ -97,7 +97,8 @@ def _car_checks(grid: Grid) -> Checks:
     length, width, height = grid.size
     # A car may stand above the highest cell.
     inside = (x >= 0) & (x < length) & (y >= 0) & (y < width) & (z >= 1) & (z <= height + 1)
-    loads = "nothing, a block, a flag or a folded slope (0, 3, 4, 5)"
+    named = f"{', '.join(NAMES[kind] for kind in _LOADS[:-1])} or {NAMES[_LOADS[-1]]}"
+    loads = f"{named} ({', '.join(str(int(kind)) for kind in _LOADS)})"
     turned = "0 to 3 with a folded slope, else 0"
     on_slope = (slope == 0) | ((slope == 1) & (z <= height)) | ((slope == 2) & (z > 1))
     return [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import EnumType, IntEnum, IntFlag, auto
 from numbers import Integral
 from typing import Any, Final
@@ -29,18 +30,55 @@ class Kind(IntEnum):
     FOOT = 8
 
 
-NAMES: Final = {
-    Kind.AIR: "nothing",
-    Kind.GROUND: "the ground",
-    Kind.WALL: "a wall",
-    Kind.BLOCK: "a block",
-    Kind.FLAG: "a flag",
-    Kind.FSLOPE: "a folded slope",
-    Kind.GEAR: "the gear of a folded slope",
-    Kind.BODY: "the body of a slope",
-    Kind.FOOT: "the foot of a slope",
+@dataclass(frozen=True)
+class KindSpec:
+    """What makes a kind beyond its rules and its machine; see the table :data:`KINDS`."""
+
+    words: str
+    """What is in a cell."""
+    sign: str
+    """How text shows it; those with a yaw are followed by its arrow."""
+    style: str
+    """Of the sign, as rich has it."""
+    colour: tuple[float, float, float]
+    """Red, green and blue, each 0..1, in pictures; machines as their MJCF colours them."""
+    plural: str = ""
+    """Of what cars carry."""
+    letter: str = ""
+    """How text shows it as a car's load."""
+    stands: bool = False
+    """Whether it is a thing of its own that stands on something."""
+
+    @property
+    def carried(self) -> bool:
+        """Whether cars carry it."""
+        return bool(self.letter)
+
+
+KINDS: Final = {
+    Kind.AIR: KindSpec("nothing", " .", "dim", (1.0, 1.0, 1.0)),
+    Kind.GROUND: KindSpec("the ground", "__", "dim", (0.93, 0.93, 0.92)),
+    Kind.WALL: KindSpec("a wall", "##", "white on grey37", (0.42, 0.44, 0.47), stands=True),
+    Kind.BLOCK: KindSpec("a block", "[]", "yellow", (0.93, 0.72, 0.35), "blocks", "b", True),
+    Kind.FLAG: KindSpec("a flag", "|>", "bold red", (0.80, 0.16, 0.20), "flags", "f", True),
+    Kind.FSLOPE: KindSpec("a folded slope", "S", "cyan", (0.36, 0.56, 0.76), "slopes", "s", True),
+    Kind.GEAR: KindSpec("the gear of a folded slope", "g", "cyan", (0.25, 0.27, 0.30)),
+    Kind.BODY: KindSpec("the body of a slope", "B", "bold cyan", (0.36, 0.56, 0.76), stands=True),
+    Kind.FOOT: KindSpec("the foot of a slope", "f", "bold cyan", (0.52, 0.70, 0.86)),
 }
+"""The table of kinds, in the order of their numbers. docs/extending.md says what else a new one takes."""
+
+NAMES: Final = {kind: spec.words for kind, spec in KINDS.items()}
 """What is in a cell, in words."""
+CARRIED: Final = tuple(kind for kind, spec in KINDS.items() if spec.carried)
+"""What cars carry."""
+STANDING: Final = tuple(kind for kind, spec in KINDS.items() if spec.stands)
+"""What is a thing of its own; gears and feet come with their slopes."""
+
+if list(KINDS) != list(Kind):
+    raise RuntimeError(
+        f"{next(kind for kind in Kind if kind not in KINDS).name} has no row in the table of kinds"
+    )
 
 
 class CellField(IntEnum):

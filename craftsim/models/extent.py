@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kinds import STANDING
 from craftsim.errors import InputError, StartError
 from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_CELLS, PHYSICS_GOALS, PHYSICS_PARTS
-
-_PARTS: Final = (Kind.BLOCK, Kind.FLAG, Kind.WALL, Kind.FSLOPE, Kind.BODY)
-"""What stands for one part each."""
 
 
 def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
@@ -22,7 +19,7 @@ def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
     Raises StartError for two cars in one cell.
     """
     loads = int((grid.cars[:, CarField.LOAD] != Kind.AIR).sum())
-    parts = grid.n_cars + loads + int(np.isin(grid.kind, _PARTS).sum())
+    parts = grid.n_cars + loads + int(np.isin(grid.kind, STANDING).sum())
     length, width, height = grid.size
     for number, most, what in (
         (length * width * height, PHYSICS_CELLS, "cells"),

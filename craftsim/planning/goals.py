@@ -10,7 +10,7 @@ import numpy as np
 
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
-from craftsim.discrete.kinds import NAMES
+from craftsim.discrete.kinds import KINDS, NAMES
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import State
@@ -64,7 +64,7 @@ def check_supplies(start: Grid, building: State) -> None:
     want = Counter(thing.load for thing in building)
     for kind, count in sorted(want.items()):
         if count > have[kind]:
-            what = {Kind.BLOCK: "blocks", Kind.FLAG: "flags", Kind.FSLOPE: "slopes"}[kind]
+            what = KINDS[kind].plural
             raise NoPlanError(f"no plan: not enough {what}; the design has {count}, the start {have[kind]}")
     taken: dict[Cell, Piece] = {}
     for thing in sorted(building):

@@ -19,6 +19,7 @@ from craftsim.discrete.files.placement import Placement, build_grid
 from craftsim.discrete.files.sense import CarRow, check_sense, outside
 from craftsim.discrete.files.shipped import find
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
+from craftsim.discrete.kinds import CARRIED
 from craftsim.errors import BlueprintError
 from craftsim.storage.limits import YAML_VALUES
 from craftsim.storage.writing import write_whole
@@ -50,7 +51,8 @@ OBJECT_KEYS: Final = {
 """Lists of objects, in the order in which they are placed."""
 
 _KIND_NAMES: Final = np.array([kind.name.lower() for kind in Kind])
-LOADS: Final = {"block": Kind.BLOCK, "flag": Kind.FLAG, "fold_slope": Kind.FSLOPE}
+LOADS: Final = {key: kind for key, kind in OBJECT_KEYS.items() if kind in CARRIED}
+"""What a car's line names as its load."""
 
 T = TypeVar("T")
 _List = Annotated[tuple[T, ...], BeforeValidator(lambda given: () if given is None else given)]

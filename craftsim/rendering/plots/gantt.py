@@ -32,6 +32,8 @@ VERB_COLOURS: Final[dict[str, Rgb]] = {
     "stop": (0.93, 0.93, 0.92),
 }
 """By the row of an action in the table of durations."""
+_REGISTERED: Final[Rgb] = (0.80, 0.47, 0.65)
+"""Of actions that were registered, which have no such row."""
 _HATCH: Final = "////"
 _DPI: Final = 200
 _ROW_IN: Final = 0.22
@@ -68,7 +70,8 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("time at nominal physics (s)")
-        handles = [Patch(facecolor=VERB_COLOURS[verb], label=verb) for verb in VERB_COLOURS if verb in verbs]
+        named = [*(verb for verb in VERB_COLOURS if verb in verbs), *sorted(verbs - VERB_COLOURS.keys())]
+        handles = [Patch(facecolor=VERB_COLOURS.get(verb, _REGISTERED), label=verb) for verb in named]
         if loaded:
             handles.append(Patch(facecolor="1", hatch=_HATCH, edgecolor="0.3", label="loaded"))
         figure.legend(handles=handles, loc="outside lower center", **legend)
@@ -85,10 +88,12 @@ def _draw_bars(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> tu
             step.before.cars[step.car, CarField.LOAD],
             step.after.cars[step.car, CarField.LOAD],
         )
-        bars[step.car, ACTIONS[step.action].duration, loaded].append((start, end - start))
+        spec = ACTIONS[step.action]
+        bars[step.car, spec.duration or spec.words, loaded].append((start, end - start))
     for (car, verb, loaded), spans in bars.items():
         look: dict[str, Any] = {"hatch": _HATCH, "edgecolor": "0.3"} if loaded else {"edgecolor": "1"}
-        axes.broken_barh(spans, (car - _BAR / 2, _BAR), facecolor=VERB_COLOURS[verb], linewidth=0.4, **look)
+        colour = VERB_COLOURS.get(verb, _REGISTERED)
+        axes.broken_barh(spans, (car - _BAR / 2, _BAR), facecolor=colour, linewidth=0.4, **look)
     return {verb for _, verb, _ in bars}, any(loaded for _, _, loaded in bars)
 
 

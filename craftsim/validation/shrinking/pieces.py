@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
-
-_THINGS: Final = (Kind.WALL, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
-"""What is a piece of its own; gears and feet come with their slopes."""
+from craftsim.discrete.kinds import STANDING
 
 
 @dataclass(frozen=True)
@@ -79,7 +76,7 @@ def pieces_of(grid: Grid, first: int = 0) -> tuple[WorldPart, ...]:
     ]
     things = [
         WorldPart((x, y, z), Kind(grid.kind[x, y, z]), int(grid.yaw[x, y, z]))
-        for x, y, z in np.argwhere(np.isin(grid.kind, _THINGS)).tolist()
+        for x, y, z in np.argwhere(np.isin(grid.kind, STANDING)).tolist()
     ]
     return (*cars, *things)
 

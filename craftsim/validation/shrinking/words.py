@@ -8,7 +8,7 @@ from typing import Final
 from craftsim.checking.attempt import Verdict
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.kinds import MOVE_DIRECTION, Action
+from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, NAMES, Action
 from craftsim.discrete.rules import Rules
 from craftsim.validation.shrinking.pieces import WorldPart, pieces_of
 from craftsim.validation.shrinking.shrink import Smallest
@@ -16,7 +16,7 @@ from craftsim.validation.shrinking.shrink import Smallest
 _WAYS: Final = ("ahead", "to the left", "behind", "to the right")
 _DOWN: Final = ("ahead", "to the left", "backwards", "to the right")
 _NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-_LOADS: Final = {Kind.BLOCK: "a block", Kind.FLAG: "a flag", Kind.FSLOPE: "a folded slope"}
+_LOADS: Final = {kind: NAMES[kind] for kind in CARRIED}
 _RESULTS: Final = {
     Verdict.FAILED: "it fails",
     Verdict.SIDE_EFFECT: "it moves something else",

@@ -4,6 +4,7 @@ import importlib
 import os
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -290,6 +291,76 @@ def test_what_functions_return_is_checked(free_names):
         craftsim.perform(craftsim.Site(grid), 0, nod)
     with pytest.raises(InputError, match="no registered action 'LIFT'; there are GET_LOST, ODD, RENEW, NOD"):
         craftsim.parallel_env("strip", "grid", actions=("LIFT",))
+
+
+CRATE = {
+    "craftsim/discrete/kinds.py": [
+        ("    FOOT = 8\n", "    FOOT = 8\n    CRATE = 9\n"),
+        (
+            '\n}\n"""The table of kinds',
+            '\n    Kind.CRATE: KindSpec("a crate", "CC", "green", (0.3, 0.6, 0.3), "crates", "c", True),'
+            '\n}\n"""The table of kinds',
+        ),
+    ],
+    "craftsim/discrete/files/blueprint.py": [
+        ('    "wall": Kind.WALL,\n', '    "wall": Kind.WALL,\n    "crate": Kind.CRATE,\n'),
+        ("    wall: _List[_Place] = ()\n", "    wall: _List[_Place] = ()\n    crate: _List[_Place] = ()\n"),
+        ('Literal["block", "flag", "fold_slope"]', 'Literal["block", "flag", "fold_slope", "crate"]'),
+    ],
+    "craftsim/discrete/kernel/rules.py": [
+        (
+            "\n\n\n@compiled\n",
+            "\n\nfrom craftsim.discrete.kinds import Kind\nCRATE = int(Kind.CRATE)\n\n\n@compiled\n",
+        ),
+        ("BLOCK, FLAG", "BLOCK, CRATE, FLAG"),
+    ],
+}
+"""The edits that a new kind takes on the grid: one that cars drive under and carry, and that bears nothing."""
+
+CARRYING = """
+import craftsim
+from craftsim import Action
+from craftsim.discrete.drawing import world_text
+from craftsim.discrete.grid_checks import check_grid
+
+grid = craftsim.Grid.empty((5, 2, 2), 1)
+grid.kind[1, 0, 1] = craftsim.Kind.CRATE
+grid.derive_marks()
+rules = craftsim.Rules("physical")
+for name in ("MOVE_RIGHT", "LIFT", "MOVE_RIGHT", "DROP"):
+    said = rules.explain(grid, 0, Action[name])
+    assert said.legal, said
+    grid = rules.apply(grid, 0, Action[name])
+check_grid(grid)
+craftsim.write_blueprint(grid, "out.yaml")
+assert "crate:" in open("out.yaml").read()
+assert craftsim.read_blueprint("out.yaml").n_cars == 1
+assert "CC" in world_text(grid, None).plain
+print([piece.kind.name for piece in grid.pieces()])
+"""
+
+
+def test_a_new_kind_takes_three_files_on_the_grid(tmp_path):
+    package = Path(craftsim.__file__).parent
+    ignored = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc", "policies", "meshes")
+    shutil.copytree(package, tmp_path / "craftsim", ignore=ignored)
+    for file, edits in CRATE.items():
+        path = tmp_path / file
+        text = path.read_text(encoding="utf-8")
+        for old, new in edits:
+            assert old in text
+            text = text.replace(old, new, -1 if old == "BLOCK, FLAG" else 1)
+        path.write_text(text, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-c", CARRYING],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "['CRATE']\n"
 
 
 def _examples(section):

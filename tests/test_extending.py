@@ -15,9 +15,10 @@ from registered import forget
 
 import craftsim
 from craftsim import Action, Grid, Kind
-from craftsim.checking.recipe import Act
+from craftsim.checking.recipe import Recipe, Step, do, run_up
 from craftsim.cli import main
 from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.own_actions import as_own
 from craftsim.discrete.schedule import make_schedule, nominal_durations
 from craftsim.discrete.tasks.episodes import Episodes
@@ -208,7 +209,11 @@ def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(
         capsys.readouterr().out
     )
     assert "0 of " in capsys.readouterr().out
-    assert Act(0, "PUSH").action == "PUSH"
+    recipe = Recipe(blueprint_text(_before_a_block()), (Step.single(0, 0, push),))
+    assert recipe.steps[0].acts[0].action == "PUSH"
+    first, again = (do(run_up(recipe), recipe.steps[-1]) for _ in range(2))
+    assert first == again
+    assert first[0].agrees
 
 
 def test_commands_import_plugins_first(tmp_path):

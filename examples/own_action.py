@@ -8,7 +8,7 @@ from functools import partial
 
 import craftsim
 from craftsim import Action
-from craftsim.skills.driving import Rotate
+from craftsim.skills.skill import begin_turn
 
 RULES = craftsim.Rules("physical")
 
@@ -27,7 +27,7 @@ def turn_about(grid, car):
 
 
 TURN_ABOUT = craftsim.register_action(
-    "TURN_ABOUT", why_not, turn_about, duration_s=1.18, skill=partial(Rotate, quarter=2)
+    "TURN_ABOUT", why_not, turn_about, duration_s=1.18, skill=partial(begin_turn, quarter=2)
 )
 
 if __name__ == "__main__":

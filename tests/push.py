@@ -4,16 +4,14 @@ With its board raised a car meets the edge of a block's table, shoves the block 
 """
 
 import math
+from functools import partial
 
 import craftsim
 from craftsim import Kind
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import beside
 from craftsim.discrete.readback import nearest_yaw
-from craftsim.skills.driving import DrivingSkill, cell_middle
-from craftsim.skills.lifting import MoveBoard
-from craftsim.skills.profile import Profile
-from craftsim.skills.skill import Command, Skill
+from craftsim.skills.skill import LawSkill, begin_board, begin_path, cell_middle
 
 BOARD_M = 0.030
 """How far the board is raised: its plate is 14 mm above a block's underside, its boss far below the top."""
@@ -56,52 +54,46 @@ def push(grid, car):
     grid.cars[car, :3] = block
 
 
-class Ahead(DrivingSkill):
-    """Drive straight on, or back, to a place on the line through the middle of the cell."""
-
-    def __init__(self, setup, ahead_m):
-        """Prepare to go ``ahead_m`` past the middle of the cell that the car is in."""
-        super().__init__(setup)
-        self.ahead_m = ahead_m
-
-    def _target(self, now):
-        x, y, heading = cell_middle(now, nearest_yaw(now.heading)[0])
-        return x + self.ahead_m * math.cos(heading), y + self.ahead_m * math.sin(heading), heading
-
-    def _make_profile(self):
-        # So slowly that the block does not slide on when the car brakes: its feet would brake it with 0.8 g.
-        return Profile.within(math.hypot(self._delta[0], self._delta[1]), 0.3, 1.0)
+def ahead(setup, now, task, ahead_m):
+    """Drive straight on, or back, to a place so far past the middle of the cell on the line through it."""
+    x, y, heading = cell_middle(now, nearest_yaw(now.heading)[0])
+    target = x + ahead_m * math.cos(heading), y + ahead_m * math.sin(heading), heading
+    # So slowly that the block does not slide on when the car brakes: its feet would brake it with 0.8 g.
+    begin_path(setup, now, task, target, (0.3, 1.0))
 
 
-class Push(Skill):
-    """Four skills one after the other."""
+class Push(craftsim.Skill):
+    """Four laws one after the other."""
 
     def __init__(self, setup):
         """Prepare for this car, world and tuning."""
         super().__init__(setup)
         gap_m = CELL_PITCH_M - setup.machines.block.side_m / 2 - setup.machine.board_length_m / 2
-        self._parts = [
-            MoveBoard(setup, BOARD_M),
-            Ahead(setup, CELL_PITCH_M + gap_m),
-            Ahead(setup, 0.0),
-            MoveBoard(setup, 0.0),
-        ]
+        begins = (
+            partial(begin_board, target_m=BOARD_M),
+            partial(ahead, ahead_m=CELL_PITCH_M + gap_m),
+            partial(ahead, ahead_m=0.0),
+            partial(begin_board, target_m=0.0),
+        )
+        self._parts = [LawSkill(setup, begin) for begin in begins]
 
-    def _begin(self, now):
+    def start(self, now):
+        """Start the first of them."""
         self._parts[0].start(now)
 
-    def _control(self, now):
+    def step(self, now):
+        """Step the present one, and start the next when it has ended."""
         command, ended = self._parts[0].step(now), self._parts[0].outcome
         if ended is None:
             return command
         if ended.reason is not None:
-            self._fail(ended.reason, ended.detail)
+            self.fail(ended.reason, ended.detail)
         elif len(self._parts) == 1:
-            self._succeed()
+            self.succeed()
         else:
             del self._parts[0]
             self._parts[0].start(now)
-        return Command()
+        return craftsim.Command()
 
 
 PUSH = craftsim.register_action(

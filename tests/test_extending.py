@@ -15,7 +15,7 @@ from registered import forget
 
 import craftsim
 from craftsim import Action, Grid, Kind
-from craftsim.checking.recipe import Recipe, Step, do, run_up
+from craftsim.checking.episode import Recipe, Step, do, run_up
 from craftsim.cli import main
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.files.blueprint import blueprint_text

@@ -18,6 +18,7 @@ import numpy as np
 from craftsim.checking.attempt import Attempt, Thresholds
 from craftsim.checking.judge import CheckedSite
 from craftsim.checking.setup import SEED_0, Seed, Setup, judge_on, nominal_gains, set_up
+from craftsim.discrete.actions import action_names
 from craftsim.discrete.files.blueprint import Blueprint, blueprint_text, parse_blueprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
@@ -31,8 +32,6 @@ from craftsim.skills.gains import Gains
 from craftsim.skills.library import SkillChoice, own_skills
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 
-_NAMES: Final = [action.name for action in Action]
-
 
 @dataclass(frozen=True)
 class Act:
@@ -43,9 +42,9 @@ class Act:
     """Name of a primitive action."""
 
     def __post_init__(self) -> None:
-        if self.action not in _NAMES:
+        if self.action not in (names := action_names()):
             raise InputError(
-                f"unknown action '{self.action}'{suggestion(self.action, _NAMES)}; there are {', '.join(_NAMES)}"
+                f"unknown action '{self.action}'{suggestion(self.action, names)}; there are {', '.join(names)}"
             )
 
 

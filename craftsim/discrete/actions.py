@@ -65,8 +65,8 @@ class ActionSpec:
     """The same."""
     duration_s: float = 0.0
     """Nominal duration of a registered action, which has no row in the file."""
-    skill: Callable[[Any], Any] | None = None
-    """Of a registered action: makes the skill that performs it from a ``SkillSetup``."""
+    skill: Callable[..., Any] | None = None
+    """Of a registered action: a class of skills, or a function that sets up the task of a built-in law."""
 
     @property
     def performed(self) -> bool:
@@ -164,7 +164,7 @@ def register_action(
     *,
     duration_s: float,
     footprint: Touched | None = None,
-    skill: Callable[[Any], Any] | None = None,
+    skill: Callable[..., Any] | None = None,
     words: str = "",
     ahead: Iterable[int] = (),
     over: bool = False,
@@ -184,7 +184,8 @@ def register_action(
         footprint: ``footprint(before, after, car)`` returns the cells (x, y, z) that the car, its load or what it moves
             sweeps; no other action that needs them runs at the same time. Unless given, the cells that change. Where
             the car stands before and after counts in any case.
-        skill: returns the skill that performs it from a ``SkillSetup``; without one the action is for the grid alone.
+        skill: what performs it: a subclass of :class:`craftsim.Skill`, or a function that sets up the task of a
+            built-in law, as those of ``craftsim/skills/skill.py``; without one the action is for the grid alone.
         words: how captions call it, the name in small letters unless given.
         ahead: of what the audit varies: the directions, relative to the heading (0 forward, 1 left, 2 back, 3 right),
             in which the next cell matters.
@@ -214,7 +215,7 @@ def register_action(
         ("legal", legal, ("grid", "car")),
         ("effect", effect, ("grid", "car")),
         ("footprint", footprint, ("before", "after", "car")),
-        ("skill", skill, ("setup",)),
+        ("skill", skill, ("setup",) if isinstance(skill, type) else ("setup", "now", "task")),
         ("nothing_to_try", nothing_to_try, ("grid", "car")),
     ):
         if function is not None or what in ("legal", "effect"):

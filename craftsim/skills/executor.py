@@ -179,7 +179,7 @@ class Executor:
         setup = self._setups[car].carefully() if self.floor_is_uneven else self._setups[car]
         setup = setup if terrain is None else setup.on(terrain)
         performers, now = self._performers[car], measurement_of(self.readings()[car])
-        performer = performers.get(action) or begin_of(action)
+        performer = performers.setdefault(action, begin_of(action))
         self._start(car, performer, setup)
         self._tries[car] = Tries(action, setup, performers, cell_middle(now, nearest_yaw(now.heading)[0]))
 

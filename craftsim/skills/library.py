@@ -40,19 +40,183 @@ BUILT_IN: Final[Mapping[Action, Performer]] = {
     Action.UNFOLD: partial(begin_hinge, folds=False),
     Action.STOP: begin_stop,
 }
-"""What performs each of the 15 actions; the four diagonal moves are never legal, and no skill performs them."""
+"""What performs each of the 15 actions; the four diagonal moves are never legal, and nothing performs them."""
+check_complete(BUILT_IN, "skill", "craftsim/skills/library.py")
 
 
-check_complete(SKILLS, "skill", "craftsim/skills/library.py")
+def begin_of(action: Action) -> Performer:
+    """Return what performs an action unless a car has a skill of its own for it.
 
-
-def make_skill(action: Action, setup: SkillSetup) -> Skill:
-    """Return a fresh skill for an action. Raises InputError for one that no skill performs."""
-    make = SKILLS.get(action) or ACTIONS[action].skill
-    if make is None:
+    Raises InputError for an action that nothing performs.
+    """
+    performer = BUILT_IN.get(action) or ACTIONS[action].skill
+    if performer is None:
         known = ", ".join(a.name for a, spec in ACTIONS.items() if spec.performed)
         raise InputError(f"no skill performs {action.name}; there are skills for {known}")
-    skill = make(setup)
-    if not isinstance(skill, Skill):
-        raise InputError(f"{action.name}: skill(setup) returned {skill!r}; it must return a Skill")
-    return skill
+    return performer
+
+
+@dataclass(frozen=True)
+class OwnSkill:
+    """A skill of one's own in place of a built-in one, by its name: reports and worker processes know it by that."""
+
+    action: str
+    skill: str
+    """``module:NAME`` of the class."""
+    car: int | None = None
+    """The car that it is for; None for all."""
+
+
+SkillChoice = Mapping[Any, Any] | Sequence[OwnSkill] | str
+"""Skills of one's own: a class for each action, ``{Action.LIFT: MyLift}``, for a car ``{0: {Action.LIFT: MyLift}}``, or
+``module:NAME`` of such a mapping."""
+
+
+def check_cars(own: Sequence[OwnSkill], n_cars: int) -> None:
+    """Raise InputError for a skill of one's own for a car that there is not."""
+    for one in own:
+        if one.car is not None and one.car >= n_cars:
+            raise InputError(f"skills: there is no car {one.car}; there are {n_cars}, counted from 0")
+
+
+def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
+    """Return skills of one's own by name.
+
+    Raises InputError for what is none: an unknown action, a class without ``step``, or one that cannot be imported.
+    """
+    if given is None:
+        return ()
+    if isinstance(given, str):
+        module, _, name = given.partition(":")
+        chosen = _imported(given) if module and name else None
+        if not isinstance(chosen, Mapping):
+            raise InputError(
+                f"skills '{given}': allowed is module:NAME of a mapping such as {{Action.LIFT: MyLift}}"
+            )
+        return own_skills(chosen)
+    if not isinstance(given, Mapping):
+        return tuple(given)
+    found: list[OwnSkill] = []
+    for key, value in given.items():
+        if isinstance(key, Action):
+            found.append(OwnSkill(key.name, _name_of(key, value)))
+        elif isinstance(key, int) and key >= 0 and isinstance(value, Mapping):
+            found += [replace(own, car=key) for own in own_skills(value)]
+        else:
+            raise InputError(f"skills: {key!r} is no action, and no car with a mapping of its own")
+    return tuple(found)
+
+
+def check_known(own: Sequence[OwnSkill]) -> None:
+    """Raise InputError for skills whose modules this process has not imported: a file's word does not run code."""
+    for one in own:
+        if one.skill.partition(":")[0] not in sys.modules:
+            raise InputError(
+                f"it was made with a skill of one's own, {one.skill}; give its module with --skills"
+            )
+
+
+def performers(own: Sequence[OwnSkill], n_cars: int) -> list[dict[Action, Performer]]:
+    """Return what performs each action, for each car; skills for a car that there is not wait for a larger world.
+
+    Raises InputError for a name that is no skill's.
+    """
+    found: list[dict[Action, Performer]] = [dict(BUILT_IN) for _ in range(n_cars)]
+    # Those for one car come after those for all.
+    for one in sorted(own, key=lambda one: one.car is not None):
+        kind, action = _imported(one.skill), Action.__members__.get(one.action, Action.MOVE_FORWARD_LEFT)
+        if not ACTIONS[action].performed or not (isinstance(kind, type) and issubclass(kind, Skill)):
+            raise InputError(f"skills: {one.skill} for {one.action} is no skill of a known action")
+        for car in range(n_cars) if one.car is None else range(one.car, min(one.car + 1, n_cars)):
+            found[car][action] = kind
+    return found
+
+
+def _name_of(action: Action, kind: object) -> str:
+    """Return ``module:NAME`` of a class that performs an action."""
+    begin_of(action)
+    if not (isinstance(kind, type) and issubclass(kind, Skill)):
+        raise InputError(f"skills: {kind!r} for {action.name} is no subclass of craftsim.Skill")
+    if kind.__abstractmethods__:
+        raise InputError(f"the skill {kind.__name__} has no {min(kind.__abstractmethods__)}()")
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    if "<locals>" in name or _imported(name) is not kind:
+        raise InputError(f"the skill {kind.__name__} must stand at the top of a module that can be imported")
+    return name
+
+
+def _imported(name: str) -> Any:
+    module, _, path = name.partition(":")
+    try:
+        found: Any = sys.modules.get(module) or import_own(module)
+        for part in path.split("."):
+            found = getattr(found, part)
+    except (ImportError, AttributeError) as error:
+        raise InputError(f"skills: cannot import '{name}': {error}") from error
+    return found
+
+
+_UNDO: Final[Mapping[Action, Action]] = {
+    Action.LIFT: Action.DROP,
+    Action.DROP: Action.LIFT,
+    Action.FOLD: Action.UNFOLD,
+    Action.UNFOLD: Action.FOLD,
+}
+_TURNS: Final = (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
+_MAY_PASS: Final = (Reason.BLOCKED, Reason.SLIPPED, Reason.MISALIGNED, Reason.TIMEOUT)
+
+
+@dataclass
+class Tries:
+    """An action of one car, tried once or more often.
+
+    A car whose action failed for a reason that may pass goes back to where it began, and tries again. What it goes back
+    by: a move or a turn by driving to the pose that it began at, lifting by lowering the board, folding by unfolding,
+    and the other way round. Back and at the next try it drives as carefully as under or beside something on an uneven
+    floor.
+    """
+
+    action: Action
+    setup: SkillSetup
+    performers: Mapping[Action, Performer]
+    home: Triple
+    """The middle of the cell, and the heading, in which it began."""
+    number: int = 1
+    """Of the present try, from 1."""
+    elapsed_s: float = 0.0
+    """In what has ended."""
+    failed: Outcome | None = None
+    """How the last try ended, while the car goes back."""
+
+    def next(self, outcome: Outcome) -> tuple[Performer, SkillSetup] | None:
+        """Take in how something ended, and return what comes next; None where it is over."""
+        self.elapsed_s += outcome.duration_s
+        if self.failed is not None:
+            if not outcome.succeeded:
+                return None
+            self.failed, self.number = None, self.number + 1
+            ground = replace(self.setup.terrain, tight=True)
+            return self.performers[self.action], self.setup.on(ground).carefully()
+        nothing_felt = self.action is Action.LIFT and outcome.reason is Reason.LOAD_LOST
+        may_pass = outcome.reason in _MAY_PASS or nothing_felt
+        if not may_pass or self.number >= self.setup.gains.recovery.tries:
+            return None
+        back = self._back()
+        if back is not None:
+            self.failed = outcome
+        return back
+
+    def outcome(self, last: Outcome) -> Outcome:
+        """Return the outcome of all tries, of which ``last`` ended last."""
+        return replace(self.failed or last, duration_s=self.elapsed_s, tries=self.number)
+
+    def _back(self) -> tuple[Performer, SkillSetup] | None:
+        """Return what undoes what a failed try may have done; None for an action that has none."""
+        if self.action in _UNDO:
+            return self.performers[_UNDO[self.action]], self.setup
+        if self.action not in MOVE_DIRECTION and self.action not in _TURNS:
+            return None
+        ground = self.setup.terrain
+        setup = self.setup.on(Terrain(ground.end_rad, ground.start_rad, tight=True)).carefully()
+        direction = (MOVE_DIRECTION.get(self.action, 0) + 2) % 4
+        return partial(begin_move, direction=direction, target=self.home), setup

@@ -188,7 +188,8 @@ def _step(site: Site, period: _Period) -> None:
     for _ in range(n):
         mujoco.mj_step(model, data)
         for effect in site.effects:
-            effect.after_step(site)
+            if effect.each_step:
+                effect.after_step(site)
         if period.rouse:
             model.opt.enableflags |= _SLEEP
 

@@ -29,8 +29,6 @@ def new_world(
     spec.compiler.degree = False
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    # Below 60 degrees of freedom MuJoCo would choose dense, which takes a loaded car three times as long.
-    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     # Joint damping is one of the forces that contacts are solved for; damped after that, rollers slip and rattle.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     ground = spec.worldbody.add_geom(

@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.mjcf.building import TOUCHES
 from craftsim.mjcf.car import WholeCar
 from craftsim.models.imperfection import Drivetrain
 from craftsim.models.parts import WHEELS
@@ -20,8 +22,8 @@ from craftsim.models.parts import WHEELS
 if TYPE_CHECKING:
     from craftsim.models.world import Site
 
-ROLLERS: Final = 2
-"""The bit by which a roller collides: its contype (craftsim/mjcf/templates/smartcar.xml)."""
+ROLLERS: Final = TOUCHES["wheels"][0]
+"""The bit by which a roller collides: its contype."""
 _TINY_NM: Final = 1e-9
 _SLOW_RAD_S: Final = 0.1
 """Below this speed a gear's loss falls to 0, which it is at rest: it would otherwise turn over with the speed."""
@@ -32,9 +34,9 @@ Records = NDArray[np.void]
 
 WHEEL: Final = np.dtype(
     [
-        *((name, "i8") for name in ("motor", "gear", "tree", "dof", "body")),
+        *((name, "i8") for name in ("motor", "gear", "tree", "dof", "body", "engaged")),
         *((name, "f8") for name in ("slowest", "fastest", "low", "high", "own_low", "own_high", "own_gain")),
-        ("own_friction", "f8", (6,)),
+        ("own_gear", "f8", (6,)),
         *((name, "f8") for name in ("dry_nm", "played", "nm_per_n", "load")),
         ("inertia", "f8", (6,)),
     ],
@@ -42,10 +44,11 @@ WHEEL: Final = np.dtype(
 )
 """A wheel, its motor and its gear: where they and their car lie in MuJoCo's arrays, and the range of commanded speeds.
 
-``low`` and ``high`` are the torques that the motor can give now; ``own_`` are figures of the baseline, the gear's
-friction among them; ``dry_nm`` is the gear's dry friction, ``played`` the angle that it has gone through its backlash,
-forwards. ``nm_per_n`` is the torque that a newton of load lets the wheel pass on, ``load`` in newtons what it carries,
-and ``inertia`` the torque that an acceleration of the car, in its own frame, takes to turn wheel and motor.
+``low`` and ``high`` are the torques that the motor can give now; ``own_`` are parameters of the baseline, ``own_gear``
+that of the reduced drive's motors in the frame of the car. ``dry_nm`` is the gear's dry friction, ``played`` the angle
+that it has gone through its backlash, forwards, and ``engaged`` says whether it is at an end of that. ``nm_per_n`` is
+the torque that a newton of load lets the wheel pass on, ``load`` in newtons what it carries, and ``inertia`` the torque
+that an acceleration of the car, in its own frame, takes to turn wheel and motor.
 """
 
 
@@ -57,6 +60,8 @@ class StepEffect:
 
     state: Floats = np.zeros(0)
     """What it remembers beyond the state of MuJoCo; saved and restored with it."""
+    each_step: bool = True
+    """Whether it acts after each physics step; otherwise as a control period begins alone."""
 
     def start(self, world: Site) -> None:
         """Begin without a past: the model's parameters are the baseline's."""
@@ -72,7 +77,9 @@ def effects_of(world: Site, drivetrain: Drivetrain) -> list[StepEffect]:
     """Return the effects of a world with its present baseline, in the order in which they act."""
     wheels = _wheels(world)
     found: list[StepEffect] = [] if drivetrain.ideal else [DrivetrainLosses(world, wheels, drivetrain)]
-    return [*found, Bearings(world) if world.machines.drive == "rollers" else Grip(world, wheels)]
+    if world.machines.drive == "rollers":
+        return [*found, Bearings(world)]
+    return [*found, Grip(world, wheels), TurnedMotors(world, wheels)]
 
 
 def _wheels(world: Site) -> Records:
@@ -89,14 +96,16 @@ def _wheels(world: Site) -> Records:
         wheel["own_gain"] = baseline.actuator_gainprm[motor, 0]
         if world.machines.drive == "rollers":
             gear = int(car.wheel_dofs[number % 4])
-            wheel["own_friction"][0] = wheel["dry_nm"] = baseline.dof_frictionloss[gear]
+            wheel["dry_nm"] = baseline.dof_frictionloss[gear]
         else:
             # The gears of the reduced drive are motors without power; what they pass on is in proportion to their gear.
-            gear = model.actuator(model.actuator(motor).name.replace("wheel", "gear")).id
-            wheel["own_friction"] = baseline.actuator_gear[gear]
+            wheel["own_gear"], gear = (
+                baseline.actuator_gear[motor],
+                model.actuator(model.actuator(motor).name.replace("wheel", "gear")).id,
+            )
             wheel["dry_nm"] = baseline.actuator_biasprm[gear, 3]
         wheel["gear"] = gear
-    wheels["low"], wheels["high"] = wheels["own_low"], wheels["own_high"]
+    wheels["low"], wheels["high"], wheels["engaged"] = wheels["own_low"], wheels["own_high"], 1
     return wheels
 
 
@@ -181,8 +190,8 @@ class Grip(StepEffect):
         radii = np.repeat([car.parameters.wheel_radius_m for car in world.cars], len(WHEELS))
         spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in world.cars], len(WHEELS))
         wheels["nm_per_n"] = baseline.geom_friction[geoms, 0] * radii / math.sqrt(2)
-        wheels["inertia"] = spin[:, None] * baseline.actuator_gear[wheels["motor"]]
-        self._wheels = wheels
+        wheels["inertia"] = spin[:, None] * wheels["own_gear"]
+        self._wheels, self.each_step = wheels, world.uneven
 
     def before_period(self, world: Site) -> None:
         """Limit all motors for what their wheels carry now."""
@@ -198,8 +207,7 @@ class Grip(StepEffect):
 
     def after_step(self, world: Site) -> None:
         """Do so again where wheels may come off the ground."""
-        if world.uneven:
-            self.before_period(world)
+        self.before_period(world)
 
 
 @compiled
@@ -242,6 +250,47 @@ def _limit(
         forcerange[motor, 1] = min(max(most - friction + max(spin, 0.0), low), high)
 
 
+class TurnedMotors(StepEffect):
+    """The motors of the reduced drive, which push their car in its own frame, as motors of its free joint.
+
+    In MJCF they act on a site of the car, for which MuJoCo works out Jacobians in each step. A motor of the free joint
+    pushes along the axes of the world; turned with the car before each step, it does the same in a third less time.
+    A gear in its backlash passes nothing on.
+    """
+
+    def __init__(self, world: Site, wheels: Records) -> None:
+        """Let motors and gears of all cars act on the free joints."""
+        model = world.model
+        joints = model.body_jntadr[wheels["body"]]
+        for motors in (wheels["motor"], wheels["gear"]):
+            model.actuator_trntype[motors] = mujoco.mjtTrn.mjTRN_JOINT
+            model.actuator_trnid[motors] = np.column_stack([joints, np.full(len(joints), -1)])
+        self._arrays = world.data.qpos, model.jnt_qposadr[joints], wheels, model.actuator_gear
+
+    def start(self, world: Site) -> None:
+        """Turn them as the cars stand."""
+        _turn_motors(*self._arrays)
+
+    def after_step(self, world: Site) -> None:
+        """Turn them with the cars."""
+        _turn_motors(*self._arrays)
+
+
+@compiled
+def _turn_motors(qpos: Floats, places: Ints, wheels: Records, gears: Floats) -> None:
+    for number in range(len(wheels)):
+        wheel, at = wheels[number], places[number]
+        w, x, y, z = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
+        along, across = wheel.own_gear[0], wheel.own_gear[1]
+        motor, gear = wheel.motor, wheel.gear
+        gears[motor, 0] = (1 - 2 * (y * y + z * z)) * along + 2 * (x * y - w * z) * across
+        gears[motor, 1] = 2 * (x * y + w * z) * along + (1 - 2 * (x * x + z * z)) * across
+        gears[motor, 2] = 2 * (x * z - w * y) * along + 2 * (y * z + w * x) * across
+        gears[motor, 5] = wheel.own_gear[5]
+        for k in range(6):
+            gears[gear, k] = gears[motor, k] if wheel.engaged else 0.0
+
+
 _LOSSES: Final = np.dtype(
     [
         *((name, "f8") for name in ("torque_slope", "gear_loss", "backlash_rad", "sag", "elapsed_s")),
@@ -280,7 +329,7 @@ class DrivetrainLosses(StepEffect):
         self._arrays = (
             *(data.ctrl, data.actuator_force, data.actuator_velocity, data.tree_asleep, losses, wheels),
             *(model.actuator_forcerange, model.actuator_gainprm, model.actuator_biasprm),
-            model.actuator_gear if reduced else model.dof_frictionloss.reshape(-1, 1),
+            model.dof_frictionloss,
         )
 
     @property
@@ -340,10 +389,10 @@ def _lose(
         gain *= (1 - taken if commanded > speed else 1 + taken) if engaged else 0.0
         gains[motor, 0], biases[motor, 2] = gain, -gain
         wheel.low, wheel.high = low * (1 + taken), high * (1 - taken)
+        wheel.engaged = engaged
         if not lost.reduced:
             limits[motor, 0], limits[motor, 1] = wheel.low, wheel.high
-        for k in range(friction.shape[1]):
-            friction[wheel.gear, k] = wheel.own_friction[k] if engaged else 0.0
+            friction[wheel.gear] = wheel.dry_nm if engaged else 0.0
 
 
 @compiled

@@ -302,7 +302,7 @@ class _Disturber:
         """Take in the exact readings of a control period; those of the wheels' speeds are replaced by counted ones."""
         site, out = self._site, self.readings
         if self._encoders is not None:
-            gear, period_s = site.model.actuator_gear, site.config.control_period_s
+            gear, period_s = site.baseline.actuator_gear, site.config.control_period_s
             step_rad = float(self._noise["encoder_step_rad"][0])
             _count(site.data.qpos, gear, self._wiring.cars, self._encoders, step_rad, period_s, true)
         for car, normals in enumerate(self._white):

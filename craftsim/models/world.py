@@ -210,8 +210,9 @@ class Site:
         its place by :meth:`set_baseline`."""
         self.drivetrain = IDEAL
         """What wheel motors and gears lack, on top of what the baseline says of them."""
-        self.effects: Sequence[StepEffect] = effects_of(self, IDEAL)
+        self.effects: Sequence[StepEffect] = ()
         """What changes the model's parameters as the world runs, in this order."""
+        self._begin_effects()
         if reset:
             self.reset()
 
@@ -286,6 +287,7 @@ class Site:
 
     def _begin_effects(self) -> None:
         self.effects = effects_of(self, self.drivetrain)
+        self._step_effects = [effect.after_step for effect in self.effects if effect.each_step]
         for effect in self.effects:
             effect.start(self)
 
@@ -330,11 +332,11 @@ class Site:
 
         It is the one place where physics goes on.
         """
-        model, data, effects, cap = self.model, self.data, self.effects, self.config.solver_iterations
+        model, data, effects, cap = self.model, self.data, self._step_effects, self.config.solver_iterations
         for _ in range(n_steps):
             mujoco.mj_step(model, data)
-            for effect in effects:
-                effect.after_step(self)
+            for after_step in effects:
+                after_step(self)
             self.capped_steps += _reaches(self._iterations, cap)
             if observe is not None:
                 observe()
@@ -363,7 +365,8 @@ class Site:
         mujoco.mj_copyData(self.data, self.model, state.data)
         for effect, saved in zip(self.effects, state.effects, strict=True):
             effect.state = saved
-            effect.after_step(self)
+            if effect.each_step:
+                effect.after_step(self)
         self.capped_steps = state.capped_steps
         self._set_policies(state.policies)
 

@@ -12,7 +12,8 @@ import tyro
 from craftsim.commands.again import NO_MATTER, command_again
 
 PHYSICS = (
-    "--noise n.yaml --assume mild --gains g.yaml --parameters p.yaml --drive reduced --seed 7 --trials 3 --workers 2 "
+    "--skills mine:SKILLS --noise n.yaml --assume mild --gains g.yaml --parameters p.yaml --drive reduced --seed 7 "
+    "--trials 3 --workers 2 "
     "--engine ray --against old --resume --record --shrink --out elsewhere"
 )
 EVERYTHING = {

@@ -19,6 +19,7 @@ SAYS = {
     "my_gains": r"shipped gains: a move takes .*agrees: True\nmy gains: a move takes .*agrees: True",
     "own_action": r"TURN_ABOUT is legal\nin physics: as predicted, 1\.1\d s\n(?s:.)*physics: Discrete\(16\)",
     "own_reward": r"grid: -?\d\.\d\d in 8 ticks\nphysics: -?\d\.\d\d in 8 ticks",
+    "own_skill": r"built in: 1\.02 s.*True\nown: 2\.14 s.*True\nown for car 0 alone: 2\.14 s.*, 1\.02 s.*True",
     "speak_a_plan": r"car_0: lift; car_1: lift\n(?s:.)*built: True",
     "starts_from_physics": r"\d+ worlds in out/reached\.npz",
     "train_my_task": r"\n2 \[",

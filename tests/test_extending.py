@@ -257,7 +257,7 @@ def _effect(grid, car):
         ({"duration_s": 0.0}, "duration_s is 0.0; allowed: seconds, more than 0"),
         ({"duration_s": "1 s"}, "duration_s is '1 s'"),
         ({"footprint": lambda grid, car: ()}, "footprint is called as footprint\\(before, after, car\\)"),
-        ({"skill": lambda: None}, "skill is called as skill\\(setup\\)"),
+        ({"skill": lambda: None}, "skill is called as skill\\(setup, now, task\\)"),
     ],
 )
 def test_a_wrong_registration_says_what_is_wrong(arguments, message, free_names):

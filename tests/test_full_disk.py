@@ -108,7 +108,7 @@ ELSEWHERE = {
     "validation/replays/bundle.py",
     "rendering/trajectory.py",
     # Examples in docstrings.
-    "models/randomization_files.py",
+    "models/randomization.py",
     "mjcf/machine_files.py",
     "skills/gains.py",
 }

@@ -11,11 +11,11 @@ import craftsim
 PUBLIC = sorted(set(craftsim.__all__) - {"__version__"})
 
 STABLE = """
-    Action Attempt BlockParameters Blueprint DomainRandomization Executor Gains Grid Kind LiveView Machines Plan
-    Planned Rules SensorNoise Sensors SimulationConfig Site SlopeParameters SmartcarParameters Task Trajectory
-    Validation designs_task env load_gains load_machines load_policy make_task parallel_env perform plan random_task
-    read_blueprint read_plan register_action register_task take_images validate vector_env view write_blueprint
-    write_plan
+    Action Attempt BlockParameters Blueprint Command DomainRandomization Executor Gains Grid Kind LiveView Machines
+    Mecanum Plan Planned Reason Rules SensorNoise Sensors SimulationConfig Site Skill SlopeParameters SmartcarParameters
+    Task Trajectory Validation designs_task env load_gains load_machines load_policy make_task parallel_env perform plan
+    random_task read_blueprint read_plan register_action register_task take_images validate vector_env view
+    write_blueprint write_plan
 """
 """What tools outside the repository may use; a name goes only with a new minor version."""
 

@@ -112,7 +112,7 @@ def _given(section: Any) -> dict[str, Any]:
 
 def _following(document: Document) -> Iterator[Mistake]:
     """Yield what a file gives although it follows from parameters."""
-    for loc in document.lines:
+    for loc in filter(None, document.lines):
         section = "smartcar" if loc[:1] == ("cars",) else str(loc[0])
         if isinstance(getattr(_KINDS.get(section), str(loc[-1]), None), property):
             yield loc, f"{key_words(loc)}: is not given but follows from other parameters; change those"

@@ -467,11 +467,6 @@ class Machines:
         """SHA-256 of all parameters, in hexadecimal: equal for equal ones."""
         return digest_of(asdict(self))
 
-    @cached_property
-    def docking_reach_m(self) -> float:
-        """What is further from a car than this is no slope above it."""
-        return 2 * math.hypot(self.slope.docking_range_m, self.block.underside_m / 2)
-
     @property
     def lightest_load_kg(self) -> float:
         """Mass of the lightest thing that a board lifts."""

@@ -20,7 +20,6 @@ from craftsim.models.world import Site
 
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]
-Ints = NDArray[np.int64]
 
 READING: Final = np.dtype(
     [
@@ -44,20 +43,17 @@ WIRING: Final = np.dtype(
         *((name, "i8") for name in ("pose", "board", "board_dof", "board_activation", "board_motor")),
         ("wheel_speeds", "i8", (4,)),
         ("wheel_motors", "i8", (4,)),
+        *((name, "f8") for name in ("plug_m", "above_m", "along_m", "across_m", "line_m")),
     ],
     align=True,
 )
-"""Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in what :func:`read_cars` hands on."""
+"""Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in what :func:`read_cars` hands on;
+how far from its middle it feels a slope's plug, and how high something is above it; how far its line sensors lie
+before and behind its middle, and beside it, and how far to a side each sees."""
 
-PLUG: Final = np.dtype([("pose", "i8"), ("hinge", "i8"), ("motor", "i8")], align=True)
-"""Where a slope's pose and hinge lie in MjData.qpos, and its motor in MjData.ctrl."""
-
-REACH: Final = np.dtype([("any_m", "f8"), ("across_m", "f8"), ("above_m", "f8")], align=True)
-"""How far a slope's plug reaches: in any direction, horizontally and vertically in the car's frame."""
-
-LINE_SENSORS: Final = np.dtype([("along_m", "f8"), ("across_m", "f8"), ("reach_m", "f8")], align=True)
-"""How far a car's line sensors lie before and behind its middle, and beside it, and how far to a side each sees."""
-
+UNDERSIDE: Final = np.dtype([(name, "i8") for name in ("pose", "slope", "hinge", "motor")], align=True)
+"""What bears a cross below: where its pose lies in MjData.qpos; a slope's number, where its hinge lies there, and its
+motor in MjData.ctrl; these are -1 for other things."""
 
 CROSS_M: Final = 0.15
 """How far the two lines of a cross reach from its middle: assumed, to the legs of a block."""
@@ -132,46 +128,42 @@ class Wiring:
         self.cars = records(len(site.cars), WIRING)
         """(n,) WIRING."""
         for row, car in zip(self.cars, site.cars, strict=True):
-            board = car.board
+            board, figures = car.board, car.parameters
             row["pose"], row["board"], row["board_dof"] = car.base.qpos, board.qpos, board.dof
             row["board_activation"], row["board_motor"] = board.activation, board.actuator
             row["wheel_speeds"] = car.wheel_dofs if self.on_axles else car.wheel_actuators
             row["wheel_motors"] = car.wheel_actuators
-        self.plugs = records(len(site.slopes), PLUG)
-        """(n,) PLUG, by slope."""
-        for row, slope in zip(self.plugs, site.slopes, strict=True):
-            row["pose"], row["hinge"], row["motor"] = slope.base.qpos, slope.hinge.qpos, slope.hinge.actuator
-        crossed = [*site.blocks, *site.flags, *(slope.base for slope in site.slopes)]
-        self.crosses = np.array([body.qpos for body in crossed], np.int64)
-        """Where the poses of what bears a cross below lie in MjData.qpos."""
-        self.lines = records(len(site.cars), LINE_SENSORS)
-        """(n,) LINE_SENSORS."""
-        for row, car in zip(self.lines, site.cars, strict=True):
-            figures = car.parameters
+            row["plug_m"] = site.machines.slope.docking_range_m
+            row["above_m"] = site.machines.block.underside_m / 2
             row["along_m"], row["across_m"] = figures.board_length_m / 2, figures.board_width_m / 2
-            row["reach_m"] = figures.line_reach_m
-        self.reach = records(1, REACH)
-        machines = site.machines
-        self.reach[0]["any_m"] = machines.docking_reach_m
-        self.reach[0]["across_m"] = machines.slope.docking_range_m
-        self.reach[0]["above_m"] = machines.block.underside_m / 2
+            row["line_m"] = figures.line_reach_m
+        still = [*site.blocks, *site.flags]
+        self.undersides = records(len(still) + len(site.slopes), UNDERSIDE)
+        """(n,) UNDERSIDE: of blocks, of flags, and then of slopes."""
+        self.plugs = self.undersides[len(still) :]
+        """(n,) UNDERSIDE, by slope."""
+        for row, body in zip(self.undersides, still, strict=False):
+            row["pose"], row["slope"], row["hinge"], row["motor"] = body.qpos, -1, -1, -1
+        for number, (row, slope) in enumerate(zip(self.plugs, site.slopes, strict=True)):
+            row["pose"], row["slope"] = slope.base.qpos, number
+            row["hinge"], row["motor"] = slope.hinge.qpos, slope.hinge.actuator
         model, data = site.model, site.data
         self.arrays = (
             *(data.qpos, data.qvel, data.act, data.qvel if self.on_axles else data.actuator_velocity),
             *(model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange),
-            *(self.cars, self.plugs, self.reach, self.lines, self.crosses),
+            *(self.cars, self.undersides),
         )
         """What compiled code reads, in place: MuJoCo's own arrays, which stay where they are, and these."""
 
 
 def read_cars(site: Site, wiring: Wiring, out: Records) -> None:
     """Measure all cars exactly, as they are now; ``out``, shape (n,) of READING, takes it."""
-    _read_cars(site.data.time, *wiring.arrays, out)
+    out["time_s"] = site.data.time
+    _read_cars(*wiring.arrays, out)
 
 
 @compiled
 def _read_cars(
-    time_s: float,
     qpos: Floats,
     qvel: Floats,
     act: Floats,
@@ -180,16 +172,12 @@ def _read_cars(
     biases: Floats,
     ranges: Floats,
     cars: Records,
-    plugs: Records,
-    reach: Records,
-    lines: Records,
-    crosses: Ints,
+    undersides: Records,
     out: Records,
 ) -> None:
     for i in range(len(cars)):
         car, now = cars[i], out[i]
         at = car.pose
-        now.time_s = time_s
         now.x, now.y, now.z = qpos[at], qpos[at + 1], qpos[at + 2]
         forward, left, up = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
         now.heading = math.atan2(forward[1], forward[0])
@@ -203,36 +191,33 @@ def _read_cars(
         force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
         force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
         now.board_force_n = min(max(force, ranges[motor, 0]), ranges[motor, 1])
-        # The slope right above: its plug reaches a car that is centred below it.
         now.slope, now.hinge_rad = -1, 0.0
-        for slope in range(len(plugs)):
-            at = plugs[slope].pose
-            x, y, z = qpos[at] - now.x, qpos[at + 1] - now.y, qpos[at + 2] - now.z
-            if math.sqrt(x * x + y * y + z * z) > reach[0].any_m:
-                continue
-            along = forward[0] * x + forward[1] * y + forward[2] * z
-            across = left[0] * x + left[1] * y + left[2] * z
-            above = up[0] * x + up[1] * y + up[2] * z
-            aside = math.sqrt(along * along + across * across)
-            if aside < reach[0].across_m and abs(above) < reach[0].above_m:
-                now.slope, now.hinge_rad = slope, qpos[plugs[slope].hinge]
-                break
         now.position_std_m = now.heading_std_rad = 0.0
         now.fresh = 1
-        # Where the line sensors see the cross below what is right above the car.
         for k in range(4):
             now.lines[k] = math.inf
-        for at in crosses:
+        for number in range(len(undersides)):
+            thing = undersides[number]
+            at = thing.pose
             x, y, z = qpos[at] - now.x, qpos[at + 1] - now.y, qpos[at + 2] - now.z
             above = up[0] * x + up[1] * y + up[2] * z
-            if abs(x) > 2 * CROSS_M or abs(y) > 2 * CROSS_M or abs(above) > reach[0].above_m:
+            if abs(above) >= car.above_m:
+                continue
+            # The slope right above: its plug reaches a car that is centred below it.
+            if thing.slope >= 0 and now.slope < 0:
+                along = forward[0] * x + forward[1] * y + forward[2] * z
+                across = left[0] * x + left[1] * y + left[2] * z
+                if math.sqrt(along * along + across * across) < car.plug_m:
+                    now.slope, now.hinge_rad = thing.slope, qpos[thing.hinge]
+            # Where the line sensors see the cross below what is right above the car.
+            if abs(x) > 2 * CROSS_M or abs(y) > 2 * CROSS_M:
                 continue
             first, second, _ = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
             for k in range(4):
                 if k < 2:
-                    place, far_m, axis = forward, lines[i].along_m * (1 - 2 * k), left
+                    place, far_m, axis = forward, car.along_m * (1 - 2 * k), left
                 else:
-                    place, far_m, axis = left, lines[i].across_m * (5 - 2 * k), forward
+                    place, far_m, axis = left, car.across_m * (5 - 2 * k), forward
                 # From the middle of the cross to the sensor, and from there on along the axis, by its two lines.
                 off = (far_m * place[0] - x, far_m * place[1] - y, far_m * place[2] - z)
                 off_first = off[0] * first[0] + off[1] * first[1] + off[2] * first[2]
@@ -246,7 +231,7 @@ def _read_cars(
                 else:
                     seen = -off_first / to_first
                     from_middle = off_second + seen * to_second
-                if abs(seen) < lines[i].reach_m and abs(from_middle) < CROSS_M:
+                if abs(seen) < car.line_m and abs(from_middle) < CROSS_M:
                     now.lines[k] = seen
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from craftsim.discrete.kernel.jit import records
-from craftsim.models.measuring import PLUG, READING, WIRING, CarMeasurement, Records, write_reading
+from craftsim.models.measuring import READING, UNDERSIDE, WIRING, CarMeasurement, Records, write_reading
 from craftsim.skills.fleet import Wires
 from craftsim.skills.skill import Command
 
@@ -20,7 +20,7 @@ class Harness:
 
     def __init__(self, n_cars: int, n_slopes: int) -> None:
         """Lay the wires; nothing is commanded."""
-        cars, plugs = records(n_cars, WIRING), records(n_slopes, PLUG)
+        cars, plugs = records(n_cars, WIRING), records(n_slopes, UNDERSIDE)
         for car, row in enumerate(cars):
             row["wheel_motors"] = range(_MOTORS * car, _MOTORS * car + 4)
             row["board_motor"] = _MOTORS * car + 4

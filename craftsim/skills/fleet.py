@@ -16,7 +16,7 @@ class Wires(NamedTuple):
     cars: Records
     """(n,) WIRING: where a car's motors lie in ``ctrl``."""
     plugs: Records
-    """PLUG of each slope: where its hinge's motor lies."""
+    """UNDERSIDE of each slope: where its hinge's motor lies."""
     speeds: Floats
     """(n, 4) rad/s: what the wheels' servos were told last."""
     share: float

@@ -135,7 +135,7 @@ def step_cars(
         cars: (n,) CAR.
         angles: (n, m) of hinges over the last periods, as :func:`_hinge_law` remembers them.
         wiring: (n,) WIRING.
-        plugs: PLUG of each slope.
+        plugs: UNDERSIDE of each slope.
         servos: (n, 4) commands to the wheels' servos so far.
         share: by which these approach new ones in a period.
         ctrl: MjData.ctrl.

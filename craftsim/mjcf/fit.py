@@ -121,23 +121,11 @@ def check_machines(machines: Machines) -> None:
 
 def _check_room(car: SmartcarParameters, block: BlockParameters) -> None:
     room = block.leg_offset_m - block.leg_side_m / 2 - _ROOM_BESIDE_M
-    _require(
-        car.chassis_length_m / 2 <= room,
-        "chassis_length_m",
-        f"is {car.chassis_length_m:g}; at most {2 * room:.3f} passes between a block's legs",
-    )
-    _require(
-        car.chassis_width_m / 2 <= room,
-        "chassis_width_m",
-        f"is {car.chassis_width_m:g}; at most {2 * room:.3f} passes between a block's legs",
-    )
-    _require(
-        car.wheel_x_m + car.wheel_radius_m <= room,
-        "wheel_x_m",
-        f"is {car.wheel_x_m:g}; at most {room - car.wheel_radius_m:.4f} passes between a block's legs",
-    )
-    _require(
-        car.wheel_y_m + car.wheel_width_m / 2 <= room,
-        "wheel_y_m",
-        f"is {car.wheel_y_m:g}; at most {room - car.wheel_width_m / 2:.4f} passes between a block's legs",
-    )
+    for name, reach, most in (
+        ("chassis_length_m", car.chassis_length_m / 2, f"{2 * room:.3f}"),
+        ("chassis_width_m", car.chassis_width_m / 2, f"{2 * room:.3f}"),
+        ("wheel_x_m", car.wheel_x_m + car.wheel_radius_m, f"{room - car.wheel_radius_m:.4f}"),
+        ("wheel_y_m", car.wheel_y_m + car.wheel_width_m / 2, f"{room - car.wheel_width_m / 2:.4f}"),
+    ):
+        figure = getattr(car, name)
+        _require(reach <= room, name, f"is {figure:g}; at most {most} passes between a block's legs")

@@ -58,7 +58,11 @@ class WorldSpec:
         placed = placements(self.grid, self.machines)
         numbers: Counter[str] = Counter()
         for item in placed:
-            _add(spec, item, self.machines, numbers[item.kind], visual)
+            number = numbers[item.kind]
+            prefix = f"car{number}/" if item.kind == "smartcar" else f"{item.kind}{number}/"
+            _add(
+                spec, item.kind, prefix, Frame(item.position, item.quaternion), self.machines, number, visual
+            )
             numbers[item.kind] += 1
         if visual:
             _add_markers(spec, self.goals)
@@ -83,30 +87,25 @@ class WorldSpec:
         return model
 
 
-def _add(spec: mujoco.MjSpec, item: Placement, machines: Machines, number: int, visual: bool) -> None:
-    """Add the machine of a placement; ``number`` counts those of its kind."""
-    pose, prefix = Frame(item.position, item.quaternion), f"{item.kind}{number}/"
-    match item.kind:
+def _add(
+    spec: mujoco.MjSpec, kind: str, prefix: str, pose: Frame, machines: Machines, number: int, visual: bool
+) -> None:
+    """Add one of MACHINES; ``number`` is of the car. The ground is there already."""
+    match kind:
         case "smartcar":
-            add_car(spec, f"car{number}/", pose, machines, number, visual)
+            add_car(spec, prefix, pose, machines, number, visual)
         case "slope":
             add_slope(spec, prefix, pose, machines, visual)
         case "block" | "flag" | "wall":
-            add_block(spec, prefix, pose, machines, item.kind, visual)
+            add_block(spec, prefix, pose, machines, kind, visual)
 
 
 def machine_spec(kind: str, machines: Machines, number: int = 0, visual: bool = True) -> mujoco.MjSpec:
     """Return the spec of one of MACHINES on the floor, or of the floor alone; ``number`` is of the car."""
     spec = new_world(machines.contact, (0.0, 0.0, 0.05), (0.0, 0.0, 0.0), visual)
     spec.modelname = kind
-    configure(spec, replace(SimulationConfig.of(machines.drive), sleep=False), machines.drive)
-    match kind:
-        case "smartcar":
-            add_car(spec, "", Frame(), machines, number, visual)
-        case "slope":
-            add_slope(spec, "", Frame(), machines, visual)
-        case "block" | "flag" | "wall":
-            add_block(spec, "", Frame(), machines, kind, visual)
+    configure(spec, replace(SimulationConfig.of(machines.drive), sleep=False))
+    _add(spec, kind, "", Frame(), machines, number, visual)
     return spec
 
 

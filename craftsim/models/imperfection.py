@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, Final
+from typing import Final
 
 from craftsim.errors import InputError
 
 
-def check_shares(imperfect: Any) -> None:
-    """Raise InputError, naming the figure, for the first number of a dataclass outside [0, 1)."""
-    for field in fields(imperfect):
-        value = getattr(imperfect, field.name)
-        if isinstance(value, int | float) and not 0 <= value < 1:
-            raise InputError(
-                f"{type(imperfect).__name__}.{field.name} must be at least 0 and below 1, not {value}"
-            )
+class Imperfect:
+    """A dataclass whose numbers must each be in [0, 1); raises InputError, naming the figure, for one that is not."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if isinstance(value, int | float) and not 0 <= value < 1:
+                raise InputError(
+                    f"{type(self).__name__}.{field.name} must be at least 0 and below 1, not {value}"
+                )
 
 
 @dataclass(frozen=True)
-class Floor:
+class Floor(Imperfect):
     """How uneven a floor is; hashable. Raises InputError for a figure outside [0, 1).
 
     Example:
@@ -42,7 +44,7 @@ class Floor:
     """...and its shortest wavelength."""
 
     def __post_init__(self) -> None:
-        check_shares(self)
+        super().__post_init__()
         if not self.tile_m or not self.wavelength_m:
             raise InputError("Floor.tile_m and Floor.wavelength_m must be above 0")
         if self.joint_m >= self.tile_m:
@@ -62,7 +64,7 @@ class Floor:
 
 
 @dataclass(frozen=True)
-class Drivetrain:
+class Drivetrain(Imperfect):
     """What wheel motors and gears lack; hashable. Raises InputError for a figure outside [0, 1).
 
     Example:
@@ -81,9 +83,6 @@ class Drivetrain:
     """Share of the largest torque, of that at standstill, that is lost at any speed when all motors of a car drive with
     all they have: the battery's voltage drops."""
 
-    def __post_init__(self) -> None:
-        check_shares(self)
-
     @property
     def ideal(self) -> bool:
         """Whether motors and gears lack nothing."""
@@ -91,7 +90,7 @@ class Drivetrain:
 
 
 @dataclass(frozen=True)
-class Making:
+class Making(Imperfect):
     """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
 
     Raises InputError for a figure outside [0, 1).
@@ -116,9 +115,6 @@ class Making:
     """Of the height of a block's pocket and of a slope's pads above the floor."""
     pocket_m: float = 0.0
     """Of the place of a block's pocket and of a slope's pads, forward and sideways."""
-
-    def __post_init__(self) -> None:
-        check_shares(self)
 
     @property
     def exact(self) -> bool:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from craftsim.errors import InputError
 from craftsim.mjcf.car import WholeCar
 from craftsim.models.floor import lay, tiles_body
-from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Making, check_shares
+from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Imperfect, Making
 from craftsim.models.overlaps import GROUND
 from craftsim.models.parts import WHEELS, Car
 from craftsim.models.sensing import EXACT, SensorNoise
@@ -28,7 +27,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class DomainRandomization:
+class DomainRandomization(Imperfect):
     """How far a world is from the ideal one, as distributions from which a seed draws; hashable.
 
     Those of the physics are half-widths of uniform distributions, all of them fractions of the nominal figure but the
@@ -55,9 +54,6 @@ class DomainRandomization:
     making: Making = AS_DRAWN
     sensors: SensorNoise = EXACT
     """Of the cars' sensors and motors: what the world does, whatever the cars assume of it."""
-
-    def __post_init__(self) -> None:
-        check_shares(self)
 
     @property
     def nominal(self) -> bool:
@@ -243,9 +239,7 @@ def load_noise(path: Path | str, nominal: SensorNoise = EXACT) -> SensorNoise:
         >>> load_noise(folder / "late.yaml").max_delay_s
         0.08
     """
-    document = read_document(Path(path))
-    with _naming(document):
-        return _changed(document, nominal, "noise")
+    return _changed(read_document(Path(path)), nominal, "noise")
 
 
 def load_randomization(
@@ -271,28 +265,25 @@ def load_randomization(
     if base not in presets:
         document.fail(("base",), unknown_words(str(base), presets, "value of 'base'"))
     whole, figures = presets[base], dict[str, Any]()
-    with _naming(document):
-        for name in names:
-            if name in given and isinstance(part := getattr(whole, name), float):
-                figures[name] = number(document, given[name], name, (name,))
-            elif name in given:
-                figures[name] = _changed(document, part, name, name)
-        whole = replace(whole, **figures)
+    for name in names:
+        if name in given and isinstance(part := getattr(whole, name), float):
+            figures[name] = number(document, given[name], name, (name,))
+        elif name in given:
+            figures[name] = _changed(document, part, name, name)
+    whole = _replaced(document, whole, figures)
     bounds = numbers(document, "limits", limits, "limits") if "limits" in given else {}
     return base, whole, bounds
 
 
-@contextmanager
-def _naming(document: Document) -> Iterator[None]:
-    """Name the file in what is wrong with figures that were read from it."""
-    try:
-        yield
-    except InputError as error:
-        if str(error).startswith(str(document.path)):
-            raise
-        raise InputError(f"{document.path}: {error}") from error
-
-
 def _changed(document: Document, whole: T, name: str, *loc: str) -> T:
     """Return a dataclass of numbers with those that a section gives."""
-    return replace(whole, **numbers(document, name, [f.name for f in fields(whole)], *loc))  # type: ignore[type-var,arg-type]
+    known = [f.name for f in fields(whole)]  # type: ignore[arg-type]
+    return _replaced(document, whole, numbers(document, name, known, *loc))
+
+
+def _replaced(document: Document, whole: T, figures: Mapping[str, Any]) -> T:
+    """Return a dataclass with other figures; name the file in what is wrong with them."""
+    try:
+        return replace(whole, **figures)  # type: ignore[type-var]
+    except InputError as error:
+        raise InputError(f"{document.path}: {error}") from error

@@ -14,7 +14,7 @@ import numpy as np
 from craftsim.discrete.kernel.jit import compiled, records
 from craftsim.discrete.kernel.rotation import body_axes, wrap
 from craftsim.errors import InputError
-from craftsim.models.imperfection import check_shares
+from craftsim.models.imperfection import Imperfect
 from craftsim.models.measuring import (
     READING,
     CarMeasurement,
@@ -28,7 +28,7 @@ from craftsim.models.world import Site
 
 
 @dataclass(frozen=True)
-class SensorNoise:
+class SensorNoise(Imperfect):
     """What one car's sensors and motors lack; hashable. Raises InputError for a negative figure, or one of 1 or more.
 
     All sensors are read at the control rate of 50 Hz, and localisations arrive as often unless a period is given. All
@@ -96,7 +96,7 @@ class SensorNoise:
     does not reach the hinge."""
 
     def __post_init__(self) -> None:
-        check_shares(self)
+        super().__post_init__()
         if self.max_delay_s < self.min_delay_s:
             raise InputError("SensorNoise.max_delay_s must not be below min_delay_s")
 
@@ -231,8 +231,6 @@ _BIASES: Final = {
     "hinge_rad": "hinge_bias_rad",
 }
 """Readings whose bias has a sign that is drawn, and the figures of that bias."""
-_WANDERING: Final = ("position_drift_m", "heading_drift_rad", "jitter_s", "lost_share", "outlier_share")
-"""Figures for which numbers are drawn each period, beside those of the white noise."""
 
 _NOISE: Final = np.dtype(
     [*((f.name, "f8") for f in fields(SensorNoise)), ("encoder_share", "f8")], align=True
@@ -272,6 +270,7 @@ class _Disturber:
         self._site, self._wiring, self._rng = site, wiring, rng
         n_cars, period_s = len(site.cars), site.config.control_period_s
         more, self._of_lines = rng.spawn(2)
+        self._more = more
         self.readings = records(n_cars, READING)
         self._noise = _in_periods(noise, period_s)
         self._own = own = records(n_cars, _OWN)
@@ -290,10 +289,9 @@ class _Disturber:
         self._n_periods = 0
         self._white, self._contacts = np.zeros((n_cars, _N_NORMALS)), np.zeros(n_cars)
         """Of a period, by car: of the white noise; of whether a docked slope's plug has contact."""
-        self._more = more if any(getattr(noise, name) for name in _WANDERING) else None
         self._normals, self._uniforms = np.zeros((n_cars, 4)), np.zeros((n_cars, 3))
         """Likewise: of jitter and of the drifts of x, y and heading; of loss, of outliers, of their way."""
-        self._line_m, self._line_normals = noise.line_m, np.zeros((n_cars, 4))
+        self._line_normals = np.zeros((n_cars, 4))
         self._encoders: Records | None = None
         if noise.encoder_step_rad:
             self._encoders = _encoders(site, wiring, noise.encoder_step_rad, *rng.spawn(1))
@@ -308,19 +306,16 @@ class _Disturber:
         for car, normals in enumerate(self._white):
             self._rng.standard_normal(out=normals)
             self._contacts[car] = self._rng.random()
-        if self._more is not None:
-            self._more.standard_normal(out=self._normals)
-            self._more.random(out=self._uniforms)
+        self._more.standard_normal(out=self._normals)
+        self._more.random(out=self._uniforms)
         _localise(
             *(true, self._own, self._past, self._n_periods, self._noise),
             *(self._white, self._normals, self._uniforms, out),
         )
         self._n_periods += 1
         _disturb(true, self._noise, self._own, self._white, self._contacts, out)
-        out["lines"] = true["lines"]
-        if self._line_m:
-            self._of_lines.standard_normal(out=self._line_normals)
-            out["lines"] += self._line_m * self._line_normals
+        self._of_lines.standard_normal(out=self._line_normals)
+        out["lines"] = true["lines"] + self._noise["line_m"] * self._line_normals
 
 
 def _in_periods(noise: SensorNoise, period_s: float) -> Records:

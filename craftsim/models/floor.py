@@ -69,18 +69,23 @@ class Tiles:
         depth = self.floor.joint_depth_m if self.floor.joint_m else 0.0
         return -self.floor.relief_m / 2 - (depth or _BELOW_M)
 
-    def heights(self, drawn: FloorDraw) -> NDArray[np.float64]:
-        """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn."""
+    def heights(self, steps: NDArray[np.float64], waves: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn.
+
+        Args:
+            steps: (n,): each tile's height, from -0.5 to 0.5.
+            waves: (m, 3): direction in radians, wave number as a share of the largest, phase in radians.
+        """
         along = np.linspace(-self.half_m, self.half_m, self.points)
         x = self.centres[:, None, None, 0] + along[None, None, :]
         y = self.centres[:, None, None, 1] + along[None, :, None]
         heights = np.broadcast_to(
-            self.floor.lippage_m * drawn.steps[:, None, None], (len(self.centres), *2 * (self.points,))
+            self.floor.lippage_m * steps[:, None, None], (len(self.centres), *2 * (self.points,))
         )
         if not self.floor.unevenness_m:
             return heights
         wave = np.zeros(heights.shape)
-        for towards, number, phase in drawn.waves:
+        for towards, number, phase in waves:
             k = math.tau * number / self.floor.wavelength_m
             wave += np.sin(k * (math.cos(towards) * x + math.sin(towards) * y) + phase)
         # Of the lowest and the highest point those count where machines are.
@@ -89,27 +94,6 @@ class Tiles:
         share = np.clip((wave - low) / (high - low), 0.0, 1.0) - 0.5
         uneven: NDArray[np.float64] = heights + self.floor.unevenness_m * share
         return uneven
-
-
-@dataclass(frozen=True)
-class FloorDraw:
-    """What a seed draws of a floor; the same for all figures of one layout."""
-
-    turn_rad: float
-    shift: NDArray[np.float64]
-    """(2,): of the tiles, in sides of a tile."""
-    waves: NDArray[np.float64]
-    """(n, 3): direction in radians, wave number as a share of the largest, phase in radians."""
-    steps: NDArray[np.float64]
-    """(n,): each tile's height, from -0.5 to 0.5."""
-
-    @classmethod
-    def of(cls, tiles: Tiles, rng: np.random.Generator) -> FloorDraw:
-        """Draw a floor."""
-        turn = rng.uniform(0, math.tau)
-        shift = rng.uniform(-0.5, 0.5, 2)
-        waves = rng.uniform([0, 0.5, 0], [math.tau, 1, math.tau], (_WAVES, 3))
-        return cls(turn, shift, waves, rng.uniform(-0.5, 0.5, len(tiles.centres)))
 
 
 @lru_cache(maxsize=8)
@@ -171,13 +155,17 @@ def level(model: mujoco.MjModel) -> None:
 
 
 def lay(model: mujoco.MjModel, tiles: Tiles, rng: np.random.Generator) -> float:
-    """Draw the floor of a compiled model; return the height of its highest point in metres."""
-    drawn = FloorDraw.of(tiles, rng)
-    body, heights = tiles_body(model), tiles.heights(drawn)
-    c, s = math.cos(drawn.turn_rad), math.sin(drawn.turn_rad)
-    x, y = tiles.floor.tile_m * drawn.shift
+    """Draw the floor of a compiled model; return the height of its highest point in metres.
+
+    The same is drawn for all figures of one layout.
+    """
+    turn_rad = rng.uniform(0, math.tau)
+    x, y = tiles.floor.tile_m * rng.uniform(-0.5, 0.5, 2)
+    waves = rng.uniform([0, 0.5, 0], [math.tau, 1, math.tau], (_WAVES, 3))
+    heights = tiles.heights(rng.uniform(-0.5, 0.5, len(tiles.centres)), waves)
+    body, c, s = tiles_body(model), math.cos(turn_rad), math.sin(turn_rad)
     middle_x, middle_y, _ = model.geom_pos[model.geom(GROUND).id]
     model.body_pos[body, :2] = middle_x + c * x - s * y, middle_y + s * x + c * y
-    model.body_quat[body] = math.cos(drawn.turn_rad / 2), 0.0, 0.0, math.sin(drawn.turn_rad / 2)
+    model.body_quat[body] = math.cos(turn_rad / 2), 0.0, 0.0, math.sin(turn_rad / 2)
     model.hfield_data[:] = (heights / tiles.span_m + 0.5).ravel()
     return float(heights.max())

@@ -13,18 +13,15 @@ import mujoco
 import numpy as np
 
 from craftsim.mjcf.building import (
+    BEVEL,
     CORNERS,
-    SEAT,
     SEEN,
     SOLID_GROUP,
     Box,
     Frame,
     add_body,
-    bevel,
     digits,
-    friction,
     geom_class,
-    impedance,
     surface,
     touching,
     weighed,
@@ -98,9 +95,8 @@ def add_block(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[block.foot_radius_m, 0, 0],
         mass=0,
-        friction=friction(contact, block.foot_friction),
         priority=1,
-        solimp=impedance(contact, contact.foot_stiffness_ratio),
+        **surface(contact, block.foot_friction, contact.foot_stiffness_ratio),
     )
     leg, foot = block.leg_offset_m, digits(block.side_m / 2 - block.foot_radius_m)
     length, proud = block.underside_m - block.foot_proud_m, block.underside_m + block.foot_proud_m
@@ -116,7 +112,7 @@ def _bars(block: BlockParameters) -> dict[str, Box]:
     half, pocket = block.side_m / 2, block.pocket_side_m / 2
     low, high = block.underside_m, block.underside_m + block.pocket_depth_m
     relief = block.frame_relief_m
-    side = pocket - relief * bevel(SEAT)
+    side = pocket - relief * BEVEL
     boxes = {
         "deck": Box.over((-half, half), (-half, half), (high, block.height_m)),
         "frame_front": Box.over((pocket, half), (-half, half), (low, high)),

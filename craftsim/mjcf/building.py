@@ -31,6 +31,8 @@ CORNERS: Final = {"fl": (1, 1), "fr": (1, -1), "rl": (-1, 1), "rr": (-1, -1)}
 """Of a car or a block: front or rear, left or right, and the signs of x and y."""
 SEAT: Final = SmartcarParameters()
 """Board and boss of every car, for which blocks and slopes are made: these parameters cannot be changed."""
+BEVEL: Final = (SEAT.boss_side_m - SEAT.boss_top_side_m) / 2 / SEAT.boss_height_m
+"""By how much a boss narrows on each side per metre of its height."""
 
 
 class Frame(NamedTuple):
@@ -61,27 +63,17 @@ def friction(contact: ContactParameters, sliding: float) -> list[float]:
     return [sliding, contact.torsional_friction_m, contact.rolling_friction_m]
 
 
-def softness(contact: ContactParameters) -> list[float]:
-    """Return time constant and damping ratio of contacts, MuJoCo's solref."""
-    return [contact.time_constant_s, contact.damping_ratio]
-
-
-def impedance(contact: ContactParameters, stiffness: float = 1.0) -> list[float]:
-    """Return the impedance, MuJoCo's solimp, of contacts that are as many times as stiff as the others."""
+def surface(contact: ContactParameters, sliding: float, stiffness: float = 1.0) -> dict[str, Any]:
+    """Return the attributes of a geom with a sliding friction; ``stiffness`` is over that of other contacts."""
     # A contact of impedance d is as stiff as d / (1 - d).
     low, high = (
         round(stiffness * d / (1 - d + stiffness * d), 4)
         for d in (contact.impedance_min, contact.impedance_max)
     )
-    return [low, high, contact.impedance_depth_m, 0.5, 2.0]
-
-
-def surface(contact: ContactParameters, sliding: float) -> dict[str, Any]:
-    """Return the attributes of a geom with a sliding friction."""
     return {
         "friction": friction(contact, sliding),
-        "solref": softness(contact),
-        "solimp": impedance(contact),
+        "solref": [contact.time_constant_s, contact.damping_ratio],
+        "solimp": [low, high, contact.impedance_depth_m, 0.5, 2.0],
     }
 
 
@@ -99,7 +91,7 @@ def dry_friction(contact: ContactParameters) -> dict[str, Any]:
     """Return the attributes of a joint with dry friction."""
     impedance, width = contact.joint_impedance, contact.joint_impedance_width
     return {
-        "solref_friction": softness(contact),
+        "solref_friction": [contact.time_constant_s, contact.damping_ratio],
         "solimp_friction": [impedance, impedance, width, 0.5, 2.0],
     }
 
@@ -160,11 +152,6 @@ class Box:
     def geom(self) -> dict[str, Any]:
         """The attributes of a box geom."""
         return {"pos": digits(self.centre), "size": digits(self.half), "mass": micro(self.mass)}
-
-
-def bevel(car: SmartcarParameters) -> float:
-    """Return by how much a boss narrows on each side per metre of its height."""
-    return (car.boss_side_m - car.boss_top_side_m) / 2 / car.boss_height_m
 
 
 def weighed(boxes: dict[str, Box], density: float) -> dict[str, Box]:

@@ -79,7 +79,7 @@ def chassis_inertia(car: SmartcarParameters) -> Point:
         (half, top),
         (-half, top),
     ]
-    _, xx, zz = second_moments(outline)
+    xx, zz = second_moments(outline)
     yy = car.chassis_width_m**2 / 12
     m = car.chassis_mass_kg
     return m * (yy + zz), m * (xx + zz), m * (xx + yy)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from craftsim.mjcf.building import (
+    BEVEL,
     SEAT,
     SEEN,
     SEEN_GROUP,
@@ -24,12 +25,10 @@ from craftsim.mjcf.building import (
     Frame,
     Point,
     add_body,
-    bevel,
     both,
     digits,
     geom_class,
     micro,
-    softness,
     surface,
     touching,
     weighed,
@@ -45,7 +44,6 @@ from craftsim.mjcf.solids import (
     between,
     loft,
     plate_xz,
-    second_moments,
     turned,
 )
 
@@ -128,10 +126,8 @@ def _add_hinge(spec: mujoco.MjSpec, prefix: str, flap: mujoco.MjsBody, machines:
     )
     # MuJoCo leaves out contact between a body and its child: pairs, which have friction along each axis, put it back.
     twist, roll = contact.torsional_friction_m, contact.rolling_friction_m
-    of_surface = surface(contact, slope.friction) | {
-        "friction": [slope.friction, slope.friction, twist, roll, roll],
-        "solref": softness(contact),
-    }
+    of_surface = surface(contact, slope.friction)
+    of_surface["friction"] = [slope.friction, slope.friction, twist, roll, roll]
     for below in ("incline", "wall_left", "wall_right"):
         spec.add_pair(geomname1=f"{prefix}flap", geomname2=prefix + below, **of_surface)
     # The command is a speed; the drive holds the angle it has reached.
@@ -156,8 +152,6 @@ class _Shapes:
         half, rise = p.side_m / 2, _rise(p)
         inner, skin = half - p.wall_thickness_m, p.skin_m / math.cos(p.incline_rad)
         back, front = (_incline(p, x) for x in (-half, half))
-        skin_outline = [(-half, back - skin), (half, front - skin), (half, front), (-half, back)]
-        wall_outline = [(-half, 0.0), (half, 0.0), (half, front), (-half, back)]
         start = p.hinge_x_m - half
         end, floor = start + p.side_m, -p.hinge_z_m
         flap_outline = [
@@ -170,8 +164,8 @@ class _Shapes:
         ]
         pads = _pads(p)
         volumes = [
-            2 * inner * second_moments(skin_outline)[0],
-            p.wall_thickness_m * second_moments(wall_outline)[0],
+            2 * inner * p.side_m * skin,
+            p.wall_thickness_m * p.side_m * (back + front) / 2,
             math.pi * p.gear_radius_m**2 * p.gear_width_m,
         ]
         pad_volume = sum(pad.volume for pad in pads.values())
@@ -212,8 +206,7 @@ def _pads(p: SlopeParameters) -> dict[str, Box]:
     rail = low, low + p.pad_thickness_m
     back, front = low + p.stop_back_rise_m, low + p.stop_front_rise_m
     stop_back, stop_front = (
-        SEAT.boss_side_m / 2 + p.boss_play_m - bevel(SEAT) * z
-        for z in (p.stop_back_rise_m, p.stop_front_rise_m)
+        SEAT.boss_side_m / 2 + p.boss_play_m - BEVEL * z for z in (p.stop_back_rise_m, p.stop_front_rise_m)
     )
     return {
         "pad_left": Box.over((rear, p.pad_front_m), (inner, outer), rail),
@@ -301,43 +294,28 @@ def _incline(p: SlopeParameters, x: float) -> float:
     return p.hinge_z_m - _rise(p) * (x - p.hinge_x_m)
 
 
-def _under_incline(
-    p: SlopeParameters, start: float, end: float, foot: float, gap: float
-) -> list[list[float]]:
-    """Return the (x, z) outline between a height over the floor and a gap under the incline."""
-    return [[start, foot], [end, foot], [end, _incline(p, end) - gap], [start, _incline(p, start) - gap]]
+def _below_incline(p: SlopeParameters, start: float, end: float, gap: float) -> list[list[float]]:
+    """Return the (x, z) ends of a line that runs so far under the incline."""
+    return [[x, _incline(p, x) - gap] for x in (start, end)]
 
 
 def _slope_base(p: SlopeParameters) -> list[ClosedSolid]:
     """Fixed wedge: incline plate on two framed side walls; origin on the floor, +x downhill."""
     back, front = -p.side_m / 2, p.side_m / 2
     side_y, skin = p.side_m / 2, p.skin_m + 0.0002
-    plate = plate_xz(
-        [
-            [back, _incline(p, back) - skin],
-            [front, _incline(p, front) - skin],
-            [front, _incline(p, front)],
-            [back, _incline(p, back)],
-        ],
-        (-side_y, side_y),
-    )
-    parts = [plate]
+    face = _below_incline(p, front, back, 0.0)
+    parts = [plate_xz(_below_incline(p, back, front, skin) + face, (-side_y, side_y))]
     rim, rail = 0.0005, 0.014  # walls end just under the plate's face, so that the two do not flicker
+    wall_top = _below_incline(p, front, back, rim)
     for side in (-1, 1):
-        parts.append(
-            plate_xz(
-                _under_incline(p, back, front, 0.0, rim),
-                between(side * (side_y - 0.010), side * (side_y - 0.004)),
-            )
-        )
+        wall = between(side * (side_y - 0.010), side * (side_y - 0.004))
+        parts.append(plate_xz([[back, 0], [front, 0], *wall_top], wall))
         frame, post = (between(side * (side_y - 0.007), side * (side_y - inset)) for inset in (0.0, 0.001))
         parts.append(plate_xz([[back, 0], [front, 0], [front, rail], [back, rail]], frame))
-        top = [[back, _incline(p, back) - rail], [front, _incline(p, front) - rail]]
-        parts.append(
-            plate_xz([*top, [front, _incline(p, front) - rim], [back, _incline(p, back) - rim]], frame)
-        )
+        parts.append(plate_xz(_below_incline(p, back, front, rail) + wall_top, frame))
         for x in (back + 0.001, -rail / 2, front - 0.001 - rail):
-            parts.append(plate_xz(_under_incline(p, x, x + rail, 0.002, rail - 0.002), post))
+            foot, end = [[x, 0.002], [x + rail, 0.002]], _below_incline(p, x + rail, x, rail - 0.002)
+            parts.append(plate_xz(foot + end, post))
     return parts
 
 

@@ -139,8 +139,8 @@ def plate_xz(outline: ArrayLike, y: Interval) -> ClosedSolid:
     return loft([at(y[0]), at(y[1])])
 
 
-def second_moments(outline: Outline) -> tuple[float, float, float]:
-    """Return a polygon's area, and the means of x^2 and z^2 over it about its centroid (shoelace formulas)."""
+def second_moments(outline: Outline) -> tuple[float, float]:
+    """Return the means of x^2 and z^2 over a polygon about its centroid (shoelace formulas)."""
     area = sx = sz = sxx = szz = 0.0
     for (x0, z0), (x1, z1) in zip(outline, [*outline[1:], outline[0]], strict=True):
         cross = x0 * z1 - x1 * z0
@@ -149,7 +149,7 @@ def second_moments(outline: Outline) -> tuple[float, float, float]:
         sz += (z0 + z1) * cross / 6
         sxx += (x0 * x0 + x0 * x1 + x1 * x1) * cross / 12
         szz += (z0 * z0 + z0 * z1 + z1 * z1) * cross / 12
-    return area, sxx / area - (sx / area) ** 2, szz / area - (sz / area) ** 2
+    return sxx / area - (sx / area) ** 2, szz / area - (sz / area) ** 2
 
 
 class Mesh(NamedTuple):

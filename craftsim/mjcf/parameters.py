@@ -44,16 +44,9 @@ class Bounds:
 _POSITIVE: Final = Bounds()
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """Where a parameter comes from: its origin and, where there is something to say, a note."""
-
-    origin: Origin
-    note: str
-
-
 def _parameter(value: float, origin: Origin, note: str, bounds: Bounds) -> Any:
-    return field(default=value, metadata={"provenance": Provenance(origin, note), "bounds": bounds})
+    """Declare a field; its metadata says where its default comes from and what it may be."""
+    return field(default=value, metadata={"origin": origin, "note": note, "bounds": bounds})
 
 
 def published(value: float, note: str = "", bounds: Bounds = _POSITIVE) -> Any:
@@ -69,11 +62,6 @@ def derived(value: float, note: str, bounds: Bounds = _POSITIVE) -> Any:
 def assumed(value: float, note: str, bounds: Bounds = _POSITIVE) -> Any:
     """Declare a dataclass field whose default is our assumption, for the reason in the note."""
     return _parameter(value, "assumed", note, bounds)
-
-
-def provenance(parameters: object) -> dict[str, Provenance]:
-    """Return the provenance of every parameter of a record or its type, by field name."""
-    return {f.name: f.metadata["provenance"] for f in fields(parameters)}  # type: ignore[arg-type]
 
 
 def check_parameter(name: str, value: object, declared: Any) -> None:

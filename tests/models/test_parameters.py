@@ -20,7 +20,6 @@ from craftsim.mjcf.parameters import (
     Machines,
     SlopeParameters,
     SmartcarParameters,
-    provenance,
 )
 from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.models.exporting import machine_texts, text_of
@@ -373,10 +372,11 @@ def test_the_wall_has_the_blocks_shape(open_part):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_figure_has_provenance(kind):
-    for name, origin in provenance(kind).items():
-        assert origin.origin in ("published", "derived", "assumed"), name
-        if origin.origin != "published":
-            assert origin.note, f"{name} is {origin.origin}, from what?"
+    for parameter in fields(kind):
+        name, origin = parameter.name, parameter.metadata["origin"]
+        assert origin in ("published", "derived", "assumed"), name
+        if origin != "published":
+            assert parameter.metadata["note"], f"{name} is {origin}, from what?"
 
 
 @pytest.mark.parametrize(

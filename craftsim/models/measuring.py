@@ -21,23 +21,6 @@ from craftsim.models.world import Site
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]
 
-READING: Final = np.dtype(
-    [
-        *((name, "f8") for name in ("time_s", "x", "y", "z", "heading", "pitch", "roll")),
-        ("wheel_speeds", "f8", (4,)),
-        ("board_m", "f8"),
-        ("board_force_n", "f8"),
-        ("slope", "i8"),
-        ("hinge_rad", "f8"),
-        ("position_std_m", "f8"),
-        ("heading_std_rad", "f8"),
-        ("fresh", "i8"),
-        ("lines", "f8", (4,)),
-    ],
-    align=True,
-)
-"""A :class:`CarMeasurement` as a record; without a slope, -1 and an angle of 0."""
-
 WIRING: Final = np.dtype(
     [
         *((name, "i8") for name in ("pose", "board", "board_dof", "board_activation", "board_motor")),
@@ -95,6 +78,19 @@ class CarMeasurement(NamedTuple):
     """Where the sensors before, behind, left and right in the board see a line above: how far to the left those before
     and behind, how far forward the others; inf where one sees none."""
 
+
+READING: Final = np.dtype(
+    [
+        (
+            name,
+            "i8" if name in ("slope", "fresh") else "f8",
+            (4,) if name in ("wheel_speeds", "lines") else (),
+        )
+        for name in CarMeasurement._fields
+    ],
+    align=True,
+)
+"""A :class:`CarMeasurement` as a record; without a slope, -1 and an angle of 0."""
 
 _WHEELS, _SLOPE, _HINGE, _FRESH, _LINES = map(
     CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad", "fresh", "lines")

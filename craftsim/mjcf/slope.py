@@ -7,7 +7,6 @@ in the next cell and continues the incline (16 degrees); at pi it lies upside do
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
@@ -82,8 +81,8 @@ def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Frame, machines: Machines,
     flap = body.add_body(name=f"{prefix}flap", pos=digits((slope.hinge_x_m, 0.0, slope.hinge_z_m)))
     if visual:
         _show(spec, prefix, slope, {"base": body, "flap": flap}, solid)
-    shapes = _Shapes.of(slope)
-    for name, (corners, mass) in shapes.solids.items():
+    solids, pads, gear_kg = _shapes(slope)
+    for name, (corners, mass) in solids.items():
         hull: dict[str, Any] = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": add_hull(spec, name, corners)}
         (flap if name == "flap" else body).add_geom(solid, name=prefix + name, mass=mass, **hull)
     # Pads: two level rails that a smartcar's board lifts by, low enough that its plate clears the incline, and two
@@ -96,7 +95,7 @@ def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Frame, machines: Machines,
         group=SEEN_GROUP,
         rgba=[0.20, 0.22, 0.25, 1.0],
     )
-    for name, box in shapes.pads.items():
+    for name, box in pads.items():
         body.add_geom(pad, name=prefix + name, **box.geom)
     gear = geom_class(
         spec,
@@ -104,7 +103,7 @@ def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Frame, machines: Machines,
         solid,
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
         size=[slope.gear_radius_m, digits(slope.gear_width_m / 2), 0],
-        mass=shapes.gear_mass_kg,
+        mass=gear_kg,
     )
     for side, sign in _SIDES.items():
         place = digits((slope.hinge_x_m, sign * _gear_y(slope), slope.hinge_z_m))
@@ -137,52 +136,43 @@ def _add_hinge(spec: mujoco.MjSpec, prefix: str, flap: mujoco.MjsBody, machines:
     motor.actrange = [0, folded]
 
 
-@dataclass(frozen=True)
-class _Shapes:
-    """The shapes of a slope, the mass of its base shared by volume."""
+def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], dict[str, Box], float]:
+    """Return the shapes of a slope, the mass of its base shared by volume.
 
-    solids: dict[str, tuple[list[Point], float]]
-    """Convex solids by name: their corners in the frame of their body, and their masses in kg."""
-    pads: dict[str, Box]
-    gear_mass_kg: float
-
-    @classmethod
-    def of(cls, p: SlopeParameters) -> _Shapes:
-        """Return the shapes of a slope."""
-        half, rise = p.side_m / 2, _rise(p)
-        inner, skin = half - p.wall_thickness_m, p.skin_m / math.cos(p.incline_rad)
-        back, front = (_incline(p, x) for x in (-half, half))
-        start = p.hinge_x_m - half
-        end, floor = start + p.side_m, -p.hinge_z_m
-        flap_outline = [
-            # Its heel is cut away: it would drag over the floor when the flap begins to turn.
-            (start, floor + p.heel_m),
-            (start + p.heel_m, floor),
-            (end, floor),
-            (start, -rise * start),
-            (end, -rise * end),
-        ]
-        pads = _pads(p)
-        volumes = [
-            2 * inner * p.side_m * skin,
-            p.wall_thickness_m * p.side_m * (back + front) / 2,
-            math.pi * p.gear_radius_m**2 * p.gear_width_m,
-        ]
-        pad_volume = sum(pad.volume for pad in pads.values())
-        density = p.base_mass_kg / (volumes[0] + 2 * volumes[1] + 2 * volumes[2] + pad_volume)
-        incline_kg, wall_kg, gear_kg = micro([density * volume for volume in volumes])
-        ends = ((-half, back), (half, front), (-half, back - skin), (half, front - skin))
-        wall = ((-half, 0.0), (half, 0.0), (-half, back), (half, front))
-        return cls(
-            {
-                "incline": (_prism(ends, (-inner, inner)), incline_kg),
-                "wall_left": (_prism(wall, (inner, half)), wall_kg),
-                "wall_right": (_prism(wall, (-inner, -half)), wall_kg),
-                "flap": (_prism(flap_outline, (-half, half)), p.flap_mass_kg),
-            },
-            weighed(pads, density),
-            gear_kg,
-        )
+    Returns its convex solids by name, with their corners in the frame of their body and their masses in kg; its pads;
+    and the mass of a gear.
+    """
+    half, rise = p.side_m / 2, _rise(p)
+    inner, skin = half - p.wall_thickness_m, p.skin_m / math.cos(p.incline_rad)
+    back, front = (_incline(p, x) for x in (-half, half))
+    start = p.hinge_x_m - half
+    end, floor = start + p.side_m, -p.hinge_z_m
+    flap_outline = [
+        # Its heel is cut away: it would drag over the floor when the flap begins to turn.
+        (start, floor + p.heel_m),
+        (start + p.heel_m, floor),
+        (end, floor),
+        (start, -rise * start),
+        (end, -rise * end),
+    ]
+    pads = _pads(p)
+    volumes = [
+        2 * inner * p.side_m * skin,
+        p.wall_thickness_m * p.side_m * (back + front) / 2,
+        math.pi * p.gear_radius_m**2 * p.gear_width_m,
+    ]
+    pad_volume = sum(pad.volume for pad in pads.values())
+    density = p.base_mass_kg / (volumes[0] + 2 * volumes[1] + 2 * volumes[2] + pad_volume)
+    incline_kg, wall_kg, gear_kg = micro([density * volume for volume in volumes])
+    ends = ((-half, back), (half, front), (-half, back - skin), (half, front - skin))
+    wall = ((-half, 0.0), (half, 0.0), (-half, back), (half, front))
+    solids = {
+        "incline": (_prism(ends, (-inner, inner)), incline_kg),
+        "wall_left": (_prism(wall, (inner, half)), wall_kg),
+        "wall_right": (_prism(wall, (-inner, -half)), wall_kg),
+        "flap": (_prism(flap_outline, (-half, half)), p.flap_mass_kg),
+    }
+    return solids, weighed(pads, density), gear_kg
 
 
 def _prism(outline: Outline, ends: tuple[float, float]) -> list[Point]:

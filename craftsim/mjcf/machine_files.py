@@ -12,11 +12,9 @@ one file can hold both. Example::
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, make_dataclass
+from dataclasses import fields
 from pathlib import Path
-from types import GenericAlias
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import (
@@ -27,7 +25,7 @@ from craftsim.mjcf.parameters import (
     SmartcarParameters,
     check_parameter,
 )
-from craftsim.storage.yaml import Document, Mistake, key_words, read_document
+from craftsim.storage.yaml import Loc, Mistake, described, key_words, read_document, unknown_words
 
 _KINDS: Final[dict[str, type]] = {
     "smartcar": SmartcarParameters,
@@ -37,46 +35,6 @@ _KINDS: Final[dict[str, type]] = {
 }
 MACHINE_SECTIONS: Final = (*_KINDS, "cars")
 """The keys of a file that hold machines' parameters."""
-
-
-@dataclass(frozen=True)
-class _Declared:
-    """A number in a file, held to what a record declares of a parameter."""
-
-    field: Any
-
-    def __get_pydantic_core_schema__(self, kind: type, handler: Any) -> Any:
-        from pydantic_core import PydanticCustomError, core_schema
-
-        whole = isinstance(self.field.default, int)
-
-        def check(value: Any) -> Any:
-            if isinstance(value, int | float):
-                value = int(value) if whole and value == int(value) else float(value)
-            try:
-                check_parameter("", value, self.field)
-            except InputError as error:
-                raise PydanticCustomError("parameter", "{text}", {"text": str(error).strip()}) from error
-            return value
-
-        return core_schema.no_info_plain_validator_function(check)
-
-
-def _section(kind: type) -> type:
-    """Return the format of a section: any of the parameters of a record."""
-    return make_dataclass(kind.__name__, [(f.name, Annotated[Any, _Declared(f)], None) for f in fields(kind)])
-
-
-_SECTIONS: Final = {name: _section(kind) for name, kind in _KINDS.items()}
-_FILE: Final = make_dataclass(
-    "MachineFile",
-    [
-        *((name, section, field(default_factory=section)) for name, section in _SECTIONS.items()),
-        ("cars", GenericAlias(tuple, (_SECTIONS["smartcar"], ...)), ()),
-        ("gains", Any, None),
-    ],
-)
-"""The format of a file."""
 
 
 def load_machines(path: Path | str) -> Machines:
@@ -93,26 +51,59 @@ def load_machines(path: Path | str) -> Machines:
     """
     path = Path(path)
     document = read_document(path)
-    document.refuse(_following(document))
-    file: Any = document.to(_FILE)
-    if "cars" in document.plain and not file.cars:
-        document.fail(("cars",), f"{key_words(('cars',))}: must have an entry for each car")
-    given = {name: _given(getattr(file, name)) for name in _KINDS}
-    base = given.pop("smartcar")
+    known = [*MACHINE_SECTIONS, "gains"]
+    unknown = [name for name in document.plain if name not in known]
+    if document.instead:
+        document.mapping(known)
+    mistakes: list[Mistake] = []
+    sections: dict[str, dict[str, Any]] = {name: {} for name in _KINDS}
+    cars: list[dict[str, Any]] = [{}]
+    for name, found in document.plain.items():
+        if name in _KINDS:
+            sections[name] = _figures(found, _KINDS[name], (name,), mistakes)
+        elif name == "cars" and isinstance(found, list) and found:
+            cars = [_figures(own, SmartcarParameters, (name, i), mistakes) for i, own in enumerate(found)]
+        elif name == "cars":
+            wanted = (
+                "have an entry for each car"
+                if found == []
+                else f"be a list of entries, not {described(found)}"
+            )
+            mistakes.append(((name,), f"{key_words((name,))}: must {wanted}"))
+        elif name in unknown:
+            mistakes.append(((name,), unknown_words(name, known, allowed=name == unknown[0])))
+    document.refuse(mistakes)
+    base = sections.pop("smartcar")
     try:
-        cars = tuple(SmartcarParameters(**base | _given(own)) for own in file.cars or [None])
-        return Machines(cars=cars, **{name: _KINDS[name](**values) for name, values in given.items()})
+        others = {name: _KINDS[name](**figures) for name, figures in sections.items()}
+        return Machines(cars=tuple(SmartcarParameters(**base | own) for own in cars), **others)
     except InputError as error:
         raise InputError(f"{path}: {str(error).replace('SmartcarParameters.', 'smartcar.')}") from error
 
 
-def _given(section: Any) -> dict[str, Any]:
-    return {name: value for name, value in vars(section).items() if value is not None} if section else {}
-
-
-def _following(document: Document) -> Iterator[Mistake]:
-    """Yield what a file gives although it follows from parameters."""
-    for loc in filter(None, document.lines):
-        section = "smartcar" if loc[:1] == ("cars",) else str(loc[0])
-        if isinstance(getattr(_KINDS.get(section), str(loc[-1]), None), property):
-            yield loc, f"{key_words(loc)}: is not given but follows from other parameters; change those"
+def _figures(section: object, kind: type, loc: Loc, mistakes: list[Mistake]) -> dict[str, Any]:
+    """Return the parameters of a record that a section gives; note what is wrong with the others."""
+    declared, found, unknown = {f.name: f for f in fields(kind)}, dict[str, Any](), list[str]()
+    if not isinstance(section, dict):
+        wanted = f"a mapping with keys {', '.join(declared)}"
+        mistakes.append((loc, f"{key_words(loc)}: must be {wanted}, not {described(section)}"))
+        return found
+    for name, value in section.items():
+        at = (*loc, name)
+        if isinstance(getattr(kind, name, None), property):
+            text = "is not given but follows from other parameters; change those"
+            mistakes.append((at, f"{key_words(at)}: {text}"))
+        elif name not in declared:
+            # What is allowed is said once.
+            mistakes.append((at, unknown_words(name, declared, allowed=not unknown)))
+            unknown.append(name)
+        else:
+            if isinstance(value, int | float):
+                whole = isinstance(declared[name].default, int) and float(value).is_integer()
+                value = int(value) if whole else float(value)
+            try:
+                check_parameter(key_words(at) + ":", value, declared[name])
+            except InputError as error:
+                mistakes.append((at, str(error)))
+            found[name] = value
+    return found

@@ -81,6 +81,7 @@ def test_single_cars_differ_from_the_others(tmp_path):
         ("smartcar: {mass_kg: 1}\ncars: [{mass_kg: 1}]", ":1: key 'smartcar.mass_kg': is not given"),
         ("block: {side_m: 0.4}\nslope: {skin: 1}", ":1: key 'block.side_m': cannot be changed"),
         ("smartcar:", ":1: key 'smartcar': must be a mapping with keys"),
+        ("- 1", ":1: key 'document': must be a mapping with keys smartcar, block"),
         ("smartcar: &x {}", ":1: anchors and aliases"),
         ("smartcar: [", ":2: not valid YAML"),
         ("# " + "x" * 300_000, ": 293 KiB; a YAML file is no larger than the 256 KiB"),

@@ -195,9 +195,7 @@ def _pads(p: SlopeParameters) -> dict[str, Box]:
     rear, low = -SEAT.board_length_m / 2, p.underside_m
     rail = low, low + p.pad_thickness_m
     back, front = low + p.stop_back_rise_m, low + p.stop_front_rise_m
-    stop_back, stop_front = (
-        SEAT.boss_side_m / 2 + p.boss_play_m - BEVEL * z for z in (p.stop_back_rise_m, p.stop_front_rise_m)
-    )
+    stop_back, stop_front = (inner - BEVEL * z for z in (p.stop_back_rise_m, p.stop_front_rise_m))
     return {
         "pad_left": Box.over((rear, p.pad_front_m), (inner, outer), rail),
         "pad_right": Box.over((rear, p.pad_front_m), (-outer, -inner), rail),

@@ -8,10 +8,9 @@ again is checked, not assumed (:mod:`craftsim.validation.replays.bundle`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Final
 
 import numpy as np
 
@@ -240,22 +239,6 @@ def perform(
 
 
 @dataclass(frozen=True)
-class BuildResult:
-    """How a building that was planned, and planned again, came to its end; made of what JSON knows."""
-
-    ended: str
-    """``built``, ``gave up`` or ``not readable``."""
-    why: str
-    """Why it is not built; empty when it is."""
-    replans: int
-    """How often it was planned again."""
-    planned_s: float
-    """Makespan of the first plan by the table of durations."""
-    disturbed: str
-    """What was done to the world on purpose, in words; empty where nothing was."""
-
-
-@dataclass(frozen=True)
 class Episode:
     """An episode in physics."""
 
@@ -271,8 +254,13 @@ class Episode:
     """Simulated time."""
     problems: tuple[str, ...]
     """Why the world at the end cannot be read as a grid; empty when it can."""
-    ending: BuildResult | None = None
-    """Where plans were made on the way."""
+    ending: Mapping[str, str | float] | None = None
+    """How a building that was planned, and planned again, came to its end; None where no plans were made on the way.
+
+    ``ended`` is ``built``, ``gave up`` or ``not readable``, and ``why`` says why it is not built; ``replans`` counts
+    further plans, ``planned_s`` is the makespan of the first one by the table of durations, and ``disturbed`` says in
+    words what was done to the world on purpose. Texts are empty where there is nothing to say.
+    """
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:
@@ -312,17 +300,15 @@ class Episode:
         return replace(self.recipe, steps=self.recipe.steps[: step + 1])
 
 
-@dataclass(frozen=True)
-class EpisodeObserver:
-    """Who looks on while an episode runs."""
-
-    begin: Callable[[CheckedSite], None] = lambda checked: None
-    """Called with the world at its start."""
-    on_attempts: Callable[[tuple[Attempt, ...]], None] = lambda attempts: None
-    """Called after each step."""
+OnAttempts = Callable[[tuple[Attempt, ...]], None]
+"""Called after each step of an episode."""
+Watch = Callable[[CheckedSite], OnAttempts]
+"""Looks on while an episode runs: called with the world at its start, and returns what is called after each step."""
 
 
-UNOBSERVED: Final = EpisodeObserver()
+def unwatched(checked: CheckedSite) -> OnAttempts:
+    """Look at nothing."""
+    return lambda attempts: None
 
 
 class OverrunError(InputError):

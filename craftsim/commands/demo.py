@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -54,7 +53,6 @@ def demo(
         video: make a film of each task; without a rendering backend the demo goes on without.
         out: folder for report.json, the films, the trajectories that they show, and the cars' logs.
     """
-    from craftsim.checking.episode import EpisodeObserver
     from craftsim.checking.setup import set_up
     from craftsim.commands import demo_text
     from craftsim.commands.films import rendering_works
@@ -84,8 +82,7 @@ def demo(
             nullcontext(set_up) if robot is None else robots_at(robot, timeout_s) as where,
             counting(console, building.name, building.n_actions, attrgetter("agrees")) as tell,
         ):
-            watch = EpisodeObserver(on_attempts=partial(_tell_each, tell))
-            one = building.run(setup, physics.seed, order, watch, where)
+            one = building.run(setup, physics.seed, order, _telling(tell), where)
         assert one.trajectory is not None
         one.trajectory.write(out / f"{one.name}{SUFFIX}")
         write_table(out / f"{one.name}{LOG_SUFFIX}", one.logs)
@@ -122,6 +119,11 @@ def demo(
     return 0 if all(one.good for one in done) else 1
 
 
-def _tell_each(tell: Callable[[Any], None], attempts: Iterable[Any]) -> None:
-    for attempt in attempts:
-        tell(attempt)
+def _telling(tell: Callable[[Any], None]) -> Callable[[Any], Callable[[Iterable[Any]], None]]:
+    """Return who looks on at a building, and tells of each attempt."""
+
+    def tell_each(attempts: Iterable[Any]) -> None:
+        for attempt in attempts:
+            tell(attempt)
+
+    return lambda checked: tell_each

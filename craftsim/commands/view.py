@@ -83,15 +83,16 @@ def _runs(path: Path) -> Runs:
 def _carry_out(building: Building, live: LiveView) -> Trajectory:
     """Carry out a plan while people look on, and return what happened."""
     from craftsim.checking.attempt import Attempt
-    from craftsim.checking.episode import EpisodeObserver
+    from craftsim.checking.episode import OnAttempts
     from craftsim.checking.judge import CheckedSite
 
     attempts, task = list[Attempt](), building.task
 
-    def begin(checked: CheckedSite) -> None:
+    def watch(checked: CheckedSite) -> OnAttempts:
         live.follow(checked, building.name, task.goal_cells, lambda: attempts)
+        return attempts.extend
 
     setup = PhysicsOptions(randomize="none").setup()
-    done = building.run(setup, 0, "concurrent", EpisodeObserver(begin, attempts.extend))
+    done = building.run(setup, 0, "concurrent", watch)
     assert done.trajectory is not None
     return done.trajectory

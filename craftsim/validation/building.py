@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import UNOBSERVED, Episode, EpisodeObserver
+from craftsim.checking.episode import Episode, Watch, unwatched
 from craftsim.checking.setup import SetUp, Setup, set_up
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
@@ -68,7 +68,7 @@ class Building:
         setup: Setup,
         seed: int,
         order: PlanOrder,
-        watch: EpisodeObserver = UNOBSERVED,
+        watch: Watch = unwatched,
         where: SetUp = set_up,
     ) -> Building:
         """Carry out the plan and return the building with its episode.

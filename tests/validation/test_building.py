@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from craftsim.checking import setup
-from craftsim.checking.episode import EpisodeObserver
+from craftsim.checking.episode import unwatched
 from craftsim.checking.setup import Setup, setup_of
 from craftsim.discrete.grid import CarField, Grid, Kind, beside
 from craftsim.discrete.kinds import Action
@@ -95,7 +95,12 @@ class _Built:
 
     def __init__(self, building: Building, order="sequential", setup=None, seed=0):
         worlds = []
-        self.building = building.run(setup or Setup(), seed, order, EpisodeObserver(worlds.append))
+
+        def watch(checked):
+            worlds.append(checked)
+            return unwatched(checked)
+
+        self.building = building.run(setup or Setup(), seed, order, watch)
         self.reading = worlds[0].reading
 
 

@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import BuildResult, Episode, EpisodeObserver, Recipe, Step, do
+from craftsim.checking.episode import Episode, OnAttempts, Recipe, Step, Watch, do
 from craftsim.checking.judge import CheckedSite
 from craftsim.checking.setup import Seed, SetUp, Setup
 from craftsim.discrete.files.blueprint import blueprint_text
@@ -51,7 +51,7 @@ def rebuild(
     seeds: tuple[Seed, int],
     setup: Setup,
     asked: Rebuilding,
-    watch: EpisodeObserver,
+    watch: Watch,
     where: SetUp,
     observers: Sequence[Observer] = (),
 ) -> Episode:
@@ -77,12 +77,17 @@ def rebuild(
     recipe = Recipe(blueprint_text(grid), (), setup, seeds[0], tuple(task.goal_cells))
     checked = where(grid, setup, seeds[0], recipe.goals)
     checked.executor.observers.extend(observers)
-    watch.begin(checked)
-    work = _Work(task, checked, recipe, asked, watch, seeds[1])
+    work = _Work(task, checked, recipe, asked, watch(checked), seeds[1])
     ended, why = work.run(first)
     fleet = checked.executor.fleet
     disturbed = fleet.happened if isinstance(fleet, DisturbedFleet) else work.folded
-    ending = BuildResult(ended, why, work.replans, first.makespan_s, disturbed)
+    ending: dict[str, str | float] = {
+        "ended": ended,
+        "why": why,
+        "replans": work.replans,
+        "planned_s": first.makespan_s,
+        "disturbed": disturbed,
+    }
     return Episode(
         *(work.recipe, tuple(work.found), ended == "built", True),
         *(checked.site.time_s, checked.problems, ending),
@@ -102,7 +107,7 @@ class _Work:
     checked: CheckedSite
     recipe: Recipe
     asked: Rebuilding
-    watch: EpisodeObserver
+    on_attempts: OnAttempts
     seed: int
     found: list[tuple[Attempt, ...]] = field(default_factory=list)
     replans: int = 0
@@ -160,7 +165,7 @@ class _Work:
             if attempt.performed:
                 failed = attempt.skill != "succeeded"
                 self.failures[attempt.car] = self.failures.get(attempt.car, 0) + 1 if failed else 0
-        self.watch.on_attempts(self.found[-1])
+        self.on_attempts(self.found[-1])
         return not self._problem() and self.checked.grid.same_visible(schedule.final)
 
     def _problem(self) -> str:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from craftsim.checking.episode import UNOBSERVED, Episode, EpisodeObserver, Recipe, Step, do
+from craftsim.checking.episode import Episode, OnAttempts, Recipe, Step, Watch, do, unwatched
 from craftsim.checking.judge import CheckedSite
 from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
@@ -122,10 +122,10 @@ def do_run(run: Run) -> Done:
     drawn = _Drawn.of(run)
     try:
         if run.terms.record:
-            _save_recording(run, recording := _record(run, drawn, UNOBSERVED))
+            _save_recording(run, recording := _record(run, drawn, unwatched))
             episode = recording.episode
         else:
-            episode = _run(run, drawn, UNOBSERVED)
+            episode = _run(run, drawn, unwatched)
     except StartError as error:
         if drawn.played is None:
             raise
@@ -139,7 +139,7 @@ def do_run(run: Run) -> Done:
     if episode.reached is not None:
         extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
     if episode.ending is not None:
-        extra |= asdict(episode.ending)
+        extra |= episode.ending
     if drawn.played is not None:
         extra["coverage"] = covered(drawn.played, episode.attempts)
         _save_world(run, drawn.grid, drawn.played)
@@ -167,25 +167,25 @@ class Recording:
     """By car."""
 
 
-def record_episode(run: Run, watch: EpisodeObserver = UNOBSERVED) -> Recording:
+def record_episode(run: Run, watch: Watch = unwatched) -> Recording:
     """Run in physics, and by the rules alone, and return the episode with what was recorded of it."""
     return _record(run, _Drawn.of(run), watch)
 
 
-def _record(run: Run, drawn: _Drawn, watch: EpisodeObserver) -> Recording:
+def _record(run: Run, drawn: _Drawn, watch: Watch) -> Recording:
     recorder, logs = Recorder(), list[LogRecorder]()
 
-    def begin(checked: CheckedSite) -> None:
+    def begin(checked: CheckedSite) -> OnAttempts:
         recorder.begin(checked)
         logs.append(LogRecorder(checked.executor))
-        watch.begin(checked)
+        return watch(checked)
 
-    episode = _run(run, drawn, replace(watch, begin=begin))
+    episode = _run(run, drawn, begin)
     trajectory = recorder.trajectory(run.key, episode.recipe, episode.attempts, drawn.task.design)
     return Recording(episode, trajectory, logs[-1].logs())
 
 
-def _run(run: Run, drawn: _Drawn, watch: EpisodeObserver) -> Episode:
+def _run(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
     if run.play is not None and drawn.played is not None:
         return _follow(run, drawn, steps_of(drawn.played.ticks, run.play), watch)
     if run.rebuilding is not None:
@@ -199,7 +199,7 @@ def _run(run: Run, drawn: _Drawn, watch: EpisodeObserver) -> Episode:
     return _rolled_out(run, drawn, watch)
 
 
-def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: EpisodeObserver) -> Episode:
+def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: Watch) -> Episode:
     """Carry out a plan, each step from what was read before it."""
     task, setup = drawn.task, run.terms.setup
     recipe = Recipe(blueprint_text(drawn.grid), (), setup, drawn.physics, tuple(task.goal_cells))
@@ -207,12 +207,12 @@ def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: EpisodeObserv
     checked.executor.observers.extend(run.terms.observers)
     if drawn.played is not None and not checked.grid.same_visible(drawn.grid):
         raise StartError("this world cannot be: it reads otherwise than it was drawn")
-    watch.begin(checked)
+    on_attempts = watch(checked)
     found = []
     for step in steps:
         recipe = recipe.then(step)
         found.append(do(checked, step))
-        watch.on_attempts(found[-1])
+        on_attempts(found[-1])
         if checked.problems:
             break
     reached = by_rules = None
@@ -231,12 +231,12 @@ def _predict(steps: Sequence[Step], grid: Grid, rules: Rules) -> Grid:
     return grid
 
 
-def _rolled_out(run: Run, drawn: _Drawn, watch: EpisodeObserver) -> Episode:
+def _rolled_out(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
     """Let a policy play an episode in physics, and one by the rules alone."""
     task, setup = drawn.task, run.terms.setup
     backend = PhysicsBackend(setup, None, task.goal_cells, watch_contacts=True)
     reached = _rollout(run, drawn, backend, watch)
-    by_rules = _rollout(run, drawn, None, UNOBSERVED) if task.has_goal else None
+    by_rules = _rollout(run, drawn, None, unwatched) if task.has_goal else None
     checked = backend.checked
     return Episode(
         backend.recipe,
@@ -248,7 +248,7 @@ def _rolled_out(run: Run, drawn: _Drawn, watch: EpisodeObserver) -> Episode:
     )
 
 
-def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: EpisodeObserver) -> bool:
+def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: Watch) -> bool:
     """Play an episode; return whether it ends in success."""
     env = ParallelConstruction(drawn.task, Options("grid", rule_set=run.terms.setup.rules), backend)
     policy = run.policy
@@ -258,13 +258,13 @@ def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: Epi
     observations, _ = env.reset(seed=drawn.world)
     if backend is not None:
         backend.checked.executor.observers.extend(run.terms.observers)
-        watch.begin(backend.checked)
+        on_attempts = watch(backend.checked)
     success = False
     while env.agents:
         observations, _, _, _, infos = env.step(policy(observations))
         success = all(info["success"] for info in infos.values())
         if backend is not None:
-            watch.on_attempts(backend.ticks[-1])
+            on_attempts(backend.ticks[-1])
     return success
 
 

@@ -101,7 +101,13 @@ def test_every_file_of_the_package_is_in_the_wheel(wheel):
     }
     packed = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert packed == files
-    for part in ("data/blueprints", "data/plans", "data/gains", "validation/html/template"):
+    for part in (
+        "data/blueprints",
+        "data/plans",
+        "data/gains",
+        "data/randomizations",
+        "validation/html/template",
+    ):
         assert any(name.startswith(f"craftsim/{part}/") for name in packed), part
 
 

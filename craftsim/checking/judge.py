@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import (
     AGREES,
+    BOUNDED_ERRORS,
     Attempt,
     Cause,
     Thresholds,
@@ -52,10 +53,7 @@ OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
 
 
-_BYSTANDERS: Final = (
-    *("bystander_displacement_m", "bystander_turn_rad", "drift_m", "drift_rad"),
-    *("bystander_reach_m", "bystander_tilt_rad"),
-)
+_BYSTANDERS: Final = [one.field for one in BOUNDED_ERRORS if one.of_bystanders]
 """Errors of what an action does not concern; the last two are those of the reading."""
 
 

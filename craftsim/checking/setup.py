@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Final, Literal, cast
 
@@ -20,7 +21,6 @@ from craftsim.errors import InputError, StartError, suggestion
 from craftsim.mjcf.machine_files import load_machines
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines
 from craftsim.models.config import SimulationConfig
-from craftsim.models.imperfection import Drivetrain, Floor, Making
 from craftsim.models.measuring import Motors
 from craftsim.models.overlaps import ALLOWED_M
 from craftsim.models.randomization import NONE, DomainRandomization, load_noise, load_randomization, randomize
@@ -74,65 +74,6 @@ _MILD: Final = DomainRandomization(
     sensors=MILD,
 )
 """Half of the noise and randomization of strong; limits are halved where that leaves them above those without noise."""
-_LAB_FLOOR: Final = replace(
-    NONE,
-    floor=Floor(
-        # ANSI A108.02 allows 1/32 inch (0.8 mm) between tiles with joints of less than a quarter of an inch.
-        lippage_m=0.0005,
-        tile_m=0.6,
-        # DIN 18202, table 3, line 4: 1 mm over 0.1 m, 3 mm over 1 m, at most. A good lab's floor has a third.
-        unevenness_m=0.001,
-    ),
-)
-"""A sound floor of large tiles, with all else ideal."""
-_WORKSHOP_FLOOR: Final = replace(
-    _MILD,
-    floor=Floor(lippage_m=0.0008, tile_m=0.3, joint_m=0.003, joint_depth_m=0.001, unevenness_m=0.001),
-    drivetrain=Drivetrain(
-        # Assumed: a motor for 67 rad/s without load. A small gear motor has 0.8, which with sag is too little for the
-        # nominal gains' speed (docs/imperfections.md).
-        torque_slope=0.3,
-        # Three planetary stages, of which maxon says that none loses more than 3 %.
-        gear_loss=0.1,
-        # 0.29 degrees; maxon gives 0.15 to 0.5 for planetary gears of low backlash (GP 32 BZ).
-        backlash_rad=0.005,
-        # Four motors of 5.5 A at standstill (data sheet of the Pololu 37D, 12 V) take 22 A: 1.1 V at 50 mOhm of battery
-        # and wires, which is assumed.
-        sag=0.1,
-    ),
-    # ISO 2768-1, fine: 0.05 mm up to 6 mm, 0.1 mm up to 30, 0.15 mm up to 120, 0.2 mm up to 400.
-    making=Making(
-        wheel_radius_m=0.0001,
-        wheel_place_m=0.00015,
-        board_m=0.0001,
-        board_place_m=0.0001,
-        foot_m=0.0001,
-        underside_m=0.0001,
-        pocket_m=0.0001,
-    ),
-    sensors=replace(
-        MILD,
-        # Assumed: a camera at the ceiling that sees 3 m on 1920 pixels, 1.6 mm each, calibrated to two thirds of one; a
-        # marker of 0.3 m whose corners are off by as much; 30 frames a second over a network that loses few.
-        position_bias_m=0.001,
-        heading_bias_rad=0.003,
-        jitter_s=0.005,
-        localisation_period_s=1 / 30,
-        lost_share=0.01,
-        # One count of 12 bits (ams AS5600), at the wheels and at the hinge.
-        encoder_step_rad=0.0015,
-        hinge_bias_rad=0.0015,
-        # An accelerometer (InvenSense MPU-6050: 35 mg over 70 K) that is 5 K warmer than when it was levelled.
-        tilt_bias_rad=0.0025,
-        # Assumed: a switch at the board's lower stop; a current that is measured to a few per cent.
-        board_bias_m=0.00005,
-        board_force_bias_n=0.2,
-        # Assumed.
-        motor_lag_s=0.02,
-    ),
-)
-"""A tiled workshop and machines as they are made: mild, and all else that is imperfect with it."""
-
 # A car that knows its place to 1 mm and 3 mrad is allowed three times that, and with mild noise half of it. Two things
 # at these limits can meet in the gap between their cells; they then displace each other, which bystander_m bounds.
 _MILD_LIMITS: Final = Thresholds(0.0015, 0.0045, 0.002, 0.001, 0.002, placed_heading_rad=0.0075)
@@ -140,12 +81,33 @@ _STRONG_LIMITS: Final = Thresholds(
     *(0.003, 0.009, 0.004, 0.002, 0.003), tilt_rad=0.015, placed_heading_rad=0.015, bystander_rad=0.008
 )
 
-RANDOMIZE: Final[Mapping[Randomize, tuple[Thresholds, DomainRandomization]]] = {
+_Terms = tuple[Thresholds, DomainRandomization]
+_BASES: Final[dict[Randomize, _Terms]] = {
     "none": (Thresholds(), NONE),
     "mild": (_MILD_LIMITS, _MILD),
     "strong": (_STRONG_LIMITS, _STRONG),
-    "lab_floor": (Thresholds(), _LAB_FLOOR),
-    "workshop_floor": (_MILD_LIMITS, _WORKSHOP_FLOOR),
+}
+
+
+def _read(file: str | Path, bases: Mapping[Randomize, _Terms]) -> _Terms:
+    """Return what a YAML file draws that starts from one of some bases, with limits that suit it."""
+    drawn: dict[str, DomainRandomization] = {name: base for name, (_, base) in bases.items()}
+    base, randomization, limits = load_randomization(file, drawn, [f.name for f in fields(Thresholds)])
+    try:
+        return replace(bases[cast(Randomize, base)][0], **limits), randomization
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+
+
+def _shipped(name: str) -> _Terms:
+    with as_file(files("craftsim.data").joinpath(f"randomizations/{name}.yaml")) as file:
+        return _read(file, _BASES)
+
+
+RANDOMIZE: Final[Mapping[Randomize, _Terms]] = {
+    **_BASES,
+    "lab_floor": _shipped("lab_floor"),
+    "workshop_floor": _shipped("workshop_floor"),
 }
 """What the option ``--randomize`` stands for: limits of the errors, before they are widened, and what is drawn."""
 
@@ -232,16 +194,11 @@ def setup_of(
     )
 
 
-def _randomization(given: Randomize | str | Path) -> tuple[Thresholds, DomainRandomization]:
+def _randomization(given: Randomize | str | Path) -> _Terms:
     if given in RANDOMIZE:
         return RANDOMIZE[cast(Randomize, given)]
     _check_file(given, "randomization")
-    presets: dict[str, DomainRandomization] = {name: drawn for name, (_, drawn) in RANDOMIZE.items()}
-    base, randomization, limits = load_randomization(given, presets, [f.name for f in fields(Thresholds)])
-    try:
-        return replace(RANDOMIZE[cast(Randomize, base)][0], **limits), randomization
-    except InputError as error:
-        raise InputError(f"{given}: {error}") from error
+    return _read(given, RANDOMIZE)
 
 
 def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache, lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Final
+from typing import Final, get_type_hints
 
 import yaml
 
@@ -241,24 +241,21 @@ class Gains:
     def __post_init__(self) -> None:
         for section in SECTIONS:
             for name, value in asdict(getattr(self, section)).items():
-                if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-                    raise InputError(
-                        f"{self.source}: {section}.{name} must be a positive number, not {value!r}"
-                    )
-                check_reach(f"{self.source}: {section}.{name}", value, _nominal()[section][name])
+                _check(self.source, section, name, value)
 
 
 SECTIONS: Final[dict[str, type]] = {
-    "drive": DriveGains,
-    "uneven": UnevenGains,
-    "board": BoardGains,
-    "hinge": HingeGains,
-    "stop": StopGains,
-    "hold": HoldGains,
-    "localisation": LocalisationGains,
-    "health": HealthGains,
-    "recovery": RecoveryGains,
+    name: kind for name, kind in get_type_hints(Gains).items() if name != "source"
 }
+"""Of :class:`Gains`, by name."""
+
+
+def _check(where: str, section: str, name: str, value: object) -> None:
+    """Raise InputError, beginning with ``where``, for a gain that is no positive number near the nominal one."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        given = f"{value:g}" if isinstance(value, float) else repr(value)
+        raise InputError(f"{where}: {section}.{name} must be a positive number, not {given}")
+    check_reach(f"{where}: {section}.{name}", value, _nominal()[section][name])
 
 
 PRESETS: Final = ("robust", "fast")
@@ -318,10 +315,7 @@ def load_gains(path: Path | str | None = None) -> Gains:
         if name in sections:
             own = numbers(document, name, [f.name for f in fields(kind)], *at, name)
         for key, value in own.items():
-            if not 0 < value < math.inf:
-                document.fail((*at, name, key), f"{name}.{key} must be a positive number, not {value:g}")
-            line = document.lines[*at, name, key]
-            check_reach(f"{path}:{line}: {name}.{key}", value, nominal[name][key])
+            _check(f"{path}:{document.lines[*at, name, key]}", name, key, value)
         merged[name] = kind(**(nominal[name] | own))
     return Gains(**merged, source=str(path) if sections else "robust")
 

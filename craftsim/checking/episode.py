@@ -315,27 +315,22 @@ class OverrunError(InputError):
     """What was begun takes more simulated time than it was given."""
 
 
-class TimeLimit:
-    """Counts the control periods of a world from now on, and ends with OverrunError what takes longer than it may.
+def limit_time(checked: CheckedSite, most_s: float, what: str) -> Callable[[], float]:
+    """Give whatever is done next in a world so much simulated time, all together; return what says how much has passed.
 
-    It does not look at the simulation's clock, which starts over when the simulation breaks down.
+    What takes longer ends with OverrunError, which calls it ``what``. Control periods are counted, for the simulation's
+    clock starts over when the simulation breaks down.
     """
+    n_periods, period_s = 0, checked.site.config.control_period_s
 
-    def __init__(self, checked: CheckedSite, most_s: float, what: str) -> None:
-        """Give whatever is done next ``most_s`` seconds of simulated time, all together; ``what`` is for the error."""
-        self._most_s, self._what = most_s, what
-        self._period_s = checked.site.config.control_period_s
-        self._periods = 0
-        checked.executor.observers.append(self._count)
+    def passed_s() -> float:
+        return n_periods * period_s
 
-    @property
-    def passed_s(self) -> float:
-        """Simulated time since then."""
-        return self._periods * self._period_s
+    def count(site: Site) -> None:
+        nonlocal n_periods
+        n_periods += 1
+        if passed_s() > most_s:
+            raise OverrunError(f"{what} has not come to its end after {most_s:.4g} s of simulated time")
 
-    def _count(self, site: Site) -> None:
-        self._periods += 1
-        if self.passed_s > self._most_s:
-            raise OverrunError(
-                f"{self._what} has not come to its end after {self._most_s:.4g} s of simulated time"
-            )
+    checked.executor.observers.append(count)
+    return passed_s

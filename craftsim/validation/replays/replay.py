@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import TimeLimit, do, start
+from craftsim.checking.episode import do, limit_time, start
 from craftsim.checking.judge import CheckedSite
 from craftsim.errors import InputError
 from craftsim.report import versions
@@ -84,7 +84,7 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
     _check_shapes(recorded.folder / PHYSICS, recorded.physics, physics)
     for file, array in ((BEFORE, recorded.before), (AFTER, recorded.after)):
         _check_shapes(recorded.folder / file, array, state_of(site))
-    TimeLimit(
+    limit_time(
         checked,
         bundle.most_s,
         f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,",

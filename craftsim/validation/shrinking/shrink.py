@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from craftsim.checking.attempt import Attempt, Thresholds
-from craftsim.checking.episode import OverrunError, Recipe, TimeLimit, do, start
+from craftsim.checking.episode import OverrunError, Recipe, do, limit_time, start
 from craftsim.checking.setup import SEED_0, Seed, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Cell, Grid, Kind
@@ -84,7 +84,7 @@ def failing_actions(recipe: Recipe, attempts: Sequence[Attempt], most_s: float =
     if not wrong:
         raise InputError("no action that the rules allow fails there; only such a failure can be shrunk")
     step, checked = recipe.steps[-1], start(recipe)
-    TimeLimit(checked, most_s, "what comes before the last step")
+    limit_time(checked, most_s, "what comes before the last step")
     for earlier in recipe.steps[:-1]:
         do(checked, earlier)
     ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
@@ -179,13 +179,13 @@ class _Search:
         if checked.problems or not checked.grid.same_visible(grid):
             return False
         self.trials += 1
-        time = TimeLimit(checked, self.left_s, action.name)
+        passed_s = limit_time(checked, self.left_s, action.name)
         try:
             attempt = checked.perform(0, action)
         except OverrunError:
             self.trials = self.most
             return False
-        self.left_s -= time.passed_s
+        self.left_s -= passed_s()
         fails = not attempt.agrees and self.result in (None, attempt.result)
         if fails:
             self.attempt, self.result = attempt, attempt.result

@@ -264,6 +264,7 @@ class Executor:
         self._cars[car]["task"] = NO_TASK
         inclined = hold.level < max(abs(now["pitch"]), abs(now["roll"])) < hold.tipped
         task["law"] = HOLD if inclined else IDLE
+        task["held"] = now["x"], now["y"], now["heading"]
 
     def _estimate(self) -> None:
         if self._estimator is not None:

@@ -172,6 +172,14 @@ class HoldGains:
     """1/s: wheel speed commanded per radian that a wheel has turned."""
     dead_band: float
     """rad: a wheel that has turned less than this, 5 micrometres of way, is not moved."""
+    crept: float
+    """m: a car that believes to be further than this from where it was left goes back. Three times the certainty with
+    which a move ends (``position_certainty``), so that what it sees is its way and no noise; and a third of the 2.5 mm
+    between two loads in neighbouring cells."""
+    crept_heading: float
+    """rad: the same for its heading; over half the length of a load, 160 mm, that is 0.6 mm."""
+    crept_time: float
+    """s: for so long without a pause; creep takes seconds for a millimetre, and what a passing car shakes is back."""
 
 
 @dataclass(frozen=True)

@@ -169,12 +169,7 @@ def step_task(car: Record, angles: Floats) -> int:
         command.wheels[wheel] = 0.0
     command.board = command.hinge = 0.0
     if task.law == HOLD:
-        # A wheel's drive at zero speed gives way slowly to a torque above its gear's friction: a loaded car whose gears
-        # are smooth creeps down a ramp by 0.2 mm/s. The encoders measure that, and the wheels go back as far.
-        for wheel in range(4):
-            task.turned[wheel] += car.now.wheel_speeds[wheel] * car.known.period_s
-            if abs(task.turned[wheel]) > car.known.hold.dead_band:
-                command.wheels[wheel] = -car.known.hold.gain * task.turned[wheel]
+        _hold_law(car)
         return 0
     if task.status == RUNNING:
         status = _health_of(car.now, car.known.health)
@@ -243,6 +238,39 @@ def compensate_lag(car: Record, level: bool) -> None:
         for k in range(N_LAGS):
             near = 1.0 if stopped else lag.shares[k]
             lag.servos[k, wheel] += near * (wheels[wheel] - lag.servos[k, wheel])
+
+
+@compiled
+def _hold_law(car: Record) -> None:
+    """Command the wheels of a car that is parked on an incline, so that it stays where it was left.
+
+    A wheel's drive at zero speed gives way slowly to a torque above its gear's friction: a loaded car whose gears are
+    smooth creeps down a ramp by 0.2 mm/s. The encoders measure that, and the wheels go back as far.
+
+    A car that stands on two wheels of a diagonal creeps along their rollers, too, which no encoder measures: its
+    estimated pose does. It drives back as at the end of a path when it has crept far enough to be sure of it.
+    """
+    now, task, known = car.now, car.task, car.known
+    hold, drive = known.hold, known.drive
+    error = task.held.x - now.x, task.held.y - now.y, wrap(task.held.heading - now.heading)
+    offset, turn = math.hypot(error[0], error[1]), abs(error[2])
+    task.crept_s = task.crept_s + known.period_s if offset > hold.crept or turn > hold.crept_heading else 0.0
+    if not task.returning and task.crept_s > hold.crept_time:
+        task.returning, task.elapsed_s = 1, 0.0
+        task.drive.integral.x = task.drive.integral.y = task.drive.integral.heading = 0.0
+    elif task.returning and offset < drive.position_tolerance and turn < drive.heading_tolerance:
+        task.returning = 0
+        for wheel in range(4):
+            task.turned[wheel] = 0.0
+    if task.returning:
+        task.drive.loaded = _feels_load(now, known.health, known.car.felt_load_n)
+        _command_wheels(car, error)
+        task.elapsed_s += known.period_s
+        return
+    for wheel in range(4):
+        task.turned[wheel] += now.wheel_speeds[wheel] * known.period_s
+        if abs(task.turned[wheel]) > hold.dead_band:
+            car.command.wheels[wheel] = -hold.gain * task.turned[wheel]
 
 
 @compiled

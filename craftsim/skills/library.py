@@ -214,9 +214,12 @@ class Tries:
         """Return what undoes what a failed try may have done; None for an action that has none."""
         if self.action in _UNDO:
             return self.performers[_UNDO[self.action]], self.setup
-        if self.action not in MOVE_DIRECTION and self.action not in _TURNS:
-            return None
         ground = self.setup.terrain
         setup = self.setup.on(Terrain(ground.end_rad, ground.start_rad, tight=True)).carefully()
-        direction = (MOVE_DIRECTION.get(self.action, 0) + 2) % 4
+        if self.action in _TURNS:
+            # A path of a few millimetres that turns by a quarter is led by its turn.
+            return partial(begin_turn, quarter=0, target=self.home), setup
+        if self.action not in MOVE_DIRECTION:
+            return None
+        direction = (MOVE_DIRECTION[self.action] + 2) % 4
         return partial(begin_move, direction=direction, target=self.home), setup

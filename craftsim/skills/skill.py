@@ -147,8 +147,10 @@ def begin_move(
     )
 
 
-def begin_turn(setup: SkillSetup, now: CarMeasurement, task: np.void, quarter: int) -> None:
-    """Turn on the spot by a quarter: +1 is left, counter-clockwise, -1 is right."""
+def begin_turn(
+    setup: SkillSetup, now: CarMeasurement, task: np.void, quarter: int, target: Triple | None = None
+) -> None:
+    """Turn on the spot by a quarter: +1 is left, counter-clockwise, -1 is right; or to a pose in this cell."""
     gains, known = setup.gains.drive, setup.constants[0]["car"]
     loaded, load_kg = _load(setup, now)
     lever_m, inertia = float(known["lever_m"]), float(known["turn_inertia_kgm2"])
@@ -157,7 +159,8 @@ def begin_turn(setup: SkillSetup, now: CarMeasurement, task: np.void, quarter: i
     speed = min(gains.max_turn_speed * factor, top_speed / lever_m)
     acceleration = min(gains.max_turn_acceleration * factor, force * lever_m / inertia)
     yaw, _ = nearest_yaw(now.heading)
-    begin_path(setup, now, task, cell_middle(now, yaw + quarter), (speed, acceleration), turning=True)
+    target = target or cell_middle(now, yaw + quarter)
+    begin_path(setup, now, task, target, (speed, acceleration), turning=True)
 
 
 def begin_path(

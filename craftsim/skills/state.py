@@ -113,13 +113,18 @@ TASK: Final = np.dtype(
         ("feels_load", "i8"),
         *_floats("elapsed_s", "ended_s", "detail", "second_detail"),
         ("turned", "f8", (4,)),
+        ("held", _POSE),
+        ("crept_s", "f8"),
+        ("returning", "i8"),
         ("drive", DRIVE_TASK),
         ("board", BOARD_TASK),
         ("hinge", HINGE_TASK),
     ],
     align=True,
 )
-"""What one car is about: the law that controls it, how that stands, and what it remembers."""
+"""What one car is about: the law that controls it, how that stands, and what it remembers. A parked car that is held
+remembers how far its wheels have turned, the pose in which it was left, for how long it has been away from that, and
+whether it is on its way back."""
 
 NO_TASK: Final = np.zeros((), TASK)
 """What a task is before anything is known of it."""

@@ -31,6 +31,31 @@ def test_a_loaded_car_with_smooth_gears_is_held_on_the_slope(place):
     assert _moved_m(grid, 0.6, held=False) > 2e-3
 
 
+def _pushed_m(way_m: float) -> list[float]:
+    """Push a car on the slope by so much to its side, and return how far it is away in the 4 s after that."""
+    grid = draw((3, 1, 2), [(Kind.BODY, (1, 0, 1), 0)], [(1, 0, 2, 0)])
+    site = Site(grid)
+    executor, base = Executor(site), site.cars[0].base
+    start, _ = site.free_body_state(base)
+    site.data.qpos[base.qpos + 1] += way_m
+    away = []
+    for _ in range(200):
+        executor.advance()
+        away.append(float(np.linalg.norm(site.free_body_state(base)[0] - start)))
+    return away
+
+
+def test_a_car_that_crept_without_turning_its_wheels_goes_back():
+    away = _pushed_m(0.003)
+    assert min(away[:20]) > 2e-3, "it is not sure yet"
+    assert away[-1] < 6e-4
+
+
+def test_a_car_that_crept_by_less_than_it_can_be_sure_of_stays():
+    away = _pushed_m(0.0008)
+    assert max(away) - min(away) < 2e-4
+
+
 def test_a_car_on_the_flat_is_left_alone():
     site = Site(draw((1, 1, 2), cars=[(0, 0, 1, 0, Kind.BLOCK)]))
     executor = Executor(site)

@@ -1,16 +1,22 @@
 """A car that failed for a reason that may pass goes back and tries again, and says so."""
 
+import math
 from dataclasses import replace
 
 import pytest
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
-from craftsim.models.sensing import measure
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.sensing import CarMeasurement, measure
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import RecoveryGains, load_gains
-from craftsim.skills.outcome import Reason
+from craftsim.skills.library import BUILT_IN, Tries
+from craftsim.skills.outcome import Outcome, Reason
+from craftsim.skills.skill import SkillSetup
+from craftsim.skills.state import TASK
 
 FAST = load_gains("fast")
 CAREFUL = replace(FAST.uneven, max_tight_speed=0.3, max_tight_acceleration=0.8, shake_after=10.0)
@@ -84,3 +90,18 @@ def test_a_load_that_is_lost_on_the_way_is_not_tried_again(make_site):
 
     outcome = Executor(site, TWICE, hand).run({0: Action.MOVE_RIGHT})[0]
     assert (outcome.reason, outcome.tries) == (Reason.LOAD_LOST, 1)
+
+
+def test_a_turn_that_failed_is_undone_by_a_turn_and_not_by_a_jump():
+    setup = SkillSetup(NOMINAL.cars[0], NOMINAL, TWICE, 0.02)
+    middle = 0.5 * CELL_PITCH_M
+    tries = Tries(Action.ROTATE_LEFT, setup, BUILT_IN, (middle, middle, 0.0))
+    back, setup = tries.next(Outcome(Reason.TIMEOUT, 1.0))
+    now = CarMeasurement(
+        0.0, middle + 1e-3, middle, 0.0, math.pi / 2, 0.0, 0.0, (0.0,) * 4, 0.0, 0.0, None, None
+    )
+    task = records(1, TASK)[0]
+    back(setup, now, task)
+    quickest_s = math.sqrt(1.5 * math.pi / 2 / setup.gains.drive.max_turn_acceleration)
+    assert task["drive"]["profile"]["duration_s"] > quickest_s
+    assert task["drive"]["delta"].item() == pytest.approx((-1e-3, 0.0, -math.pi / 2))

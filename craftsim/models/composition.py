@@ -104,7 +104,7 @@ def machine_spec(kind: str, machines: Machines, number: int = 0, visual: bool = 
     """Return the spec of one of MACHINES on the floor, or of the floor alone; ``number`` is of the car."""
     spec = new_world(machines.contact, (0.0, 0.0, 0.05), (0.0, 0.0, 0.0), visual)
     spec.modelname = kind
-    configure(spec, replace(SimulationConfig.of(machines.drive), sleep=False))
+    configure(spec, replace(SimulationConfig.of(machines.drive), sleep=False), machines.drive)
     _add(spec, kind, "", Frame(), machines, number, visual)
     return spec
 

@@ -24,7 +24,7 @@ TOUCHES: Final = {
 }
 """What touches what: the bits (contype, conaffinity) of each kind of surface. Things are the floor and all that stands
 on it. Wheels, and the rollers of wheels, touch things; hulls touch things, other cars' hulls and guards; guards, the
-envelope of the wheels, stand in for wheels between cars. What is only seen touches nothing."""
+envelopes of wheels, stand in for wheels between cars. What is only seen touches nothing."""
 SOLID_GROUP, SEEN_GROUP = 3, 2
 """MuJoCo's viewer shows geoms of the second group, and not those of the first unless asked to."""
 CORNERS: Final = {"fl": (1, 1), "fr": (1, -1), "rl": (-1, 1), "rr": (-1, -1)}

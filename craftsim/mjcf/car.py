@@ -149,6 +149,17 @@ class _Building:
             mesh = add_mesh(self._spec, f"{self._prefix}{mesh}", meshes(self._car)[mesh])
             body.add_geom(seen, name=f"{self._prefix}{name}", meshname=mesh, rgba=rgba, **where)
 
+    def _add_guard(self, body: mujoco.MjsBody, corner: str, **where: Any) -> None:
+        car = self._car
+        guard = self._class(
+            "guard",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[*digits((car.wheel_radius_m, car.wheel_width_m / 2)), 0],
+            mass=0,
+            **touching("guards"),
+        )
+        body.add_geom(guard, name=f"{self._prefix}guard_{corner}", zaxis=[0, 1, 0], **where)
+
     def _places(self) -> Iterator[tuple[str, int, list[float]]]:
         """Yield of each wheel its corner, the side to which its rollers turn, and its place."""
         car = self._car
@@ -156,24 +167,13 @@ class _Building:
             yield corner, x * y, [x * car.wheel_x_m, y * car.wheel_y_m, car.wheel_radius_m]
 
     def add_chassis(self, body: mujoco.MjsBody, rgba: list[float]) -> None:
-        """Add hull and guard, both without mass, what a chassis of a colour looks like, and the camera in its nose."""
+        """Add the hull, without mass of its own, what a chassis of a colour looks like, and the camera in its nose."""
         car, prefix = self._car, self._prefix
         hull = add_hull(self._spec, f"{prefix}hull", _hull(car))
         body.add_geom(
             self._solid, name=f"{prefix}hull", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=hull, mass=0
         )
         axles = [0, 0, car.wheel_radius_m]
-        # One box about all four wheels: no other car comes between two wheels of a side, 20 mm apart.
-        around = car.wheel_x_m + car.wheel_radius_m, car.wheel_y_m + car.wheel_width_m / 2, car.wheel_radius_m
-        body.add_geom(
-            self._solid,
-            name=f"{prefix}guard",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=axles,
-            size=digits(around),
-            mass=0,
-            **touching("guards"),
-        )
         self._show(body, "chassis_visual", "chassis", rgba, pos=axles)
         self._show(body, "chassis_trim", "chassis_trim", [0.95, 0.95, 0.98, 1.0], pos=axles)
         if self._visual:
@@ -217,6 +217,7 @@ class _Building:
                 **dry,
             )
             self._show(wheel, f"hub_{corner}", "wheel_hub", _HUB_RGBA)
+            self._add_guard(wheel, corner)
             for number in range(car.rollers_per_wheel):
                 name = f"{prefix}roller_{corner}{number:02}"
                 spoke = wheel.add_frame(euler=[0, number * digits(math.tau / car.rollers_per_wheel), 0])
@@ -269,6 +270,7 @@ class _Building:
                     rgba=_BLACK,
                     **SEEN,
                 )
+            self._add_guard(body, corner, pos=place)
             body.add_geom(sphere, name=f"{prefix}wheel_{corner}", pos=place)
         # A twist of the car times its gear is the speed of a wheel that rolls without slip.
         on_car = {"target": f"{prefix}smartcar", "trntype": mujoco.mjtTrn.mjTRN_SITE}

@@ -54,8 +54,10 @@ def test_no_model_has_hidden_helpers(name):
     assert model.opt.disableflags == int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     assert not model.opt.wind.any()
     # Motors move joints; those of the reduced drive's wheels push the car itself.
-    assert (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT).all()
-    free = model.jnt_type[model.actuator_trnid[:, 0]] == mujoco.mjtJoint.mjJNT_FREE
+    free = [
+        kind == mujoco.mjtTrn.mjTRN_SITE or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        for kind, joint in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
+    ]
     pushing = [model.actuator(a).name for a in np.flatnonzero(free)]
     wheels = [f"{motor}_{wheel}" for motor in ("wheel", "gear") for wheel in ("fl", "fr", "rl", "rr")]
     assert {name.rpartition("/")[2] for name in pushing} == (set(wheels) if "reduced" in name else set())

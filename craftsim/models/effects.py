@@ -254,7 +254,8 @@ class TurnedMotors(StepEffect):
     """The motors of the reduced drive, which push their car in its own frame, as motors of its free joint.
 
     In MJCF they act on a site of the car, for which MuJoCo works out Jacobians in each step. A motor of the free joint
-    pushes along the axes of the world; turned with the car before each step, it does the same in a third less time.
+    pushes along the axes of the world; turned with the car before each step, it does the same without them
+    (tests/models/test_reduced.py).
     A gear in its backlash passes nothing on.
     """
 

@@ -245,13 +245,13 @@ class Motors:
 
     def drive(self, car: int, wheels: PerWheel) -> None:
         """Command the wheels of a car, in rad/s."""
-        told = np.array(wheels, dtype=float)
-        drive_wheels(told, self.speeds[car], self.share, self._wiring.cars[car], self._site.data.ctrl)
+        commanded = np.array(wheels, dtype=float)
+        drive_wheels(commanded, self.speeds[car], self.share, self._wiring.cars[car], self._site.data.ctrl)
 
 
 @compiled
 def drive_wheels(wheels: Floats, speeds: Floats, share: float, car: Record, ctrl: Floats) -> None:
-    """Command the wheels of a car whose servos have been told ``speeds``."""
+    """Command the wheels of a car whose servos are commanded ``speeds`` so far."""
     stopped = wheels[0] == 0.0 and wheels[1] == 0.0 and wheels[2] == 0.0 and wheels[3] == 0.0
     for wheel in range(4):
         if stopped or share == 1.0:

@@ -239,3 +239,30 @@ def test_randomization_draws_the_friction_of_gears_and_of_the_grip():
     pushes = {round(steepest_push(0.3), 3) for _ in range(4)}
     assert len(pushes) == 4, "each draw has a grip of its own"
     assert len({round(steepest_push(0.0), 3) for _ in range(2)}) == 1
+
+
+def test_motors_turned_with_the_car_push_as_those_of_its_own_frame():
+    """The stepped model's motors act on the free joint; MJCF's on a site of the car. MuJoCo itself is the reference."""
+    grid = Grid.empty((3, 3, 1), n_cars=2)
+    grid.cars[1, :2] = 2, 2
+    site = Site(grid, AWAKE, machines=REDUCED)
+    model, rng = site.world_spec.model(visual=False), np.random.default_rng(0)
+    assert mujoco.mjtTrn.mjTRN_SITE in model.actuator_trntype
+    assert mujoco.mjtTrn.mjTRN_SITE not in site.model.actuator_trntype
+    model.actuator_forcerange[:] = site.model.actuator_forcerange
+    data = mujoco.MjData(model)
+    for car in site.cars:
+        turn = rng.normal(size=4)
+        site.data.qpos[car.base.qpos + 3 : car.base.qpos + 7] = turn / np.linalg.norm(turn)
+        site.data.qvel[car.base.dof : car.base.dof + 6] = rng.normal(size=6)
+    site.data.ctrl[:] = rng.normal(size=model.nu)
+    for name in ("qpos", "qvel", "ctrl", "act"):
+        getattr(data, name)[:] = getattr(site.data, name)
+    for effect in site.effects:
+        if effect.each_step:
+            effect.after_step(site)
+    mujoco.mj_forward(model, data)
+    mujoco.mj_forward(site.model, site.data)
+    assert np.abs(data.qfrc_actuator).max() > 1.0
+    np.testing.assert_allclose(site.data.actuator_velocity, data.actuator_velocity, atol=1e-9)
+    np.testing.assert_allclose(site.data.qfrc_actuator, data.qfrc_actuator, atol=1e-9)

@@ -31,7 +31,7 @@ from .models.config import SimulationConfig as SimulationConfig
 from .models.randomization import DomainRandomization as DomainRandomization
 from .models.sensing import SensorNoise as SensorNoise
 from .models.sensing import Sensors as Sensors
-from .models.world import Site as Site
+from .models.world import PhysicsWorld as PhysicsWorld
 from .planning.planned import Planned as Planned
 from .planning.planner import plan as plan
 from .rendering.images import take_images as take_images

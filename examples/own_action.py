@@ -34,7 +34,7 @@ if __name__ == "__main__":
     grid = craftsim.Grid.empty((3, 2, 1), n_cars=1)
     print(RULES.explain(grid, 0, TURN_ABOUT))
 
-    attempt = craftsim.perform(craftsim.Site(grid), 0, TURN_ABOUT)
+    attempt = craftsim.perform(craftsim.PhysicsWorld(grid), 0, TURN_ABOUT)
     print(f"in physics: {attempt.result}, {attempt.duration_s:.2f} s")
     assert attempt.result == "as predicted"
 

@@ -13,11 +13,11 @@ grid = craftsim.Grid.empty((3, 2, 1), n_cars=2)
 grid.cars[1, 1] = 1  # the second car's y: it starts in the next row
 grid.derive_marks()
 
-site = craftsim.Site(grid, machines=machines)
-executor = craftsim.Executor(site)
+physics = craftsim.PhysicsWorld(grid, machines=machines)
+executor = craftsim.Executor(physics)
 outcomes = executor.run({0: Action.MOVE_RIGHT, 1: Action.MOVE_RIGHT})
 
 for car, outcome in outcomes.items():
-    torque = site.cars[car].parameters.wheel_torque_nm
+    torque = physics.cars[car].parameters.wheel_torque_nm
     print(f"car {car} with {torque:.1f} Nm a wheel: {outcome} after {outcome.duration_s:.2f} s")
 assert all(outcome.succeeded for outcome in outcomes.values())

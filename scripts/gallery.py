@@ -183,11 +183,11 @@ def _make_rule(flag: str, bundles: Sequence[Path]) -> None:
     recipe = Recipe(
         blueprint_text(smallest.grid), (Step.single(0, 0, smallest.action),), smallest.setup, seed
     )
-    checked, recorder = start(recipe), Recorder()
-    recorder.begin(checked)
-    attempts = do(checked, recipe.steps[0])
+    judge, recorder = start(recipe), Recorder()
+    recorder.begin(judge)
+    attempts = do(judge, recipe.steps[0])
     for _ in range(50):  # what follows: a second
-        checked.executor.advance()
+        judge.executor.advance()
     trajectory = recorder.trajectory(flag, recipe, attempts)
     render(trajectory, GALLERY / f"{flag}.webp", RULE_LOOK)
     world = world_text(smallest.grid).plain.rstrip()

@@ -55,7 +55,7 @@ def main() -> None:
     for drive in DRIVES:
         for preset in ("none", "workshop_floor"):
             judge = set_up(start, setup_of(preset, drive=drive), Seed((5,)))
-            Mecanum(judge.site.cars[0].parameters).body_twist(np.zeros(4))
+            Mecanum(judge.physics.cars[0].parameters).body_twist(np.zeros(4))
             for tick in read_plan(shipped_plan("strip"), start.n_cars).ticks[:2]:
                 judge.perform_tick(tick)
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from craftsim.models.parts import FreeBody
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor, Observer
 
 _PUSH_N: Final = 4.2
@@ -19,12 +19,12 @@ def push(block: int, by_m: float) -> Observer:
     """Return an observer that pushes a block along +x, from where it is first seen, until it is so far."""
     start: list[float] = []
 
-    def hand(site: Site) -> None:
-        body = site.blocks[block]
-        x = float(site.free_body_state(body)[0][0])
+    def hand(physics: PhysicsWorld) -> None:
+        body = physics.blocks[block]
+        x = float(physics.free_body_state(body)[0][0])
         if not start:
             start.append(x)
-        site.data.xfrc_applied[body.body, 0] = _PUSH_N if x < start[0] + by_m else 0.0
+        physics.data.xfrc_applied[body.body, 0] = _PUSH_N if x < start[0] + by_m else 0.0
 
     return hand
 
@@ -50,19 +50,19 @@ def twist(executor: Executor, body: FreeBody, way: Callable[[float], Sequence[fl
     ``way`` says by what rotation vector in radians it should be turned by so many seconds of simulated time, from how
     it is when it is first held; with None the hand lets go.
     """
-    site, before = executor.site, executor.step_observer
-    mass = float(site.model.body_subtreemass[body.body])
-    inertia = float(site.model.body_inertia[body.body].max()) + mass * 0.1**2
+    physics, before = executor.physics, executor.step_observer
+    mass = float(physics.model.body_subtreemass[body.body])
+    inertia = float(physics.model.body_inertia[body.body].max()) + mass * 0.1**2
     rate = 2 * math.pi * _HAND_HZ
     start: list[np.ndarray] = []
 
     def turn() -> None:
-        data = site.data
+        data = physics.data
         aim, torque = way(data.time), data.xfrc_applied[body.body, 3:]
         if aim is None:
             torque[:] = 0.0
             return
-        quaternion = site.free_body_state(body)[1]
+        quaternion = physics.free_body_state(body)[1]
         start.append(quaternion)
         (w0, *v0), (w, *v) = start[0], quaternion
         turned = 2 * (w0 * np.array(v) - w * np.array(v0) - np.cross(v, v0))

@@ -66,7 +66,7 @@ def test_links_are_found_and_code_is_not_taken_for_one(tmp_path, line, found):
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
+def physics(tmp_path_factory):
     """Build the site as 'make docs' does; a warning is an error."""
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", DOCS, folder]
@@ -75,12 +75,12 @@ def site(tmp_path_factory):
     return folder
 
 
-def test_every_page_is_built(site):
-    assert {path.stem for path in DOCS.glob("*.md")} <= {path.stem for path in site.glob("*.html")}
+def test_every_page_is_built(physics):
+    assert {path.stem for path in DOCS.glob("*.md")} <= {path.stem for path in physics.glob("*.html")}
 
 
-def test_the_reference_documents_every_public_name(site):
-    reference = (site / "api.html").read_text(encoding="utf-8")
+def test_the_reference_documents_every_public_name(physics):
+    reference = (physics / "api.html").read_text(encoding="utf-8")
     for name in set(craftsim.__all__) - {"__version__"}:
         assert f'id="craftsim.{name}"' in reference, name
         assert (getattr(craftsim, name).__doc__ or "").strip(), f"{name} has no docstring"

@@ -282,7 +282,7 @@ def test_what_functions_return_is_checked(free_names):
     with pytest.raises(InputError, match="'RENEW' was registered without a skill"):
         craftsim.parallel_env("strip", "physics", actions=("RENEW",))
     with pytest.raises(InputError, match="no skill performs NOD"):
-        craftsim.perform(craftsim.Site(grid), 0, nod)
+        craftsim.perform(craftsim.PhysicsWorld(grid), 0, nod)
     with pytest.raises(InputError, match="no registered action 'LIFT'; there are GET_LOST, ODD, RENEW, NOD"):
         craftsim.parallel_env("strip", "grid", actions=("LIFT",))
 

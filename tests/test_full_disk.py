@@ -17,7 +17,7 @@ from craftsim.errors import InputError
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.video import VideoWriter
 from craftsim.validation.statistics.durations import Duration, write_durations
 
@@ -76,8 +76,8 @@ def test_a_film_in_a_folder_that_is_not_there_is_our_error(tmp_path):
 
 
 def test_contacts_scenes_and_durations_are_whole_or_as_they_were(tmp_path):
-    site = Site(Grid.empty((2, 2, 1), n_cars=1))
-    log, row = ContactLog(site), Duration("LIFT", "none", 1, False, 2, 1.0, 1.0, 1.0, 1.0, 1.0)
+    physics = PhysicsWorld(Grid.empty((2, 2, 1), n_cars=1))
+    log, row = ContactLog(physics), Duration("LIFT", "none", 1, False, 2, 1.0, 1.0, 1.0, 1.0, 1.0)
     folder = tmp_path / "scene"
     scene = WorldSpec(Grid.empty((2, 2, 1), n_cars=1), SimulationConfig()).spec()
     writers = {

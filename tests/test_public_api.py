@@ -12,10 +12,10 @@ PUBLIC = sorted(set(craftsim.__all__) - {"__version__"})
 
 STABLE = """
     Action Attempt BlockParameters Blueprint Command DomainRandomization Executor Gains Grid Kind LiveView Machines
-    Mecanum Plan Planned Reason Rules SensorNoise Sensors SimulationConfig Site Skill SlopeParameters SmartcarParameters
-    Task Trajectory Validation designs_task env load_gains load_machines load_policy make_task parallel_env perform plan
-    random_task read_blueprint read_plan register_action register_task take_images validate vector_env view
-    write_blueprint write_plan
+    Mecanum PhysicsWorld Plan Planned Reason Rules SensorNoise Sensors SimulationConfig Skill SlopeParameters
+    SmartcarParameters Task Trajectory Validation designs_task env load_gains load_machines load_policy make_task
+    parallel_env perform plan random_task read_blueprint read_plan register_action register_task take_images
+    validate vector_env view write_blueprint write_plan
 """
 """What tools outside the repository may use; a name goes only with a new minor version."""
 
@@ -70,10 +70,15 @@ def trained(tmp_path_factory):
 
 
 def test_results_show_themselves_in_a_notebook():
-    site = craftsim.Site(craftsim.Grid.empty((2, 1, 1), n_cars=1))
-    attempt = craftsim.perform(site, 0, "MOVE_RIGHT")
+    physics = craftsim.PhysicsWorld(craftsim.Grid.empty((2, 1, 1), n_cars=1))
+    attempt = craftsim.perform(physics, 0, "MOVE_RIGHT")
     assert "as predicted" in attempt._repr_html_()
     assert attempt.to_frame().shape[0] == 1
     result = craftsim.validate("strip")
     assert "Validation(1 of 1 runs agree" in result._repr_html_()
     assert result.attempts[0].agrees
+
+
+def test_a_renamed_name_works_with_a_warning():
+    with pytest.warns(DeprecationWarning, match=r"craftsim\.Site is called craftsim\.PhysicsWorld now"):
+        assert craftsim.Site is craftsim.PhysicsWorld

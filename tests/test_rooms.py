@@ -145,7 +145,7 @@ def _calls(path: Path) -> set[str]:
 
 def test_a_world_in_physics_is_set_up_in_one_place():
     joined = [path for path in FILES if {"Executor", "Sensors"} <= _calls(path)]
-    judging = [path for path in FILES if "CheckedSite" in _calls(path)]
+    judging = [path for path in FILES if "Judge" in _calls(path)]
     assert joined == judging == [PACKAGE / "checking" / "setup.py"]
 
 
@@ -157,7 +157,7 @@ def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
                 places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
     assert places["Attempt"] == places["Verdict"] == places["verdict_of"] == ["checking/attempt.py"]
     assert places["Episode"] == ["checking/episode.py"]
-    assert places["CheckedSite"] == ["checking/judge.py"]
+    assert places["Judge"] == ["checking/judge.py"]
     gone = {"ActionRecord", "CheckedRun", "ScheduledRun", "StepRecord", "JointStep", "CarStep", "JointSite"}
     gone |= {"EpisodeRecord", "JobRecord", "JobResult", "TrialSettings", "Evidence", "Finding"}
     assert not gone & set(places)
@@ -198,7 +198,7 @@ def test_an_import_against_the_arrows_is_found(module, source):
     [
         (
             "craftsim.skills.move",
-            "from craftsim.models.world import Site\nfrom craftsim.discrete import grid",
+            "from craftsim.models.world import PhysicsWorld\nfrom craftsim.discrete import grid",
         ),
         ("craftsim.models.world", "import mujoco\nfrom .parameters import Car"),
         ("craftsim.report", "from craftsim.errors import InputError"),

@@ -18,10 +18,10 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 ACTION = """
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.grid import Grid
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 
-outcomes = Executor(Site(Grid.empty((2, 1, 1), n_cars=1))).run({0: Action.MOVE_RIGHT})
+outcomes = Executor(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1))).run({0: Action.MOVE_RIGHT})
 assert outcomes[0].succeeded, outcomes
 
 import craftsim
@@ -76,11 +76,11 @@ def _environment(venv):
     """Make an environment that borrows the dependencies of this one; return its Python and its folder of packages."""
     _run(sys.executable, "-m", "venv", "--without-pip", venv)
     python = venv / "bin" / "python"
-    site = Path(_run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+    physics = Path(_run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
     # Folders named in a .pth file come last, and their own .pth files, an editable craftsim, are not read.
     paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
-    (site / "dependencies.pth").write_text("".join(f"{path}\n" for path in sorted(paths)))
-    return python, site
+    (physics / "dependencies.pth").write_text("".join(f"{path}\n" for path in sorted(paths)))
+    return python, physics
 
 
 @pytest.fixture
@@ -126,10 +126,10 @@ def test_a_car_moves_in_physics(run, installed):
 
 @pytest.mark.parametrize("options", [["--editable"], []], ids=["editable", "copy"])
 def test_it_works_where_an_older_copy_left_cache_files_behind(source, tmp_path, options):
-    python, site = _environment(tmp_path / "venv")
+    python, physics = _environment(tmp_path / "venv")
     # Files that pip did not install survive "pip uninstall" and what "pip install" does before it installs.
-    (site / "craftsim" / "discrete" / "__pycache__").mkdir(parents=True)
-    (site / "craftsim" / "discrete" / "__pycache__" / "grid.legal-1.py311.nbi").touch()
+    (physics / "craftsim" / "discrete" / "__pycache__").mkdir(parents=True)
+    (physics / "craftsim" / "discrete" / "__pycache__" / "grid.legal-1.py311.nbi").touch()
     _run(
         *PIP,
         "--python",
@@ -143,4 +143,4 @@ def test_it_works_where_an_older_copy_left_cache_files_behind(source, tmp_path, 
     )
     assert _run(python.with_name("craftsim"), "--version", cwd=tmp_path) == f"craftsim {VERSION}\n"
     place = _run(python, "-c", "import craftsim; print(craftsim.__file__)", cwd=tmp_path).strip()
-    assert Path(place).is_relative_to(source if options else site)
+    assert Path(place).is_relative_to(source if options else physics)

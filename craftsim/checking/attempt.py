@@ -74,8 +74,8 @@ class Attempt:
 
     Example:
         >>> import craftsim
-        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
-        >>> attempt = craftsim.perform(site, 0, "LIFT")
+        >>> physics = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> attempt = craftsim.perform(physics, 0, "LIFT")
         >>> attempt.result, attempt.performed
         ('failed', False)
         >>> list(attempt.to_frame()["reason"])
@@ -267,7 +267,7 @@ class Watched:
     step: ScheduledAction
     start_s: float
     capped_steps: int
-    """Of the Site until the start; at the end, of the action."""
+    """Of the PhysicsWorld until the start; at the end, of the action."""
     poses: Floats
     """(n, 7) of cars and objects; of what has been moved by an action that ended meanwhile, where that left it."""
     reading: Reading

@@ -26,7 +26,7 @@ from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
 from craftsim.mjcf.parameters import NOMINAL, ContactParameters, Machines
 from craftsim.models.measuring import Floats
 from craftsim.models.overlaps import GROUND, WALL
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.state import GRAVITY
 from craftsim.storage.writing import whole
 
@@ -82,15 +82,15 @@ class Contact(NamedTuple):
 
 
 class ContactLog:
-    """Contacts between the machines of a Site, and their motion, from :meth:`begin` on.
+    """Contacts between the machines of a PhysicsWorld, and their motion, from :meth:`begin` on.
 
     Contacts inside one machine, such as of a slope's flap with its base, are left out.
     """
 
-    def __init__(self, site: Site, force: float = 1.0) -> None:
-        """Prepare for a Site, and begin; ``force`` is the share of :func:`impact_limit_n` that is no blow yet."""
-        self.site = site
-        machines, model = site.machine_names, site.model
+    def __init__(self, physics: PhysicsWorld, force: float = 1.0) -> None:
+        """Prepare for a world, and begin; ``force`` is the share of :func:`impact_limit_n` that is no blow yet."""
+        self.physics = physics
+        machines, model = physics.machine_names, physics.model
         self.names, self._machine = machines.names, machines.of_geom
         """Of all machines: what is fixed first, then those that move in the order of their bodies."""
         self._place = {name: at for at, name in enumerate(self.names)}
@@ -101,7 +101,7 @@ class ContactLog:
         self._motion["qpos"], self._motion["qvel"] = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         self._worst = records(1, WORST)
         self._worst["n_machines"] = len(self.names)
-        self._worst["limit_n"] = self.limit_n = force * impact_limit_n(site.machines)
+        self._worst["limit_n"] = self.limit_n = force * impact_limit_n(physics.machines)
         """What counts as a blow."""
         self.period_n = 0.0
         """The largest force between any two machines in the last control period."""
@@ -114,35 +114,35 @@ class ContactLog:
         for name, nothing in (("hardest_n", 0.0), ("recent_n", 0.0), ("down_m_s", 0.0), ("upright", 1.0)):
             self._worst[name] = nothing
         self._pairs["since_s"], self._pairs["peak_n"] = math.inf, 0.0
-        self._all_begun_s = self._begun_s = self.site.data.time
-        self._awake = self.site.awake_copy()
+        self._all_begun_s = self._begun_s = self.physics.data.time
+        self._awake = self.physics.awake_copy()
         self._note(self._awake)
         self._looked_s = math.nan
         self._at_start = np.isfinite(self._pairs["since_s"])
 
     def begin_with(self, machines: Collection[str]) -> None:
         """Forget what these touched, and note what they touch now: an action with them begins while others run."""
-        if self._all_begun_s == self.site.data.time:
+        if self._all_begun_s == self.physics.data.time:
             return
         n = len(self.names)
         rows = [self._place[name] for name in machines]
         own = np.zeros((n, n), np.bool_)
         own[rows], own[:, rows] = True, True
         self._pairs["since_s"][own.ravel()], self._pairs["peak_n"][own.ravel()] = math.inf, 0.0
-        if self._begun_s != self.site.data.time:
-            self._begun_s, self._awake = self.site.data.time, self.site.awake_copy()
+        if self._begun_s != self.physics.data.time:
+            self._begun_s, self._awake = self.physics.data.time, self.physics.awake_copy()
         self._note(self._awake)
         self._at_start[own.ravel()] = np.isfinite(self._pairs["since_s"][own.ravel()])
 
     def look(self) -> None:
         """Note what touches and how hard; call it after each physics step, such as by being an executor's observer."""
-        data = self.site.data
+        data = self.physics.data
         self._looked_s = data.time
         self._note(data)
 
-    def sample(self, _: Site | None = None) -> None:
+    def sample(self, _: PhysicsWorld | None = None) -> None:
         """Note contacts and motion; call it after each control period, such as by being an executor's observer."""
-        data = self.site.data
+        data = self.physics.data
         if self._looked_s != data.time:
             self.look()
         self._all_begun_s = self._begun_s = math.nan
@@ -264,20 +264,20 @@ class ContactLog:
                 self._impossible[pair] = force, possible
 
     def _weigh(self) -> None:
-        """Take masses and motors of the Site as they are drawn."""
-        site, model = self.site, self.site.model
+        """Take masses and motors of the PhysicsWorld as they are drawn."""
+        physics, model = self.physics, self.physics.model
         self._mass = model.body_subtreemass[self._roots]
         self._dof = model.body_dofadr[self._roots].astype(np.intp)
         self._tree = model.dof_treeid[self._dof]
         at_tree = {int(tree): i for i, tree in enumerate(self._tree)}
         self._rest = GRAVITY * self._mass
         limit = model.actuator_forcerange[:, 1]
-        for car in site.cars:
+        for car in physics.cars:
             wheels = limit[car.wheel_actuators].sum() / car.parameters.wheel_radius_m
             self._rest[at_tree[car.base.tree]] += wheels + limit[car.board.actuator]
-        for slope in site.slopes:
+        for slope in physics.slopes:
             self._rest[at_tree[slope.base.tree]] += (
-                limit[slope.hinge.actuator] / site.machines.slope.gear_radius_m
+                limit[slope.hinge.actuator] / physics.machines.slope.gear_radius_m
             )
 
     def _possible_n(self, machines: Sequence[int]) -> float:
@@ -288,14 +288,14 @@ class ContactLog:
         has its momentum to lose, and loses it over one physics step at least: m v / h, times :func:`stopping_ratio`. A
         solver that has not converged knows none of these limits, and forces above are its doing.
         """
-        data, step = self.site.data, self.site.config.timestep_s
+        data, step = self.physics.data, self.physics.config.timestep_s
         islands = data.tree_island[self._tree]
         touching = np.isin(islands, islands[list(machines)])
         dofs = self._dof[touching, None] + np.arange(6)
         speed = data.qvel[dofs] - step * data.qacc[dofs]  # before the step
         motion = np.linalg.norm(speed[:, :3], axis=1) + _REACH_M * np.linalg.norm(speed[:, 3:], axis=1)
         rest, momentum = self._rest[touching].sum(), (self._mass[touching] * motion).sum()
-        return float(2 * rest + stopping_ratio(self.site.machines.contact, step) / step * momentum)
+        return float(2 * rest + stopping_ratio(self.physics.machines.contact, step) / step * momentum)
 
 
 @lru_cache(maxsize=16)

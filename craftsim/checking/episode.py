@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from craftsim.checking.attempt import Attempt, Thresholds
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import SEED_0, Seed, Setup, judge_on, nominal_gains, set_up
 from craftsim.discrete.actions import action_names
 from craftsim.discrete.files.blueprint import Blueprint, blueprint_text, parse_blueprint
@@ -26,7 +26,7 @@ from craftsim.discrete.schedule import Concurrency, Constraints
 from craftsim.errors import InputError, suggestion
 from craftsim.models.extent import check_extent
 from craftsim.models.sensing import Sensors
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.gains import Gains
 from craftsim.skills.library import SkillChoice, own_skills
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
@@ -145,15 +145,15 @@ def _blueprint(text: str) -> Blueprint:
     return parse_blueprint(text, "world of a recipe")
 
 
-def run_up(recipe: Recipe, reuse: Site | None = None) -> CheckedSite:
+def run_up(recipe: Recipe, reuse: PhysicsWorld | None = None) -> Judge:
     """Return the world of a recipe before its last step; ``reuse`` as of :func:`set_up`."""
-    checked = start(recipe, reuse)
+    judge = start(recipe, reuse)
     for step in recipe.steps[:-1]:
-        do(checked, step)
-    return checked
+        do(judge, step)
+    return judge
 
 
-def start(recipe: Recipe, reuse: Site | None = None) -> CheckedSite:
+def start(recipe: Recipe, reuse: PhysicsWorld | None = None) -> Judge:
     """Return the world of a recipe before its first step; ``reuse`` as of :func:`set_up`.
 
     Raises InputError where something in the recipe does not fit together.
@@ -179,21 +179,21 @@ def check_recipe(recipe: Recipe) -> Grid:
     return grid
 
 
-def do(checked: CheckedSite, step: Step) -> tuple[Attempt, ...]:
+def do(judge: Judge, step: Step) -> tuple[Attempt, ...]:
     """Do one step and return an attempt for each of its actions."""
     if step.order is None:
         act = step.acts[0]
-        return (checked.perform(act.car, Action[act.action], step.intended_grid, step.number),)
+        return (judge.perform(act.car, Action[act.action], step.intended_grid, step.number),)
     ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
     after: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for later, earlier in step.after:
         after.setdefault(later, []).append(earlier)
-    attempts = checked.perform_plan(ticks, step.order, after)
+    attempts = judge.perform_plan(ticks, step.order, after)
     return tuple(replace(attempt, tick=attempt.tick + step.number) for attempt in attempts)
 
 
 def perform(
-    site: Site,
+    physics: PhysicsWorld,
     car: int,
     action: Action | str,
     *,
@@ -203,13 +203,13 @@ def perform(
     thresholds: Thresholds | None = None,
     skills: SkillChoice | None = None,
 ) -> Attempt:
-    """Let one car perform one action on a Site, and judge it on the poses that it ends with.
+    """Let one car perform one action on a PhysicsWorld, and judge it on the poses that it ends with.
 
-    The Site goes on from where it stands, so that calls can follow each other. What the rules forbid is not performed;
+    The world goes on from where it stands, so that calls can follow each other. What the rules forbid is not performed;
     the attempt then says why.
 
     Args:
-        site: the world.
+        physics: the world.
         car: number of the car that acts.
         action: what it does, or its name.
         rules: the rule set that predicts.
@@ -219,23 +219,23 @@ def perform(
         skills: of your own in place of built-in ones, as :class:`craftsim.Executor` takes them.
 
     Raises:
-        InputError: there is no such car or action, or something stood in something else at the Site's start.
+        InputError: there is no such car or action, or something stood in something else at the PhysicsWorld's start.
 
     Example:
         >>> import craftsim
-        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
-        >>> attempt = craftsim.perform(site, 0, "MOVE_RIGHT")
+        >>> physics = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> attempt = craftsim.perform(physics, 0, "MOVE_RIGHT")
         >>> attempt.agrees, attempt.read
         (True, '1,0,1 +x')
     """
-    if not 0 <= car < len(site.cars):
-        raise InputError(f"there is no car {car}: the world has {len(site.cars)}, counted from 0")
+    if not 0 <= car < len(physics.cars):
+        raise InputError(f"there is no car {car}: the world has {len(physics.cars)}, counted from 0")
     if isinstance(action, str):
         action = Action[Act(car, action).action]
     setup = Setup(
         rules, thresholds or Thresholds(), gains=gains or nominal_gains(), skills=own_skills(skills)
     )
-    return judge_on(site, setup, sensors).perform(car, action)
+    return judge_on(physics, setup, sensors).perform(car, action)
 
 
 @dataclass(frozen=True)
@@ -302,11 +302,11 @@ class Episode:
 
 OnAttempts = Callable[[tuple[Attempt, ...]], None]
 """Called after each step of an episode."""
-Watch = Callable[[CheckedSite], OnAttempts]
+Watch = Callable[[Judge], OnAttempts]
 """Looks on while an episode runs: called with the world at its start, and returns what is called after each step."""
 
 
-def unwatched(checked: CheckedSite) -> OnAttempts:
+def unwatched(judge: Judge) -> OnAttempts:
     """Look at nothing."""
     return lambda attempts: None
 
@@ -315,22 +315,22 @@ class OverrunError(InputError):
     """What was begun takes more simulated time than it was given."""
 
 
-def limit_time(checked: CheckedSite, most_s: float, what: str) -> Callable[[], float]:
+def limit_time(judge: Judge, most_s: float, what: str) -> Callable[[], float]:
     """Give whatever is done next in a world so much simulated time, all together; return what says how much has passed.
 
     What takes longer ends with OverrunError, which calls it ``what``. Control periods are counted, for the simulation's
     clock starts over when the simulation breaks down.
     """
-    n_periods, period_s = 0, checked.site.config.control_period_s
+    n_periods, period_s = 0, judge.physics.config.control_period_s
 
     def passed_s() -> float:
         return n_periods * period_s
 
-    def count(site: Site) -> None:
+    def count(physics: PhysicsWorld) -> None:
         nonlocal n_periods
         n_periods += 1
         if passed_s() > most_s:
             raise OverrunError(f"{what} has not come to its end after {most_s:.4g} s of simulated time")
 
-    checked.executor.observers.append(count)
+    judge.executor.observers.append(count)
     return passed_s

@@ -1,4 +1,4 @@
-"""A Site whose every action is predicted by the rules, performed by skills, read from poses, and judged."""
+"""A PhysicsWorld whose every action is predicted by the rules, performed by skills, read from poses, and judged."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.measuring import Floats, PoseReader
 from craftsim.models.placement import lift_m
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
@@ -57,8 +57,8 @@ _BYSTANDERS: Final = [one.field for one in BOUNDED_ERRORS if one.of_bystanders]
 """Errors of what an action does not concern; the last two are those of the reading."""
 
 
-class CheckedSite:
-    """The one judge: performs actions on a Site and returns an :class:`Attempt` for each.
+class Judge:
+    """The one judge: performs actions on a PhysicsWorld and returns an :class:`Attempt` for each.
 
     Everything ends as soon as something unsafe happens: all motors stop, and the world is read as it is then. Each
     prediction starts from what was read last.
@@ -74,29 +74,29 @@ class CheckedSite:
         """Read the start from poses.
 
         Args:
-            executor: moves the cars; nothing else may command its Site.
+            executor: moves the cars; nothing else may command its PhysicsWorld.
             rules: predict.
             thresholds: limits of the errors; the default ones unless given.
             watch_contacts: False saves the contact log, 3 % of the time; then nothing is found to be unsafe.
         """
-        self.executor, self.site, self.rules = executor, executor.site, rules
+        self.executor, self.physics, self.rules = executor, executor.physics, rules
         self.thresholds = thresholds or Thresholds()
         self.on_change: OnChange = lambda running: None
-        self.log = ContactLog(self.site, self.thresholds.force) if watch_contacts else None
+        self.log = ContactLog(self.physics, self.thresholds.force) if watch_contacts else None
         """Since an action last began while no other ran; of a car and its things since its own last action began."""
         if self.log is not None:
             executor.observers.append(self.log.sample)
             executor.step_observer = self.log.look
             # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
             executor.guard = self.log.is_unsafe
-        self._poses = PoseReader(self.site)
-        self._drift = Drift(self.site, self._poses.places)
+        self._poses = PoseReader(self.physics)
+        self._drift = Drift(self.physics, self._poses.places)
         executor.observers.append(self._drift.look)
-        if self.site.uneven:
+        if self.physics.uneven:
             drift = self._drift
             executor.observers.append(lambda _: drift.stray(executor.paths()))
         self._look()
-        n_cars = len(self.site.cars)
+        n_cars = len(self.physics.cars)
         self._names = [
             *(f"car {car}" for car in range(n_cars)),
             *map(self.poses.name, range(len(self.poses.kinds))),
@@ -113,7 +113,7 @@ class CheckedSite:
     @property
     def problems(self) -> tuple[str, ...]:
         """Why the world cannot be read as a grid any more; empty when it can."""
-        broken = ("the simulation broke down",) if self.site.diverged else ()
+        broken = ("the simulation broke down",) if self.physics.diverged else ()
         return (*broken, *self.reading.problems)
 
     def perform(self, car: int, action: Action, intended: Grid | None = None, tick: int = 0) -> Attempt:
@@ -148,7 +148,7 @@ class CheckedSite:
         return self._perform(schedule, halts=order == "until-wrong")
 
     def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
-        before, steps, capped = self.grid, schedule.steps, self.site.capped_steps
+        before, steps, capped = self.grid, schedule.steps, self.physics.capped_steps
         waiting = dict(enumerate(steps))
         running: dict[int, Watched] = {}
         found: list[Watched] = []
@@ -174,7 +174,7 @@ class CheckedSite:
             over = [running.pop(car) for car in ended]
             swaying = {index for one in running.values() for index in one.below}
             # What swayed under a car has its place again once that has come to its end.
-            self._drift.settle([len(self.site.cars) + index for one in over for index in one.below])
+            self._drift.settle([len(self.physics.cars) + index for one in over for index in one.below])
             for one in over:
                 one.legal = legal
                 self._measure(one, ended[one.step.car], acting, swaying)
@@ -201,7 +201,7 @@ class CheckedSite:
         return ended
 
     def _begin(self, index: int, step: ScheduledAction, running: dict[int, Watched]) -> Watched:
-        if running and self._looked_s != self.site.time_s:
+        if running and self._looked_s != self.physics.time_s:
             self._look()
         one = self._now(step, index)
         for other in running.values():
@@ -216,11 +216,11 @@ class CheckedSite:
         return one
 
     def _now(self, step: ScheduledAction, index: int = -1) -> Watched:
-        about, site = handled(self.reading, step.after, step.car), self.site
+        about, physics = handled(self.reading, step.after, step.car), self.physics
         names = self._names
         return Watched(
-            *(index, step, site.time_s, site.capped_steps, self._rows.copy(), self.reading, about),
-            (names[step.car], *(names[len(site.cars) + index] for index in about)),
+            *(index, step, physics.time_s, physics.capped_steps, self._rows.copy(), self.reading, about),
+            (names[step.car], *(names[len(physics.cars) + index] for index in about)),
             *(set(under(self.reading, step.after, step.car)), {step.car}, set(about)),
         )
 
@@ -233,20 +233,20 @@ class CheckedSite:
 
     def _expect_rest(self, one: Watched, ended: Watched) -> None:
         """From here on hold it against an action if what one that has ended was about moves."""
-        rows = [ended.step.car, *(len(self.site.cars) + index for index in ended.about)]
+        rows = [ended.step.car, *(len(self.physics.cars) + index for index in ended.about)]
         one.poses[rows] = self._rows[rows]
         one.meant.difference_update(ended.about)
 
     def _look(self) -> None:
-        self._looked_s = self.site.time_s
+        self._looked_s = self.physics.time_s
         last = getattr(self, "reading", None)
         self.poses: Poses = self._poses.read()
         self._rows = self._drift.poses()
-        self.reading: Reading = read_grid(self.poses, self.site.size, self.site.walls, last)
+        self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls, last)
 
     def _settle(self) -> bool:
         """Wait for what still moves, unless it is unsafe, and return whether it has come to rest."""
-        for _ in range(round(SETTLE_S / self.site.config.control_period_s)):
+        for _ in range(round(SETTLE_S / self.physics.config.control_period_s)):
             if self._drift.speed_m_s() <= SETTLED_M_S or (self.log is not None and self.log.is_unsafe()):
                 return True
             self.executor.advance()
@@ -257,7 +257,7 @@ class CheckedSite:
 
         The latter has been reported, and is held against no later action again.
         """
-        n_cars, limits = len(self.site.cars), self.thresholds
+        n_cars, limits = len(self.physics.cars), self.thresholds
         drifted = (self._drift.furthest > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
         left = set(np.flatnonzero(drifted).tolist()) - {n_cars + index for index in swaying}
         left.update(one.step.car for one in over)
@@ -293,10 +293,10 @@ class CheckedSite:
             "reach_m": max((thing.reach_m for thing in things), default=None),
             **others,
         }
-        one.strayed_m = self._drift.strayed_m(car) if self.site.uneven else None
-        one.capped_steps = self.site.capped_steps - one.capped_steps
+        one.strayed_m = self._drift.strayed_m(car) if self.physics.uneven else None
+        one.capped_steps = self.physics.capped_steps - one.capped_steps
         if log is not None:
-            names = self._names[len(self.site.cars) :]
+            names = self._names[len(self.physics.cars) :]
             one.contacts = unexpected_contacts(log.news(one.own), names, one.reading, step.after, one.cars)
             one.hazards, one.peak_force_n = log.hazards(), log.peak_n
 
@@ -305,7 +305,7 @@ class CheckedSite:
         thing = self.reading.objects[index]
         if thing.carrier is None:
             return thing.height_m
-        machines = self.site.machines
+        machines = self.physics.machines
         return thing.height_m - lift_m(self.poses.kinds[index], machines.car(thing.carrier), machines)
 
     def _bystanders(
@@ -315,7 +315,7 @@ class CheckedSite:
 
         What sways under a car that still drives is not looked at now, but held against that car's action at its end.
         """
-        n_cars = len(self.site.cars)
+        n_cars = len(self.physics.cars)
         excused = np.zeros(len(self._rows), np.bool_)
         excused[list(acting)] = True
         excused[[n_cars + index for index in one.meant | swaying]] = True
@@ -333,9 +333,9 @@ class CheckedSite:
     def _world_cause(self, before: Grid, predicted: Grid, settled: bool, capped: int) -> Cause:
         """Compare the reading with the prediction; what is worse than a difference comes first.
 
-        ``capped`` counts the steps of the Site in which the solver had given up before.
+        ``capped`` counts the steps of the PhysicsWorld in which the solver had given up before.
         """
-        if self.site.diverged:
+        if self.physics.diverged:
             return "diverged", ("the simulation broke down and started over",)
         cause = compare(before, predicted, self.reading)
         hazards = () if self.log is None else tuple(text for _, text in self.log.hazards())
@@ -345,7 +345,7 @@ class CheckedSite:
             moving = f"something still moves with {self._drift.speed_m_s() * 1e3:.0f} mm/s"
             cause = "unsettled", (moving, *cause[1])
         impossible = () if self.log is None else self.log.impossible
-        if cause[0] != "agrees" and (gave_up := self.site.capped_steps - capped):
+        if cause[0] != "agrees" and (gave_up := self.physics.capped_steps - capped):
             impossible = (capped_text(gave_up), *impossible)
         return ("numerics", (*impossible, *cause[1])) if impossible else cause
 
@@ -376,16 +376,16 @@ class Drift:
     well: it is looked at after each control period.
     """
 
-    def __init__(self, site: Site, places: NDArray[np.intp]) -> None:
+    def __init__(self, physics: PhysicsWorld, places: NDArray[np.intp]) -> None:
         """Take the places where everything is now; ``places`` says where their poses, (n, 7), lie in qpos."""
-        self._qpos, self._qvel = site.data.qpos, site.data.qvel
+        self._qpos, self._qvel = physics.data.qpos, physics.data.qvel
         self._places, self._starts = places, places[:, 0].copy()
-        joints = [int(np.flatnonzero(site.model.jnt_qposadr == start)[0]) for start in self._starts]
-        self._speeds = site.model.jnt_dofadr[joints].astype(np.intp)[:, None] + np.arange(3)
+        joints = [int(np.flatnonzero(physics.model.jnt_qposadr == start)[0]) for start in self._starts]
+        self._speeds = physics.model.jnt_dofadr[joints].astype(np.intp)[:, None] + np.arange(3)
         self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
         """By how many metres, and by what angle in radians, each has been away from its place at most: that of the
         one rotation that leads there."""
-        n_cars = len(site.cars)
+        n_cars = len(physics.cars)
         self._strayed, self._path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
         self.leave(range(len(places)))
 
@@ -411,7 +411,7 @@ class Drift:
         self.furthest[machines] = 0.0
         self.look()
 
-    def look(self, _: Site | None = None) -> None:
+    def look(self, _: PhysicsWorld | None = None) -> None:
         """Note how far everything is from its place; call it after each control period."""
         _note_away(self._qpos, self._starts, self._left, self.furthest)
 

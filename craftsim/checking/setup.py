@@ -13,7 +13,7 @@ from typing import Final, Literal, cast
 import numpy as np
 
 from craftsim.checking.attempt import Thresholds
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules, RuleSet
@@ -25,7 +25,7 @@ from craftsim.models.measuring import Motors
 from craftsim.models.overlaps import ALLOWED_M
 from craftsim.models.randomization import NONE, DomainRandomization, load_noise, load_randomization, randomize
 from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise, Sensors
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.disturbances import Disturbance, DisturbedFleet
 from craftsim.skills.executor import Executor
 from craftsim.skills.fleet import Fleet
@@ -259,14 +259,14 @@ class Seed:
 
 
 SEED_0: Final = Seed((0,))
-SetUp = Callable[[Grid, Setup, Seed, Sequence[Cell]], CheckedSite]
+SetUp = Callable[[Grid, Setup, Seed, Sequence[Cell]], Judge]
 """Sets up a world from its start, its configuration, its seed and the cells to mark, as :func:`set_up` does."""
 
 
-def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> Site:
+def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> PhysicsWorld:
     """Return the compiled world of a grid, to be set up again and again; it stands nowhere yet."""
     floor = setup.randomization.floor
-    return Site(grid, setup.simulation, goals, reset=False, machines=setup.machines, floor=floor)
+    return PhysicsWorld(grid, setup.simulation, goals, reset=False, machines=setup.machines, floor=floor)
 
 
 def set_up(
@@ -274,9 +274,9 @@ def set_up(
     setup: Setup,
     seed: Seed = SEED_0,
     goals: Sequence[Cell] = (),
-    reuse: Site | None = None,
+    reuse: PhysicsWorld | None = None,
     watch_contacts: bool = True,
-) -> CheckedSite:
+) -> Judge:
     """Return a world in physics, ready for actions.
 
     Args:
@@ -284,50 +284,50 @@ def set_up(
         setup: everything that is configured.
         seed: decides the physics and the noise that are drawn.
         goals: cells to mark.
-        reuse: a Site of an equal grid, simulation, floor and goals to be used again, which saves compiling; its
+        reuse: a PhysicsWorld of an equal grid, simulation, floor and goals to be used again, which saves compiling; its
             numbers are the same as those of a fresh one.
-        watch_contacts: as of :class:`CheckedSite`.
+        watch_contacts: as of :class:`Judge`.
 
     Raises StartError where something would stand in something else.
     """
-    physics, sensors, hits = (np.random.default_rng(s) for s in seed.sequence().spawn(3))
-    site = reuse or compile_world(grid, setup, goals)
+    drawn, sensors, hits = (np.random.default_rng(s) for s in seed.sequence().spawn(3))
+    physics = reuse or compile_world(grid, setup, goals)
     if setup.randomization.nominal:
-        site.reset_compiled()
+        physics.reset_compiled()
     else:
-        randomize(site, setup.randomization, physics)
-    measured = Sensors(site, setup.randomization.sensors, sensors)
+        randomize(physics, setup.randomization, drawn)
+    measured = Sensors(physics, setup.randomization.sensors, sensors)
     fleet = None
     if setup.disturbance is not None:
-        motors = Motors(site, setup.randomization.sensors.motor_lag_s)
-        fleet = DisturbedFleet(site, measured, motors, setup.disturbance, hits)
-    return judge_on(site, setup, measured, watch_contacts, fleet)
+        motors = Motors(physics, setup.randomization.sensors.motor_lag_s)
+        fleet = DisturbedFleet(physics, measured, motors, setup.disturbance, hits)
+    return judge_on(physics, setup, measured, watch_contacts, fleet)
 
 
-def check_start(site: Site) -> None:
-    """Raise StartError where something stood in something else when a Site was reset."""
-    if site.overlaps:
+def check_start(physics: PhysicsWorld) -> None:
+    """Raise StartError where something stood in something else when a PhysicsWorld was reset."""
+    if physics.overlaps:
         raise StartError(
-            f"this world cannot be: {'; '.join(map(str, site.overlaps))} (allowed {1e3 * ALLOWED_M:.0f} mm); "
+            f"this world cannot be: {'; '.join(map(str, physics.overlaps))} (allowed {1e3 * ALLOWED_M:.0f} mm); "
             "move or turn one of them, or unload the car"
         )
 
 
 def judge_on(
-    site: Site,
+    physics: PhysicsWorld,
     setup: Setup,
     sensors: Sensors | None = None,
     watch_contacts: bool = True,
     fleet: Fleet | None = None,
-) -> CheckedSite:
-    """Return the judge on a Site as it stands, whose machines and simulation are its own; sensors are exact if None.
+) -> Judge:
+    """Return the judge on a world as it stands, whose machines and simulation are its own; sensors are exact if None.
 
-    A ``fleet`` are robots elsewhere, of which the Site shows where they are.
+    A ``fleet`` are robots elsewhere, of which the PhysicsWorld shows where they are.
 
-    Raises StartError where something stood in something else when the Site was reset.
+    Raises StartError where something stood in something else when the PhysicsWorld was reset.
     """
-    check_start(site)
-    site.set_drivetrain(setup.randomization.drivetrain)
-    motors = Motors(site, setup.randomization.sensors.motor_lag_s)
-    executor = Executor(site, setup.gains, None, sensors, motors, setup.assumed, fleet, setup.skills)
-    return CheckedSite(executor, Rules(setup.rules), setup.thresholds, watch_contacts)
+    check_start(physics)
+    physics.set_drivetrain(setup.randomization.drivetrain)
+    motors = Motors(physics, setup.randomization.sensors.motor_lag_s)
+    executor = Executor(physics, setup.gains, None, sensors, motors, setup.assumed, fleet, setup.skills)
+    return Judge(executor, Rules(setup.rules), setup.thresholds, watch_contacts)

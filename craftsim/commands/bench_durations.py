@@ -50,14 +50,14 @@ def measure_durations() -> dict[str, dict[str, float]]:
 
     Raises RuntimeError if an action of the tour fails: then there is nothing to measure.
     """
-    checked = set_up(tour_start(), Setup())
+    judge = set_up(tour_start(), Setup())
     seconds: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for number, action in enumerate(TOUR):
-        before = checked.grid.cars
-        attempt = checked.perform(0, action)
+        before = judge.grid.cars
+        attempt = judge.perform(0, action)
         if not attempt.agrees:
             raise RuntimeError(f"action {number} of the tour, {action.name}, failed: {attempt}")
-        name = SITUATIONS[int(situation(before, checked.grid.cars)[0])]
+        name = SITUATIONS[int(situation(before, judge.grid.cars)[0])]
         seconds[ACTIONS[action].duration][name].append(attempt.duration_s)
     return {
         name: {where: round(float(np.mean(taken)), 2) for where, taken in rows.items()}

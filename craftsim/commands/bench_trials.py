@@ -132,7 +132,7 @@ def _sample(drive: Drive, contexts: int, seed: int) -> list[list[Trial]]:
 def _time(trials: Sequence[Trial]) -> dict[str, float]:
     """Return the CPU seconds of each stage of a trial, the mean over trials of one context."""
     from craftsim.checking.episode import do, run_up
-    from craftsim.validation.audit.trial import recipe_of, site_of, why_not_standing
+    from craftsim.validation.audit.trial import physics_of, recipe_of, why_not_standing
 
     spent = dict.fromkeys(STAGES, 0.0)
 
@@ -146,13 +146,13 @@ def _time(trials: Sequence[Trial]) -> dict[str, float]:
         with stage("draw"):
             recipe = recipe_of(trial)
         with stage("compile"):
-            site = site_of(trial)
+            physics = physics_of(trial)
         with stage("stand"):
             problems = why_not_standing(trial)
         if problems:
             continue
         with stage("set up"):
-            checked = run_up(recipe, site)
+            judge = run_up(recipe, physics)
         with stage("act"):
-            do(checked, recipe.steps[-1])
+            do(judge, recipe.steps[-1])
     return spent

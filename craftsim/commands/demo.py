@@ -126,4 +126,4 @@ def _telling(tell: Callable[[Any], None]) -> Callable[[Any], Callable[[Iterable[
         for attempt in attempts:
             tell(attempt)
 
-    return lambda checked: tell_each
+    return lambda judge: tell_each

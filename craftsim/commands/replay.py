@@ -19,8 +19,8 @@ from craftsim.storage.folders import owning
 from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
-    from craftsim.checking.judge import CheckedSite
-    from craftsim.models.world import Site
+    from craftsim.checking.judge import Judge
+    from craftsim.models.world import PhysicsWorld
     from craftsim.skills.executor import Observer
     from craftsim.validation.replays.bundle import Recorded
     from craftsim.validation.replays.replay import Replay
@@ -134,7 +134,7 @@ def _print(recorded: Recorded, result: Replay) -> None:
 
 
 @contextmanager
-def _viewer(checked: CheckedSite) -> Iterator[Observer]:
+def _viewer(judge: Judge) -> Iterator[Observer]:
     """Show a world in MuJoCo's viewer at the speed at which things happen, until the window is closed."""
     import time
 
@@ -142,14 +142,14 @@ def _viewer(checked: CheckedSite) -> Iterator[Observer]:
 
     from craftsim.rendering.playback import SeenWorld
 
-    site, seen = checked.site, SeenWorld(checked.site)
+    physics, seen = judge.physics, SeenWorld(judge.physics)
     with mujoco.viewer.launch_passive(seen.model, seen.now()) as viewer:
-        ahead_s = time.monotonic() - site.time_s
+        ahead_s = time.monotonic() - physics.time_s
 
-        def watch(site: Site) -> None:
+        def watch(physics: PhysicsWorld) -> None:
             seen.now()
             viewer.sync()
-            time.sleep(max(0.0, ahead_s + site.time_s - time.monotonic()))
+            time.sleep(max(0.0, ahead_s + physics.time_s - time.monotonic()))
 
         yield watch
         while viewer.is_running():

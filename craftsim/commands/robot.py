@@ -66,7 +66,7 @@ def robot(
     from craftsim.robots.serving import Server
     from craftsim.robots.simulated import serve_simulated
     from craftsim.robots.sockets import Host
-    from craftsim.skills.fleet import SiteFleet
+    from craftsim.skills.fleet import PhysicsFleet
 
     network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss)
     setup = physics.setup()
@@ -76,7 +76,7 @@ def robot(
     started = time.perf_counter()
     with Host(host, port) as sockets:
         world = set_up(grid, setup, Seed.of(seeds[1]), watch_contacts=False).executor.fleet
-        assert isinstance(world, SiteFleet)
+        assert isinstance(world, PhysicsFleet)
         rngs = np.random.default_rng(seeds[2]), np.random.default_rng(seeds[3])
         service = serve_simulated(world, world_digest(grid), sockets, network, rngs, lockstep, complain)
         station = service.station

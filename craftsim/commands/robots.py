@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, SetUp, Setup, judge_on
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import NOISY
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.robots.extra import need_network
 
 
@@ -30,17 +30,17 @@ def robots_at(address: str, timeout_s: float) -> Iterator[SetUp]:
 
     with ExitStack() as open_links:
 
-        def connect(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> CheckedSite:
+        def connect(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> Judge:
             connection = Connection(address, grid, setup.machines, setup.simulation, goals, timeout_s)
             open_links.enter_context(connection)
             # Contacts are not seen from outside.
-            return judge_on(connection.site, setup, watch_contacts=False, fleet=connection.link)
+            return judge_on(connection.physics, setup, watch_contacts=False, fleet=connection.link)
 
         yield connect
 
 
 def _compile() -> None:
     """Let what is compiled at its first use be compiled now: robots do not wait for it."""
-    checked = judge_on(Site(Grid.empty((2, 1, 1), n_cars=1)), Setup(assumed=NOISY))
-    checked.executor.paths()
-    checked.perform(0, Action.MOVE_RIGHT)
+    judge = judge_on(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1)), Setup(assumed=NOISY))
+    judge.executor.paths()
+    judge.perform(0, Action.MOVE_RIGHT)

@@ -84,12 +84,12 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
     """Carry out a plan while people look on, and return what happened."""
     from craftsim.checking.attempt import Attempt
     from craftsim.checking.episode import OnAttempts
-    from craftsim.checking.judge import CheckedSite
+    from craftsim.checking.judge import Judge
 
     attempts, task = list[Attempt](), building.task
 
-    def watch(checked: CheckedSite) -> OnAttempts:
-        live.follow(checked, building.name, task.goal_cells, lambda: attempts)
+    def watch(judge: Judge) -> OnAttempts:
+        live.follow(judge, building.name, task.goal_cells, lambda: attempts)
         return attempts.extend
 
     setup = PhysicsOptions(randomize="none").setup()

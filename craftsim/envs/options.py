@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from craftsim.models.config import SimulationConfig
     from craftsim.models.randomization import DomainRandomization
     from craftsim.models.sensing import SensorNoise
-    from craftsim.models.world import Site
+    from craftsim.models.world import PhysicsWorld
     from craftsim.skills.gains import Gains
     from craftsim.skills.library import SkillChoice
 
@@ -89,8 +89,8 @@ class Options:
     physics only."""
     check_contacts: bool = False
     """Whether the judge logs contacts, 3 % of the time; what is unsafe then ends at once. Physics only."""
-    observers: tuple[Callable[[Site], None], ...] = ()
-    """Called with the Site after every control period; they may look, but not change it. Physics only."""
+    observers: tuple[Callable[[PhysicsWorld], None], ...] = ()
+    """Called with the PhysicsWorld after every control period; they may look, but not change it. Physics only."""
     record: str | Path | None = None
     """Folder that takes a trajectory of each episode, as :class:`craftsim.Trajectory` reads it; physics only."""
     observe: Observe | None = None
@@ -136,7 +136,9 @@ class Options:
 
     def _check_callables(self) -> None:
         if not isinstance(self.observers, list | tuple) or not all(map(callable, self.observers)):
-            raise InputError(f"observers is {self.observers!r}; allowed: a sequence of functions of a Site")
+            raise InputError(
+                f"observers is {self.observers!r}; allowed: a sequence of functions of a PhysicsWorld"
+            )
         if self.observers and self.backend == "grid":
             raise InputError(
                 "the grid backend has no control periods to observe; leave 'observers' out, or take backend='physics'"

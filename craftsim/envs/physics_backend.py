@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, Step
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class PhysicsBackend:
-    """A Site on which all cars' skills run to their end in every tick."""
+    """A PhysicsWorld on which all cars' skills run to their end in every tick."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class PhysicsBackend:
             setup: configuration of the physics, the noise, the skills and the judge.
             helper_depth: search depth of the action helper; None is without it.
             goals: cells to mark.
-            observers: called with the Site after every control period.
+            observers: called with the PhysicsWorld after every control period.
             watch_contacts: whether the judge logs contacts, 3 % of the time; unsafe actions then end at once.
             pictures: shows the world to people.
             records: writes down what moves in each episode.
@@ -61,7 +61,7 @@ class PhysicsBackend:
         self._start: Grid | None = None
         self._pictures, self._records, self._images = pictures or Pictures(), records, images
         self._view: LiveView | None = None
-        self.checked: CheckedSite
+        self.judge: Judge
         self._seed: Seed
         self._joints: list[list[tuple[int, Action]]]
         """What the cars have done in each tick of the episode."""
@@ -69,7 +69,7 @@ class PhysicsBackend:
         """The attempts of the episode's ticks, in acting order."""
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
-        """Begin an episode; a Site is compiled only when the start or what is marked is another than the last one's."""
+        """Begin an episode; a world is compiled only when the start or what is marked differs from the last one's."""
         self._end_record()
         seed = Seed.drawn(rng)
         marked = self.goals if design is None else tuple(design.floor)
@@ -77,15 +77,15 @@ class PhysicsBackend:
             self.goals = marked
             self._world = compile_world(grid, self.setup, self.goals)
         self._start = grid.copy()
-        self.checked = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
-        self.checked.executor.observers += [self._pictures.watch, *self.observers]
+        self.judge = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
+        self.judge.executor.observers += [self._pictures.watch, *self.observers]
         self._seed, self._joints, self.ticks = seed, [], []
-        self._pictures.begin(self.checked.site)
+        self._pictures.begin(self.judge.physics)
         if self._records is not None:
-            self._records.begin(self.checked, design)
+            self._records.begin(self.judge, design)
         if self._view is not None:
             self._show_in(self._view)
-        return self.checked.grid
+        return self.judge.grid
 
     @property
     def recipe(self) -> Recipe:
@@ -96,12 +96,12 @@ class PhysicsBackend:
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Run all cars' skills to their end, each as early as the others allow, and read the world from poses."""
-        began_s, number = self.checked.site.time_s, len(self.ticks)
+        began_s, number = self.judge.physics.time_s, len(self.ticks)
         joint = self._primitives(episodes.queue[0], actions, order)
-        attempts = self.checked.perform_tick(joint, tick=number)
+        attempts = self.judge.perform_tick(joint, tick=number)
         self.ticks.append(attempts)
         self._joints.append(joint)
-        episodes.put(0, self.checked.grid)
+        episodes.put(0, self.judge.grid)
         legal = np.zeros(len(actions), np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in actions]
         for attempt in attempts:
@@ -109,13 +109,13 @@ class PhysicsBackend:
             infos[attempt.car] = _info(attempt)
             if attempt.skill != "succeeded" or attempt.read != attempt.predicted:
                 episodes.queue[0, attempt.car] = -1  # what was planned starts from where the car is not
-        duration_s = round(self.checked.site.time_s - began_s, 6)
+        duration_s = round(self.judge.physics.time_s - began_s, 6)
         by_car = {attempt.car: attempt for attempt in attempts}
         tried = tuple(by_car.get(car) for car in range(len(actions)))
         seconds = tuple(0.0 if attempt is None else attempt.duration_s for attempt in tried)
-        log = self.checked.log
+        log = self.judge.log
         contacts = None if log is None else tuple(log.contacts)
-        return Tick(legal, duration_s, self.checked.problems, tuple(infos), seconds, tried, contacts)
+        return Tick(legal, duration_s, self.judge.problems, tuple(infos), seconds, tried, contacts)
 
     def _primitives(
         self, queue: NDArray[np.int8], actions: NDArray[np.int64], order: NDArray[np.int64]
@@ -124,17 +124,17 @@ class PhysicsBackend:
         joint = [(int(car), Action(actions[car])) for car in order]
         if self._helper is None:
             return joint
-        grid, primitives = self.checked.grid, []
+        grid, primitives = self.judge.grid, []
         for car, action in joint:
             due = self._helper.due(grid, queue, car, action)
             primitives.append((car, due))
-            grid = self.checked.rules.apply(grid, car, due)
+            grid = self.judge.rules.apply(grid, car, due)
         return primitives
 
     def images(self) -> dict[str, NDArray[Any]]:
         """Return what the cameras see now, by kind, one entry a camera; empty without any."""
-        site = self.checked.site
-        return {} if self._images is None else self._images.take(site)
+        physics = self.judge.physics
+        return {} if self._images is None else self._images.take(physics)
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return what the camera sees."""
@@ -163,9 +163,7 @@ class PhysicsBackend:
             self._show_in(view)
 
     def _show_in(self, view: LiveView) -> None:
-        view.follow(
-            self.checked, "", self.goals, lambda: [attempt for tick in self.ticks for attempt in tick]
-        )
+        view.follow(self.judge, "", self.goals, lambda: [attempt for tick in self.ticks for attempt in tick])
 
     def close(self) -> None:
         """Close viewers and renderers, and write what is recorded."""

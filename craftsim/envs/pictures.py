@@ -1,4 +1,4 @@
-"""What a person sees of a Site: pictures through a camera, the motion between two ticks, and MuJoCo's viewer."""
+"""What a person sees of a world: pictures through a camera, the motion between two ticks, and MuJoCo's viewer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import mujoco
     from mujoco.viewer import Handle
 
-    from craftsim.models.world import Site
+    from craftsim.models.world import PhysicsWorld
 
 Picture = NDArray[np.uint8]
 """Shape (height, width, 3), red green blue."""
@@ -35,42 +35,42 @@ def has_display() -> bool:
 
 
 class Pictures:
-    """Looks at one Site after the other; call :meth:`watch` after every control period."""
+    """Looks at one PhysicsWorld after the other; call :meth:`watch` after every control period."""
 
     def __init__(
         self, camera: str | None = None, size: tuple[int, int] | None = None, motion: bool = False
     ) -> None:
         """Prepare for a camera and size, the defaults unless given; ``motion`` keeps the pictures between ticks."""
         self.camera, self.size, self.motion = camera or CAMERA, size or SIZE, motion
-        self._site: Site | None = None
+        self._physics: PhysicsWorld | None = None
         self._kept: list[Picture] = []
         self._due_s = 0.0
         self._renderer: mujoco.Renderer | None = None
         self._viewer: Handle | None = None
 
-    def begin(self, site: Site) -> None:
-        """Look at a Site from now on, at the start of an episode; raises InputError for a camera that it lacks."""
-        if site is not self._site:
+    def begin(self, physics: PhysicsWorld) -> None:
+        """Look at a world from now on, at the start of an episode; raises InputError for a camera that it lacks."""
+        if physics is not self._physics:
             self.close()
-            seen = SeenWorld(site)
+            seen = SeenWorld(physics)
             self._number = camera_number(seen.model, self.camera)
-            self._site, self._seen = site, seen
+            self._physics, self._seen = physics, seen
         self._kept.clear()
-        self._due_s = site.time_s
+        self._due_s = physics.time_s
 
-    def watch(self, site: Site) -> None:
+    def watch(self, physics: PhysicsWorld) -> None:
         """Keep the viewer up to date, and a picture where its moment has come."""
         if self._viewer is not None:
             self._seen.now()
             self._viewer.sync()
         # The allowance is for sums of time steps that end a rounding error before a picture's moment.
-        if self.motion and site.time_s >= self._due_s - 1e-6:
+        if self.motion and physics.time_s >= self._due_s - 1e-6:
             self._kept.append(self.picture())
             self._due_s += 1 / MOTION_FPS
 
     def picture(self) -> Picture:
         """Return what the camera sees now."""
-        assert self._site is not None, "begin() comes first"
+        assert self._physics is not None, "begin() comes first"
         if self._renderer is None:
             self._renderer = make_renderer(self._seen.model, self.size)
         self._renderer.update_scene(self._seen.now(), self._number)
@@ -84,7 +84,7 @@ class Pictures:
 
     def show(self) -> None:
         """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
-        assert self._site is not None, "begin() comes first"
+        assert self._physics is not None, "begin() comes first"
         if self._viewer is None:
             if not has_display():
                 raise InputError(

@@ -9,7 +9,7 @@ from typing import Final
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.discrete.files.design import Design
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import SUFFIX
@@ -27,10 +27,10 @@ class EpisodeRecords:
         self._recorder = Recorder()
         self._number, self._running = 0, False
 
-    def begin(self, checked: CheckedSite, design: Design | None = None) -> None:
+    def begin(self, judge: Judge, design: Design | None = None) -> None:
         """Begin an episode, which may have a design of its own."""
         self._design = design or self._design
-        self._recorder.begin(checked)
+        self._recorder.begin(judge)
         self._running = True
 
     def end(self, recipe: Recipe, attempts: Sequence[Attempt]) -> None:

@@ -16,7 +16,7 @@ from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.envs.vector import GridVectorEnv
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 _SLEEP: Final = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _STAY_AWAKE: Final = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
@@ -103,10 +103,10 @@ class _Period:
     """Whether its first step ran with sleep switched off, to wake what is commanded."""
 
     @classmethod
-    def of(cls, site: Site) -> _Period:
+    def of(cls, physics: PhysicsWorld) -> _Period:
         """Return what stood in the period that has just run."""
-        model = site.model
-        return cls(site.data.ctrl.copy(), model.tree_sleep_policy.copy(), model.actuator_forcerange.copy())
+        model = physics.model
+        return cls(physics.data.ctrl.copy(), model.tree_sleep_policy.copy(), model.actuator_forcerange.copy())
 
 
 def time_physics(
@@ -127,24 +127,24 @@ def time_physics(
     env = ParallelConstruction(task, options or Options())
     periods: list[_Period] = []
     _, n_steps = _play(env, seed, play, periods)
-    end = _site(env).data.qpos.copy()
+    end = _physics(env).data.qpos.copy()
     _find_rousing(env, seed, periods)
     env_times, bare_times = [], []
     for _ in range(repeats):
         env_times.append(_play(env, seed, play)[0])
         bare_times.append(_replay(env, seed, periods))
-        if not np.array_equal(_site(env).data.qpos, end):
+        if not np.array_equal(_physics(env).data.qpos, end):
             raise RuntimeError("the replay of the commands does not end where the environment did")
-    n_physics_steps = len(periods) * _site(env).config.steps_per_period
+    n_physics_steps = len(periods) * _physics(env).config.steps_per_period
     return PhysicsTiming(
         env.core.n_cars, n_steps, len(periods), n_physics_steps, min(env_times), min(bare_times)
     )
 
 
-def _site(env: ParallelConstruction) -> Site:
+def _physics(env: ParallelConstruction) -> PhysicsWorld:
     backend = env.core.backend
     assert isinstance(backend, PhysicsBackend)
-    return backend.checked.site
+    return backend.judge.physics
 
 
 def _play(
@@ -156,7 +156,7 @@ def _play(
     if record is not None:
         backend = env.core.backend
         assert isinstance(backend, PhysicsBackend)
-        backend.checked.executor.observers.append(lambda site: record.append(_Period.of(site)))
+        backend.judge.executor.observers.append(lambda physics: record.append(_Period.of(physics)))
     seconds, n_steps = 0.0, 0
     while env.agents:
         actions = play(n_steps, rng, observations)
@@ -170,26 +170,26 @@ def _play(
 def _find_rousing(env: ParallelConstruction, seed: int, periods: list[_Period]) -> None:
     """Note which periods wake something that sleeps."""
     env.reset(seed=seed)
-    site = _site(env)
+    physics = _physics(env)
     for period in periods:
-        period.rouse = bool(((period.policies == _STAY_AWAKE) & (site.data.tree_asleep >= 0)).any())
-        _step(site, period)
+        period.rouse = bool(((period.policies == _STAY_AWAKE) & (physics.data.tree_asleep >= 0)).any())
+        _step(physics, period)
 
 
-def _step(site: Site, period: _Period) -> None:
-    model, data, n = site.model, site.data, site.config.steps_per_period
+def _step(physics: PhysicsWorld, period: _Period) -> None:
+    model, data, n = physics.model, physics.data, physics.config.steps_per_period
     data.ctrl[:] = period.ctrl
     model.tree_sleep_policy[:] = period.policies
-    if site.machines.drive == "reduced":
-        for car in site.cars:
+    if physics.machines.drive == "reduced":
+        for car in physics.cars:
             model.actuator_forcerange[car.wheel_actuators] = period.limits[car.wheel_actuators]
     if period.rouse:
         model.opt.enableflags &= ~_SLEEP
     for _ in range(n):
         mujoco.mj_step(model, data)
-        for effect in site.effects:
+        for effect in physics.effects:
             if effect.each_step:
-                effect.after_step(site)
+                effect.after_step(physics)
         if period.rouse:
             model.opt.enableflags |= _SLEEP
 
@@ -197,8 +197,8 @@ def _step(site: Site, period: _Period) -> None:
 def _replay(env: ParallelConstruction, seed: int, periods: list[_Period]) -> float:
     """Return the CPU time of the recorded periods without anything else."""
     env.reset(seed=seed)
-    site = _site(env)
+    physics = _physics(env)
     begun = time.process_time()
     for period in periods:
-        _step(site, period)
+        _step(physics, period)
     return time.process_time() - begun

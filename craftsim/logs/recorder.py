@@ -8,7 +8,7 @@ import numpy as np
 
 from craftsim.logs.log import Log
 from craftsim.models.measuring import READING
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.state import COMMAND
 
@@ -24,17 +24,17 @@ class LogRecorder:
         self._executor = executor
         self._readings = [executor.fleet.read().tobytes()]
         self._commands: list[bytes] = []
-        self._time = [executor.site.time_s]
-        self._most = MOST_ROWS // max(1, len(executor.site.cars))
+        self._time = [executor.physics.time_s]
+        self._most = MOST_ROWS // max(1, len(executor.physics.cars))
         executor.observers.append(self._look)
 
-    def _look(self, site: Site) -> None:
+    def _look(self, physics: PhysicsWorld) -> None:
         # A simulation that breaks down starts its time over: what it does then is no part of the run.
-        if not self._time[-1] < site.time_s or len(self._time) >= self._most:
+        if not self._time[-1] < physics.time_s or len(self._time) >= self._most:
             return
         self._commands.append(self._executor.commands.tobytes())
         self._readings.append(self._executor.fleet.read().tobytes())
-        self._time.append(site.time_s)
+        self._time.append(physics.time_s)
 
     def logs(self) -> dict[int, Log]:
         """Return the log of each car; none where fewer than two control periods have passed."""

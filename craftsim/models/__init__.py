@@ -1,1 +1,1 @@
-"""Smartcars, blocks and slopes in MuJoCo: parameters, parts, the composed Site, sensing, state."""
+"""Smartcars, blocks and slopes in MuJoCo: parameters, parts, the composed PhysicsWorld, sensing, state."""

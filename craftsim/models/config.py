@@ -56,7 +56,7 @@ class SimulationConfig:
     solver_iterations: int = 1000
     """Most iterations of the solver in one step, ten times what the slowest step of a good run needs. Cars that climb
     on stacked blocks came near MuJoCo's default of 100, and a step that ends there blows the stack apart
-    (docs/physics.md). :attr:`Site.capped_steps` counts the steps that reach it."""
+    (docs/physics.md). :attr:`PhysicsWorld.capped_steps` counts the steps that reach it."""
 
     friction_impedance_ratio: float = 300.0
     """How much stiffer friction is than normal contact (MuJoCo's impratio): at 300 a loaded car parked on the slope

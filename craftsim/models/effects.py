@@ -20,7 +20,7 @@ from craftsim.models.imperfection import Drivetrain
 from craftsim.models.parts import WHEELS
 
 if TYPE_CHECKING:
-    from craftsim.models.world import Site
+    from craftsim.models.world import PhysicsWorld
 
 ROLLERS: Final = TOUCHES["wheels"][0]
 """The bit by which a roller collides: its contype."""
@@ -63,17 +63,17 @@ class StepEffect:
     each_step: bool = True
     """Whether it acts after each physics step; otherwise as a control period begins alone."""
 
-    def start(self, world: Site) -> None:
+    def start(self, world: PhysicsWorld) -> None:
         """Begin without a past: the model's parameters are the baseline's."""
 
-    def before_period(self, world: Site) -> None:
+    def before_period(self, world: PhysicsWorld) -> None:
         """Act as a control period begins."""
 
-    def after_step(self, world: Site) -> None:
+    def after_step(self, world: PhysicsWorld) -> None:
         """Act after a physics step, and after a saved state was restored."""
 
 
-def effects_of(world: Site, drivetrain: Drivetrain) -> list[StepEffect]:
+def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> list[StepEffect]:
     """Return the effects of a world with its present baseline, in the order in which they act."""
     wheels = _wheels(world)
     found: list[StepEffect] = [] if drivetrain.ideal else [DrivetrainLosses(world, wheels, drivetrain)]
@@ -82,7 +82,7 @@ def effects_of(world: Site, drivetrain: Drivetrain) -> list[StepEffect]:
     return [*found, Grip(world, wheels), TurnedMotors(world, wheels)]
 
 
-def _wheels(world: Site) -> Records:
+def _wheels(world: PhysicsWorld) -> Records:
     """Return the wheels of all cars, (4 n,) of WHEEL, in the order of WHEELS."""
     model, baseline = world.model, world.baseline
     wheels = records(4 * len(world.cars), WHEEL)
@@ -121,7 +121,7 @@ class Bearings(StepEffect):
     Of cars that sleep, whose contacts MuJoCo leaves out, all rollers have it.
     """
 
-    def __init__(self, world: Site) -> None:
+    def __init__(self, world: PhysicsWorld) -> None:
         """Take the friction of the bearings from a world's baseline."""
         model = world.model
         geoms = np.flatnonzero(model.geom_contype == ROLLERS)
@@ -132,11 +132,11 @@ class Bearings(StepEffect):
         # By geom its roller, counted over all cars, or -1; by roller its joint, its car and its friction in Nm.
         self._arrays = (roller, dofs, trees, world.baseline.dof_frictionloss[dofs])
 
-    def start(self, world: Site) -> None:
+    def start(self, world: PhysicsWorld) -> None:
         """Go by the contacts of the start."""
         self.after_step(world)
 
-    def after_step(self, world: Site) -> None:
+    def after_step(self, world: PhysicsWorld) -> None:
         """Let the bearings have friction whose rollers touched something in the last step, or were about to."""
         # A copy is laid out the same way however many contacts there are.
         geoms = np.ascontiguousarray(world.data.contact.geom)
@@ -179,7 +179,7 @@ class Grip(StepEffect):
     state alone.
     """
 
-    def __init__(self, world: Site, wheels: Records) -> None:
+    def __init__(self, world: PhysicsWorld, wheels: Records) -> None:
         """Work out what a newton of load and an acceleration of the car mean for each wheel."""
         model, baseline = world.model, world.baseline
         names = [model.actuator(int(motor)).name for motor in wheels["motor"]]
@@ -193,7 +193,7 @@ class Grip(StepEffect):
         wheels["inertia"] = spin[:, None] * wheels["own_gear"]
         self._wheels, self.each_step = wheels, world.uneven
 
-    def before_period(self, world: Site) -> None:
+    def before_period(self, world: PhysicsWorld) -> None:
         """Limit all motors for what their wheels carry now."""
         data = world.data
         # Copies are laid out the same way however many contacts there are.
@@ -205,7 +205,7 @@ class Grip(StepEffect):
             world.model.actuator_forcerange,
         )
 
-    def after_step(self, world: Site) -> None:
+    def after_step(self, world: PhysicsWorld) -> None:
         """Do so again where wheels may come off the ground."""
         self.before_period(world)
 
@@ -259,7 +259,7 @@ class TurnedMotors(StepEffect):
     A gear in its backlash passes nothing on.
     """
 
-    def __init__(self, world: Site, wheels: Records) -> None:
+    def __init__(self, world: PhysicsWorld, wheels: Records) -> None:
         """Let motors and gears of all cars act on the free joints."""
         model = world.model
         joints = model.body_jntadr[wheels["body"]]
@@ -268,11 +268,11 @@ class TurnedMotors(StepEffect):
             model.actuator_trnid[motors] = np.column_stack([joints, np.full(len(joints), -1)])
         self._arrays = world.data.qpos, model.jnt_qposadr[joints], wheels, model.actuator_gear
 
-    def start(self, world: Site) -> None:
+    def start(self, world: PhysicsWorld) -> None:
         """Turn them as the cars stand."""
         _turn_motors(*self._arrays)
 
-    def after_step(self, world: Site) -> None:
+    def after_step(self, world: PhysicsWorld) -> None:
         """Turn them with the cars."""
         _turn_motors(*self._arrays)
 
@@ -319,7 +319,7 @@ class DrivetrainLosses(StepEffect):
     torque-speed line of its own, but takes a voltage; the wheels' servos take a speed.
     """
 
-    def __init__(self, world: Site, wheels: Records, drivetrain: Drivetrain) -> None:
+    def __init__(self, world: PhysicsWorld, wheels: Records, drivetrain: Drivetrain) -> None:
         """Take motors and gears from the world's baseline."""
         model, data, reduced = world.model, world.data, world.machines.drive == "reduced"
         losses = records(1, _LOSSES)
@@ -342,12 +342,12 @@ class DrivetrainLosses(StepEffect):
     def state(self, saved: Floats) -> None:
         self._wheels["played"], self._last_s = saved[:-1], float(saved[-1])
 
-    def start(self, world: Site) -> None:
+    def start(self, world: PhysicsWorld) -> None:
         """Begin with all gears in the middle of their backlash."""
         self._wheels["played"], self._last_s = self._losses["backlash_rad"] / 2, world.data.time
         self.after_step(world)
 
-    def after_step(self, world: Site) -> None:
+    def after_step(self, world: PhysicsWorld) -> None:
         """Let motors and gears be as the state leaves them; plays go on for the time since the last call."""
         self._losses["elapsed_s"], self._last_s = world.data.time - self._last_s, world.data.time
         _lose(*self._arrays)

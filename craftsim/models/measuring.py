@@ -1,6 +1,6 @@
 """What a robot can measure, and how it is commanded: its pose, its joints, the slope that it stands under, its motors.
 
-All cars of a Site are measured in one compiled call. Skills see the world through records of :data:`READING` or, one of
+All cars are measured in one compiled call. Skills see the world through records of :data:`READING` or, one of
 them at a time, :class:`CarMeasurement`.
 """
 
@@ -16,7 +16,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.readback import Poses
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -115,35 +115,35 @@ def write_reading(now: CarMeasurement, reading: Records) -> None:
 
 
 class Wiring:
-    """Where the cars and slopes of a Site lie in MuJoCo's arrays, as records."""
+    """Where the cars and slopes of a PhysicsWorld lie in MuJoCo's arrays, as records."""
 
-    def __init__(self, site: Site) -> None:
+    def __init__(self, physics: PhysicsWorld) -> None:
         """Look them up."""
-        self.on_axles = all(len(car.wheel_dofs) for car in site.cars)
+        self.on_axles = all(len(car.wheel_dofs) for car in physics.cars)
         """Whether wheels turn on axles; the speeds of the reduced drive's are those as the last physics step began."""
-        self.cars = records(len(site.cars), WIRING)
+        self.cars = records(len(physics.cars), WIRING)
         """(n,) WIRING."""
-        for row, car in zip(self.cars, site.cars, strict=True):
+        for row, car in zip(self.cars, physics.cars, strict=True):
             board, figures = car.board, car.parameters
             row["pose"], row["board"], row["board_dof"] = car.base.qpos, board.qpos, board.dof
             row["board_activation"], row["board_motor"] = board.activation, board.actuator
             row["wheel_speeds"] = car.wheel_dofs if self.on_axles else car.wheel_actuators
             row["wheel_motors"] = car.wheel_actuators
-            row["plug_m"] = site.machines.slope.docking_range_m
-            row["above_m"] = site.machines.block.underside_m / 2
+            row["plug_m"] = physics.machines.slope.docking_range_m
+            row["above_m"] = physics.machines.block.underside_m / 2
             row["along_m"], row["across_m"] = figures.board_length_m / 2, figures.board_width_m / 2
             row["line_m"] = figures.line_reach_m
-        still = [*site.blocks, *site.flags]
-        self.undersides = records(len(still) + len(site.slopes), UNDERSIDE)
+        still = [*physics.blocks, *physics.flags]
+        self.undersides = records(len(still) + len(physics.slopes), UNDERSIDE)
         """(n,) UNDERSIDE: of blocks, of flags, and then of slopes."""
         self.plugs = self.undersides[len(still) :]
         """(n,) UNDERSIDE, by slope."""
         for row, body in zip(self.undersides, still, strict=False):
             row["pose"], row["slope"], row["hinge"], row["motor"] = body.qpos, -1, -1, -1
-        for number, (row, slope) in enumerate(zip(self.plugs, site.slopes, strict=True)):
+        for number, (row, slope) in enumerate(zip(self.plugs, physics.slopes, strict=True)):
             row["pose"], row["slope"] = slope.base.qpos, number
             row["hinge"], row["motor"] = slope.hinge.qpos, slope.hinge.actuator
-        model, data = site.model, site.data
+        model, data = physics.model, physics.data
         self.arrays = (
             *(data.qpos, data.qvel, data.act, data.qvel if self.on_axles else data.actuator_velocity),
             *(model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange),
@@ -152,9 +152,9 @@ class Wiring:
         """What compiled code reads, in place: MuJoCo's own arrays, which stay where they are, and these."""
 
 
-def read_cars(site: Site, wiring: Wiring, out: Records) -> None:
+def read_cars(physics: PhysicsWorld, wiring: Wiring, out: Records) -> None:
     """Measure all cars exactly, as they are now; ``out``, shape (n,) of READING, takes it."""
-    out["time_s"] = site.data.time
+    out["time_s"] = physics.data.time
     _read_cars(*wiring.arrays, out)
 
 
@@ -232,21 +232,21 @@ def _read_cars(
 
 
 class Motors:
-    """The wheel motors of all cars of a Site, with the lag of a SensorNoise; a stopped drive brakes at once."""
+    """The wheel motors of all cars of a PhysicsWorld, with the lag of a SensorNoise; a stopped drive brakes at once."""
 
-    def __init__(self, site: Site, lag_s: float = 0.0) -> None:
+    def __init__(self, physics: PhysicsWorld, lag_s: float = 0.0) -> None:
         """Take commands once a control period; ``lag_s`` is the time constant with which they reach the servos."""
-        self._site = site
-        self._wiring = Wiring(site)
-        self.share = 1 - math.exp(-site.config.control_period_s / lag_s) if lag_s else 1.0
+        self._physics = physics
+        self._wiring = Wiring(physics)
+        self.share = 1 - math.exp(-physics.config.control_period_s / lag_s) if lag_s else 1.0
         """By what share a servo's command approaches a new one in a control period."""
-        self.speeds = np.zeros((len(site.cars), 4))
+        self.speeds = np.zeros((len(physics.cars), 4))
         """(n, 4) rad/s: the servos' commands."""
 
     def drive(self, car: int, wheels: PerWheel) -> None:
         """Command the wheels of a car, in rad/s."""
         commanded = np.array(wheels, dtype=float)
-        drive_wheels(commanded, self.speeds[car], self.share, self._wiring.cars[car], self._site.data.ctrl)
+        drive_wheels(commanded, self.speeds[car], self.share, self._wiring.cars[car], self._physics.data.ctrl)
 
 
 @compiled
@@ -262,19 +262,19 @@ def drive_wheels(wheels: Floats, speeds: Floats, share: float, car: Record, ctrl
 
 
 class PoseReader:
-    """Reads the true poses of everything that moves on a Site: cars by id; then blocks, flags and slopes."""
+    """Reads the true poses of everything that moves on a PhysicsWorld: cars by id; then blocks, flags and slopes."""
 
-    def __init__(self, site: Site) -> None:
+    def __init__(self, physics: PhysicsWorld) -> None:
         """Look up where they are."""
-        loose = [*site.blocks, *site.flags, *(slope.base for slope in site.slopes)]
-        n_still = len(site.blocks) + len(site.flags)
-        self._kinds = (Kind.BLOCK,) * len(site.blocks) + (Kind.FLAG,) * len(site.flags)
-        self._kinds += (Kind.FSLOPE,) * len(site.slopes)
-        self._n_cars, self._qpos = len(site.cars), site.data.qpos
-        starts = [*(car.base.qpos for car in site.cars), *(body.qpos for body in loose)]
+        loose = [*physics.blocks, *physics.flags, *(slope.base for slope in physics.slopes)]
+        n_still = len(physics.blocks) + len(physics.flags)
+        self._kinds = (Kind.BLOCK,) * len(physics.blocks) + (Kind.FLAG,) * len(physics.flags)
+        self._kinds += (Kind.FSLOPE,) * len(physics.slopes)
+        self._n_cars, self._qpos = len(physics.cars), physics.data.qpos
+        starts = [*(car.base.qpos for car in physics.cars), *(body.qpos for body in loose)]
         self.places = np.array(starts, np.intp)[:, None] + np.arange(7)
         """(n, 7): of each one's pose in qpos."""
-        self._hinges = np.array([slope.hinge.qpos for slope in site.slopes], np.intp)
+        self._hinges = np.array([slope.hinge.qpos for slope in physics.slopes], np.intp)
         self._without_hinge = np.full(n_still, math.nan)
 
     def read(self) -> Poses:
@@ -290,6 +290,6 @@ class PoseReader:
         )
 
 
-def read_poses(site: Site) -> Poses:
-    """Return the true poses of everything that moves on a Site now."""
-    return PoseReader(site).read()
+def read_poses(physics: PhysicsWorld) -> Poses:
+    """Return the true poses of everything that moves on a PhysicsWorld now."""
+    return PoseReader(physics).read()

@@ -1,4 +1,4 @@
-"""Where each part of a Grid stands in the world: the start poses from which a Site is composed."""
+"""Where each part of a Grid stands in the world: the start poses from which a PhysicsWorld is composed."""
 
 from __future__ import annotations
 

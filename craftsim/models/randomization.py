@@ -20,7 +20,7 @@ from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floo
 from craftsim.models.overlaps import GROUND
 from craftsim.models.parts import WHEELS, Car
 from craftsim.models.sensing import EXACT, SensorNoise
-from craftsim.models.world import Baseline, Site
+from craftsim.models.world import Baseline, PhysicsWorld
 from craftsim.storage.yaml import Document, number, numbers, read_document, unknown_words
 
 T = TypeVar("T")
@@ -89,18 +89,20 @@ def by_name(rng: np.random.Generator) -> Draw:
     return draw
 
 
-def randomize(site: Site, randomization: DomainRandomization, rng: np.random.Generator) -> None:
-    """Draw new physics around that of a Site as it was compiled, and reset it; equal generators give equal physics.
+def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np.random.Generator) -> None:
+    """Draw new physics around that of a world as it was compiled, and reset it; equal generators give equal physics.
 
     Motors and gears come to rest as ideal ones: what they lack is set afterwards.
 
-    Raises InputError for a floor that the Site was not composed with.
+    Raises InputError for a floor that the PhysicsWorld was not composed with.
     """
-    model, tiles = site.model, site.tiles
+    model, tiles = physics.model, physics.tiles
     if (tiles.floor if tiles else None) != (None if randomization.floor.flat else randomization.floor):
-        raise InputError("the floor that is drawn must be that of the Site: Site(..., floor=...)")
+        raise InputError(
+            "the floor that is drawn must be that of the PhysicsWorld: PhysicsWorld(..., floor=...)"
+        )
     draw = by_name(rng)
-    site.compiled.write(model)
+    physics.compiled.write(model)
     _vary_bodies(model, randomization, draw)
     _vary_motors_and_joints(model, randomization, draw)
     tilt = draw(GROUND, "tilt")
@@ -109,11 +111,11 @@ def randomize(site: Site, randomization: DomainRandomization, rng: np.random.Gen
     model.opt.gravity[:] = float(np.linalg.norm(model.opt.gravity)) * np.array(down)
     lift_m = lay(model, tiles, draw(GROUND, "floor")) if tiles else 0.0
     if not randomization.making.exact:
-        _make(site, randomization.making, draw)
+        _make(physics, randomization.making, draw)
     uneven = tiles is not None or randomization.making.wheel_radius_m > 0
-    site.drivetrain = IDEAL
-    site.set_baseline(Baseline.of(model), uneven, lift_m)
-    site.reset()
+    physics.drivetrain = IDEAL
+    physics.set_baseline(Baseline.of(model), uneven, lift_m)
+    physics.reset()
 
 
 def _factors(width: float, names: Iterable[tuple[str, str]], draw: Draw) -> NDArray[np.float64]:
@@ -161,12 +163,12 @@ def _vary_motors_and_joints(model: mujoco.MjModel, randomization: DomainRandomiz
     model.actuator_biasprm[gears, 3:5] *= friction[model.njnt :, None]
 
 
-def _make(site: Site, making: Making, draw: Draw) -> None:
-    """Draw machines as they are made, each a little off its drawing, in a Site's model.
+def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
+    """Draw machines as they are made, each a little off its drawing, in a PhysicsWorld's model.
 
     What the skills know of a machine stays nominal. Masses, and what is only to be seen, stay as they are.
     """
-    model = site.model
+    model = physics.model
 
     def drawn(machine: str, figure: str, *shape: int) -> NDArray[np.float64]:
         width: float = getattr(making, figure)
@@ -176,16 +178,16 @@ def _make(site: Site, making: Making, draw: Draw) -> None:
         """Return (3,) metres: by how much a pocket or pads are off, forward, sideways and up."""
         return np.append(drawn(machine, "pocket_m", 2), drawn(machine, "underside_m"))
 
-    for car in site.cars:
+    for car in physics.cars:
         machine, _ = _machine_and_part(car.base.name)
         _resize_wheels(model, car, drawn(machine, "wheel_radius_m", 4), drawn(machine, "wheel_place_m", 4, 2))
         (board,) = model.jnt_bodyid[model.dof_jntid[[car.board.dof]]]
         model.body_pos[board] += np.append(drawn(machine, "board_place_m", 2), drawn(machine, "board_m"))
-    for table in (*site.blocks, *site.flags):
+    for table in (*physics.blocks, *physics.flags):
         machine, _ = _machine_and_part(table.name)
         model.geom_pos[_geoms(model, machine, _FEET), 2] -= drawn(machine, "foot_m", len(_FEET))
         model.geom_pos[_geoms(model, machine, _POCKET)] += off(machine)
-    for slope in site.slopes:
+    for slope in physics.slopes:
         machine, _ = _machine_and_part(slope.base.name)
         model.geom_pos[_geoms(model, machine, _PADS)] += off(machine)
 

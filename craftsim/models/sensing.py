@@ -24,7 +24,7 @@ from craftsim.models.measuring import (
     measurement_of,
     read_cars,
 )
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 
 @dataclass(frozen=True)
@@ -168,36 +168,36 @@ MILD = SensorNoise(**{field.name: getattr(NOISY, field.name) / 2 for field in fi
 """Half of it."""
 
 
-def measure(site: Site, car: int) -> CarMeasurement:
+def measure(physics: PhysicsWorld, car: int) -> CarMeasurement:
     """Return what car number ``car`` measures now."""
-    return Sensors(site).measure(car)
+    return Sensors(physics).measure(car)
 
 
 class Sensors:
-    """The sensors of all cars of a Site; :meth:`observe` takes one set of readings each control period.
+    """The sensors of all cars of a PhysicsWorld; :meth:`observe` takes one set of readings each control period.
 
     Example:
         >>> import craftsim
         >>> import numpy as np
-        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> site = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
         >>> sensors = craftsim.Sensors(site, craftsim.SensorNoise(position_m=0.001), np.random.default_rng(0))
         >>> abs(sensors.measure(0).x - craftsim.Sensors(site).measure(0).x) < 0.005
         True
     """
 
     def __init__(
-        self, site: Site, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None
+        self, physics: PhysicsWorld, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None
     ) -> None:
-        """Measure on a Site with this noise; ``rng`` draws it and is needed only where there is some."""
-        self.site, self.noise = site, noise
-        self.wiring = Wiring(site)
-        self._true = records(len(site.cars), READING)
+        """Measure on a PhysicsWorld with this noise; ``rng`` draws it and is needed only where there is some."""
+        self.physics, self.noise = physics, noise
+        self.wiring = Wiring(physics)
+        self._true = records(len(physics.cars), READING)
         self._disturber: _Disturber | None = None
         if noise.silent:
             return
         if rng is None:
             raise ValueError("noisy sensors need a random generator")
-        self._disturber = _Disturber(noise, site, self.wiring, rng)
+        self._disturber = _Disturber(noise, physics, self.wiring, rng)
         self.observe()
 
     def observe(self) -> None:
@@ -215,7 +215,7 @@ class Sensors:
 
     def _read(self) -> Records:
         """Return what exact sensors read now."""
-        read_cars(self.site, self.wiring, self._true)
+        read_cars(self.physics, self.wiring, self._true)
         return self._true
 
 
@@ -262,13 +262,15 @@ the first count, the angle, and its counts."""
 class _Disturber:
     """The noisy, late readings of all cars: :attr:`readings`, shape (n,) of READING."""
 
-    def __init__(self, noise: SensorNoise, site: Site, wiring: Wiring, rng: np.random.Generator) -> None:
+    def __init__(
+        self, noise: SensorNoise, physics: PhysicsWorld, wiring: Wiring, rng: np.random.Generator
+    ) -> None:
         """Draw what each car's sensors have of their own: delays from ``rng``, all else from generators apart.
 
         Whatever there is of that, the white noise is then the same.
         """
-        self._site, self._wiring, self._rng = site, wiring, rng
-        n_cars, period_s = len(site.cars), site.config.control_period_s
+        self._physics, self._wiring, self._rng = physics, wiring, rng
+        n_cars, period_s = len(physics.cars), physics.config.control_period_s
         more, self._of_lines = rng.spawn(2)
         self._more = more
         self.readings = records(n_cars, READING)
@@ -294,15 +296,15 @@ class _Disturber:
         self._line_normals = np.zeros((n_cars, 4))
         self._encoders: Records | None = None
         if noise.encoder_step_rad:
-            self._encoders = _encoders(site, wiring, noise.encoder_step_rad, *rng.spawn(1))
+            self._encoders = _encoders(physics, wiring, noise.encoder_step_rad, *rng.spawn(1))
 
     def disturb(self, true: Records) -> None:
         """Take in the exact readings of a control period; those of the wheels' speeds are replaced by counted ones."""
-        site, out = self._site, self.readings
+        physics, out = self._physics, self.readings
         if self._encoders is not None:
-            gear, period_s = site.baseline.actuator_gear, site.config.control_period_s
+            gear, period_s = physics.baseline.actuator_gear, physics.config.control_period_s
             step_rad = float(self._noise["encoder_step_rad"][0])
-            _count(site.data.qpos, gear, self._wiring.cars, self._encoders, step_rad, period_s, true)
+            _count(physics.data.qpos, gear, self._wiring.cars, self._encoders, step_rad, period_s, true)
         for car, normals in enumerate(self._white):
             self._rng.standard_normal(out=normals)
             self._contacts[car] = self._rng.random()
@@ -408,7 +410,7 @@ def _disturb(
         now.position_std_m = now.heading_std_rad = 0.0
 
 
-def _encoders(site: Site, wiring: Wiring, step_rad: float, rng: np.random.Generator) -> Records:
+def _encoders(physics: PhysicsWorld, wiring: Wiring, step_rad: float, rng: np.random.Generator) -> Records:
     """Return the wheels' encoders, (n,) of _ENCODERS, where the cars stand.
 
     They count by how far each wheel has turned, and a speed is a difference of counts. A wheel on an axle turns by its
@@ -417,12 +419,12 @@ def _encoders(site: Site, wiring: Wiring, step_rad: float, rng: np.random.Genera
 
     ``rng`` draws how far each wheel is from its next count of ``step_rad``.
     """
-    model, data = site.model, site.data
-    encoders = records(len(site.cars), _ENCODERS)
+    model, data = physics.model, physics.data
+    encoders = records(len(physics.cars), _ENCODERS)
     encoders["joints"] = -1
-    encoders["before"] = step_rad * rng.uniform(0, 1, (len(site.cars), 4))
-    for row, car in zip(encoders, site.cars, strict=True):
-        row["pose"] = np.concatenate(site.free_body_state(car.base))
+    encoders["before"] = step_rad * rng.uniform(0, 1, (len(physics.cars), 4))
+    for row, car in zip(encoders, physics.cars, strict=True):
+        row["pose"] = np.concatenate(physics.free_body_state(car.base))
         row["angles"] = row["before"]
         if wiring.on_axles:
             row["joints"] = model.jnt_qposadr[model.dof_jntid[car.wheel_dofs]]

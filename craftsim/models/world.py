@@ -1,6 +1,6 @@
-"""The Site: one world of cars, blocks and slopes, compiled and running in MuJoCo.
+"""The PhysicsWorld: one world of cars, blocks and slopes, compiled and running in MuJoCo.
 
-A Site is composed from a Grid. After a reset the only thing that changes it is ``mj_step`` under motor commands.
+It is composed from a Grid. After a reset the only change is ``mj_step`` under motor commands.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class SiteState:
+class PhysicsState:
     """A saved state. MuJoCo's state vector leaves out which trees sleep, so the whole of MjData is kept."""
 
     data: mujoco.MjData
@@ -112,7 +112,7 @@ class SiteState:
 class _Rested:
     """A start that has come to rest with the parameters as they were compiled."""
 
-    state: SiteState
+    state: PhysicsState
     overlaps: tuple[Overlap, ...]
 
 
@@ -126,7 +126,7 @@ def _kept(start: Hashable) -> list[_Rested]:
     return []
 
 
-class Site:
+class PhysicsWorld:
     """A compiled world with typed handles of its parts.
 
     ``cars`` are in the order of car ids; ``blocks``, ``flags`` and ``slopes`` in the order of :func:`placements`.
@@ -135,10 +135,10 @@ class Site:
 
     Example:
         >>> import craftsim
-        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
-        >>> site.drive(0, [5, 5, 5, 5])  # all wheels forward, rad/s
-        >>> site.advance()  # one control period
-        >>> round(site.time_s, 2)
+        >>> physics = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> physics.drive(0, [5, 5, 5, 5])  # all wheels forward, rad/s
+        >>> physics.advance()  # one control period
+        >>> round(physics.time_s, 2)
         0.32
     """
 
@@ -240,7 +240,7 @@ class Site:
     def reset_compiled(self) -> None:
         """Go back to the parameters as they were compiled, ideal motors and gears, and the start at rest.
 
-        All Sites of one start share what has come to rest.
+        All physics worlds of one start share what has come to rest.
         """
         self.drivetrain = IDEAL
         self.set_baseline(self.compiled)
@@ -341,15 +341,15 @@ class Site:
             if observe is not None:
                 observe()
 
-    def save(self) -> SiteState:
+    def save(self) -> PhysicsState:
         """Return a copy of the full state: restoring it and going on gives the same numbers, bit for bit."""
         effects = tuple(effect.state.copy() for effect in self.effects)
-        return SiteState(
+        return PhysicsState(
             copy.copy(self.data), self.model.tree_sleep_policy.copy(), self.capped_steps, effects
         )
 
-    def restore(self, state: SiteState) -> None:
-        """Go back to a state that this Site, or another one composed from an equal grid and config, has saved.
+    def restore(self, state: PhysicsState) -> None:
+        """Go back to a state that this PhysicsWorld, or another one composed from an equal grid and config, has saved.
 
         The parameters stay as they are. Raises InputError for a state of another world, or of another kind of
         drivetrain.
@@ -360,7 +360,7 @@ class Site:
             or [len(saved) for saved in state.effects] != [len(effect.state) for effect in self.effects]
         ):
             raise InputError(
-                "this state was saved by a Site with other parts; restore it on one of an equal grid"
+                "this state was saved by a PhysicsWorld with other parts; restore it on one of an equal grid"
             )
         mujoco.mj_copyData(self.data, self.model, state.data)
         for effect, saved in zip(self.effects, state.effects, strict=True):

@@ -89,7 +89,7 @@ def reached_m(trajectory: Trajectory) -> float:
         float(trajectory.pose(machine)[:, 2].max()) + LEVEL_HEIGHT_M for machine in trajectory.story.poses
     ]
     figures = trajectory.story.recipe.setup.machines.slope
-    for slope in trajectory.site.slopes:
+    for slope in trajectory.physics.slopes:
         angle = np.clip(trajectory.qpos[:, slope.hinge.qpos], 0.0, math.pi)
         swung = trajectory.qpos[:, slope.base.qpos + 2] + figures.side_m * np.sin(angle)
         tops.append(float(swung.max()) + figures.hinge_z_m)
@@ -194,7 +194,7 @@ def _least_hidden(
     trajectory: Trajectory, car: int, aims: list[Callable[[float], Aim]]
 ) -> Callable[[float], Aim]:
     """Return the first of the aims from which nothing hides a car most often."""
-    model, root = trajectory.model, trajectory.site.cars[car].base.body
+    model, root = trajectory.model, trajectory.physics.cars[car].base.body
     playback = Playback(model, trajectory)
     seen, groups, hit = [0] * len(aims), np.array([0, 0, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
     for sample in np.linspace(0, len(trajectory) - 1, _LOOKS).astype(int):

@@ -60,11 +60,11 @@ class Ghost:
 
     def __init__(self, model: mujoco.MjModel, trajectory: Trajectory) -> None:
         """Prepare for the model of a stage."""
-        site, story = trajectory.site, trajectory.story
+        physics, story = trajectory.physics, trajectory.story
         machines = story.recipe.setup.machines
         self._pieces = [piece for goal in story.design for piece in _pieces(model, machines, goal)]
-        self._blocks = [block.qpos for block in site.blocks]
-        self._slopes = [(slope.base.qpos, slope.hinge.qpos) for slope in site.slopes]
+        self._blocks = [block.qpos for block in physics.blocks]
+        self._slopes = [(slope.base.qpos, slope.hinge.qpos) for slope in physics.slopes]
 
     def add(self, scene: mujoco.MjvScene, qpos: NDArray[np.float64]) -> None:
         """Add to a scene, after ``update_scene``, what does not stand in its place at these positions (nq,)."""

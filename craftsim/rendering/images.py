@@ -20,7 +20,7 @@ from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.renderer import make_renderer
 
 if TYPE_CHECKING:
-    from craftsim.models.world import Site
+    from craftsim.models.world import PhysicsWorld
 
 Images = dict[str, NDArray[Any]]
 """By kind."""
@@ -32,23 +32,23 @@ _DRAWN: Final = ("ngeom", "nsite", "geom_dataid", "mesh_vert", "mesh_normal", "m
 
 
 def take_images(
-    site: Site,
+    physics: PhysicsWorld,
     camera: str = "overview",
     size: tuple[int, int] = (640, 480),
     kinds: Sequence[ImageKind] = IMAGE_KINDS,
 ) -> Images:
-    """Return what a camera of a Site sees, as arrays by kind.
+    """Return what a camera of a PhysicsWorld sees, as arrays by kind.
 
     Who takes many keeps a :class:`craftsim.rendering.images.CameraImages`: preparing takes a hundred times as long as
     an image.
 
     Args:
-        site: the world, as it stands.
+        physics: the world, as it stands.
         camera: ``overview``, ``top``, or ``front:CAR``, the one in the nose of a car, given by its number.
         size: width and height in pixels.
         kinds: ``rgb``, shape (height, width, 3), uint8; ``depth``, (height, width), float32, metres from the image
             plane along the camera's axis, not along each pixel's ray, and 100 where there is nothing; ``segmentation``,
-            (height, width, 2), int16: the number of the machine in ``site.machine_names.names``, then that of its kind
+            (height, width, 2), int16: the number of the machine in ``physics.machine_names.names``, that of its kind
             (0 ground, 1 wall, 2 car, 3 block, 4 flag, 5 slope), both -1 where there is nothing. Markers of goals show
             in the colours only.
 
@@ -58,15 +58,15 @@ def take_images(
 
     Example:
         >>> import craftsim
-        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
-        >>> seen = craftsim.take_images(site, "top", size=(64, 48))
+        >>> physics = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> seen = craftsim.take_images(physics, "top", size=(64, 48))
         >>> {kind: (array.shape, str(array.dtype)) for kind, array in seen.items()}
         {'rgb': ((48, 64, 3), 'uint8'), 'depth': ((48, 64), 'float32'), 'segmentation': ((48, 64, 2), 'int16')}
-        >>> site.machine_names.names[seen["segmentation"][24, 10, 0]]
+        >>> physics.machine_names.names[seen["segmentation"][24, 10, 0]]
         'car 0'
     """
     with CameraImages([camera], size, kinds) as images:
-        return {kind: taken[0] for kind, taken in images.take(site).items()}
+        return {kind: taken[0] for kind, taken in images.take(physics).items()}
 
 
 class CameraImages:
@@ -87,19 +87,21 @@ class CameraImages:
         self.cameras, self.size, self.kinds = tuple(cameras), size, tuple(kinds)
         self._solids = mujoco.MjvOption()
         self._solids.sitegroup[:] = 0
-        self._site: Site | None = None
+        self._physics: PhysicsWorld | None = None
         self._renderer: mujoco.Renderer | None = None
 
-    def take(self, site: Site, qpos: NDArray[np.float64] | None = None, time_s: float = 0.0) -> Images:
+    def take(
+        self, physics: PhysicsWorld, qpos: NDArray[np.float64] | None = None, time_s: float = 0.0
+    ) -> Images:
         """Return what the cameras see of a world, each array with a leading dimension of one entry a camera.
 
         Args:
-            site: the world.
+            physics: the world.
             qpos: (nq,) MuJoCo's positions of everything; those of the world unless given.
             time_s: simulated time, which moves views.
         """
-        if site is not self._site:
-            self._begin(site)
+        if physics is not self._physics:
+            self._begin(physics)
         model, data = self._seen.model, self._seen.now() if qpos is None else self._seen.at(qpos)
         width, height = self.size
         taken: Images = {
@@ -113,13 +115,13 @@ class CameraImages:
                 images[place] = self._image(kind, shot, zoom, data)
         return taken
 
-    def _begin(self, site: Site) -> None:
-        self._seen = SeenWorld(site)
+    def _begin(self, physics: PhysicsWorld) -> None:
+        self._seen = SeenWorld(physics)
         model = self._seen.model
         if self._renderer is None or not _drawn_alike(self._renderer.model, model):
             self.close()
             self._renderer = make_renderer(self._plain(model), self.size)
-        self._site = site
+        self._physics = physics
         names = MachineNames.of(model)
         label = [LABELS.index(name.split()[0]) for name in names.names]
         self._labels = np.column_stack([names.of_geom, np.array(label)[names.of_geom]]).astype(np.int16)
@@ -162,7 +164,7 @@ class CameraImages:
         """Close the renderer."""
         if self._renderer is not None:
             self._renderer.close()
-        self._renderer = self._site = None
+        self._renderer = self._physics = None
 
     def __enter__(self) -> Self:
         return self

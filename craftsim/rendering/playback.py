@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.trajectory import Trajectory
 
 
@@ -27,27 +27,27 @@ class Posed:
 
 
 class SeenWorld(Posed):
-    """A Site as it is seen: its world with what is only seen, its cameras and markers, in a model of its own."""
+    """A world as it is seen: its world with what is only seen, its cameras and markers, in a model of its own."""
 
-    def __init__(self, site: Site) -> None:
-        """Build the world of a Site again."""
-        super().__init__(site.world_spec.model(visual=True))
-        self._site, self._physics = site, site.model
-        names = [self._physics.geom(geom).name for geom in range(self._physics.ngeom)]
+    def __init__(self, physics: PhysicsWorld) -> None:
+        """Build the world of a PhysicsWorld again."""
+        super().__init__(physics.world_spec.model(visual=True))
+        self._physics = physics
+        names = [physics.model.geom(geom).name for geom in range(physics.model.ngeom)]
         self._geoms = np.array([self.model.geom(name).id for name in names], np.intp)
         """By geom of the physics, which has fewer: its number here."""
 
     def at(self, qpos: NDArray[np.float64], time_s: float = 0.0) -> mujoco.MjData:
         """Return the data with everything where ``qpos`` (nq,) say, and as drawn; the next call overwrites it."""
         for name in ("body_pos", "body_quat", "hfield_data"):
-            getattr(self.model, name)[:] = getattr(self._physics, name)
+            getattr(self.model, name)[:] = getattr(self._physics.model, name)
         for name in ("geom_pos", "geom_quat", "geom_size"):
-            getattr(self.model, name)[self._geoms] = getattr(self._physics, name)
+            getattr(self.model, name)[self._geoms] = getattr(self._physics.model, name)
         return super().at(qpos, time_s)
 
     def now(self) -> mujoco.MjData:
-        """Return the data with everything where it is in the Site; the next call overwrites it."""
-        return self.at(self._site.data.qpos.copy())
+        """Return the data with everything where it is in the PhysicsWorld; the next call overwrites it."""
+        return self.at(self._physics.data.qpos.copy())
 
 
 class Playback:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.discrete.files.design import Design
 from craftsim.models.measuring import READING
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.trajectory import (
     KINDS,
     SCHEMA_VERSION,
@@ -42,23 +42,23 @@ class Recorder:
         self._time: list[float] = []
         self._contact: list[float] = []
 
-    def begin(self, checked: CheckedSite) -> None:
+    def begin(self, judge: Judge) -> None:
         """Record a world from now on; what was recorded before is dropped."""
-        self._checked, self._executor, self._log = checked, checked.executor, checked.log
+        self._judge, self._executor, self._log = judge, judge.executor, judge.log
         self._time, self._contact = [], []
         self._qpos: _Samples = []
         self._ctrl: _Samples = []
         self._force: _Samples = []
         self._readings: list[bytes] = []
         self._path: _Samples = []
-        data, n_cars = checked.site.data, len(checked.site.cars)
+        data, n_cars = judge.physics.data, len(judge.physics.cars)
         numbers = len(data.qpos) + len(data.ctrl) + 3 * n_cars + 2
         self._most = min(MOST_SAMPLES, MOST_BYTES // (8 * numbers))
-        self._look(checked.site)
-        checked.executor.observers.append(self._look)
+        self._look(judge.physics)
+        judge.executor.observers.append(self._look)
 
-    def _look(self, site: Site) -> None:
-        data = site.data
+    def _look(self, physics: PhysicsWorld) -> None:
+        data = physics.data
         # A simulation that breaks down starts its time over: what it does then is no part of the run.
         if (self._time and not self._time[-1] < data.time) or len(self._time) == self._most:
             return
@@ -81,15 +81,15 @@ class Recorder:
             attempts: what was tried since the recording began.
             design: the building that is to be put up.
         """
-        site = self._checked.site
+        physics = self._judge.physics
         story = Story(
             SCHEMA_VERSION,
             title,
             versions(),
             recipe,
             tuple(attempts),
-            poses_of(site),
-            motors_of(site),
+            poses_of(physics),
+            motors_of(physics),
             () if design is None else tuple(_targets(design)),
         )
         kept = len(self._time)

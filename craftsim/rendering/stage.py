@@ -50,7 +50,7 @@ class Stage:
         _number_cars(spec, machines, recipe.grid.n_cars)
         add_ghost_meshes(spec, machines)
         if trajectory.story.design:
-            for marker in [site for site in spec.sites if site.name.startswith("goal")]:
+            for marker in [physics for physics in spec.sites if physics.name.startswith("goal")]:
                 spec.delete(marker)  # the ghost shows them
         quads = spec.visual.quality
         quads.numslices, quads.numstacks = 14, 8  # of a roller: forty a car are most of a picture's cost

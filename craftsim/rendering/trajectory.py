@@ -21,7 +21,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, check_recipe
 from craftsim.discrete.grid import Cell, Kind
 from craftsim.errors import InputError
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.shapes import Wanted
 from craftsim.report import versions
 from craftsim.storage import limits
@@ -178,19 +178,21 @@ class Trajectory:
         return max(0, int(np.searchsorted(self.time, time_s + 1e-9, side="right")) - 1)
 
     @cached_property
-    def site(self) -> Site:
+    def physics(self) -> PhysicsWorld:
         """The world as its parts are compiled: to look at its model, not to be moved. Raises InputError where this
         version of craftsim makes another world of it."""
         recipe = self.story.recipe
         setup = recipe.setup
-        site = Site(recipe.grid, setup.simulation, recipe.goals, reset=False, machines=setup.machines)
-        _check_columns(site, self)
-        return site
+        physics = PhysicsWorld(
+            recipe.grid, setup.simulation, recipe.goals, reset=False, machines=setup.machines
+        )
+        _check_columns(physics, self)
+        return physics
 
     @cached_property
     def model(self) -> mujoco.MjModel:
         """Of MuJoCo, in which ``qpos`` are positions: the world with what is only seen."""
-        return self.site.world_spec.model(visual=True)
+        return self.physics.world_spec.model(visual=True)
 
     def _check(self) -> None:
         recipe, n = self.story.recipe, len(self.time) if self.time.ndim else 0
@@ -238,24 +240,24 @@ def _check_version(data: bytes) -> None:
         raise InputError(f"schema_version is {version}; this craftsim reads version {SCHEMA_VERSION}")
 
 
-def poses_of(site: Site) -> dict[str, int]:
+def poses_of(physics: PhysicsWorld) -> dict[str, int]:
     """Return where in ``qpos`` the pose of each machine that moves begins, by its name."""
-    model, names = site.model, site.machine_names
+    model, names = physics.model, physics.machine_names
     joints = (int(model.body_jntadr[body]) for body in names.roots)
     moving = names.names[len(names.names) - len(names.roots) :]
     return {name: int(model.jnt_qposadr[j]) for name, j in zip(moving, joints, strict=True)}
 
 
-def motors_of(site: Site) -> tuple[str, ...]:
+def motors_of(physics: PhysicsWorld) -> tuple[str, ...]:
     """Return the names of all motors."""
-    return tuple(site.model.actuator(i).name for i in range(site.model.nu))
+    return tuple(physics.model.actuator(i).name for i in range(physics.model.nu))
 
 
-def _check_columns(site: Site, trajectory: Trajectory) -> None:
-    """Raise InputError where a Site's columns are not those of a trajectory."""
+def _check_columns(physics: PhysicsWorld, trajectory: Trajectory) -> None:
+    """Raise InputError where a PhysicsWorld's columns are not those of a trajectory."""
     story = trajectory.story
-    same = poses_of(site) == story.poses and motors_of(site) == story.motors
-    if not same or site.model.nq != trajectory.qpos.shape[1]:
+    same = poses_of(physics) == story.poses and motors_of(physics) == story.motors
+    if not same or physics.model.nq != trajectory.qpos.shape[1]:
         was, now = story.versions.get("craftsim"), versions()["craftsim"]
         raise InputError(
             f"the trajectory '{story.title}' was recorded with other machines than these "

@@ -12,7 +12,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.config import SimulationConfig
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.robots.link import TIMEOUT_S, Link
 from craftsim.robots.mirror import Mirror
 from craftsim.robots.sockets import Caller
@@ -42,7 +42,7 @@ class Connection:
             address: of the robots.
             grid: the world in which they should stand.
             machines: the figures of them and of what they handle.
-            config: of the Site that shows them.
+            config: of the PhysicsWorld that shows them.
             goals: cells to mark on it.
             timeout_s: without a message for so long they count as lost.
 
@@ -51,8 +51,8 @@ class Connection:
         self._callers = [Caller(address)]
         try:
             digest = world_digest(grid)
-            self.site = Site(grid, config, goals, reset=False, machines=machines)
-            n_slopes, period_s = len(self.site.slopes), self.site.config.control_period_s
+            self.physics = PhysicsWorld(grid, config, goals, reset=False, machines=machines)
+            n_slopes, period_s = len(self.physics.slopes), self.physics.config.control_period_s
             self.link = Link(
                 self._callers[0], grid.n_cars, machines, digest, timeout_s, Surroundings(grid.size)
             )
@@ -66,7 +66,7 @@ class Connection:
             if not self.link.welcome.referee:
                 raise InputError(f"nobody shows the world of the robots at {address}: there is no referee")
             self._callers.append(Caller(address))
-            self.link.let_judge(Mirror(self.site, self._callers[1], welcome.ticket))
+            self.link.let_judge(Mirror(self.physics, self._callers[1], welcome.ticket))
         except BaseException:
             self.__exit__(None, None, None)
             raise

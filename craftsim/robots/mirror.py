@@ -1,4 +1,4 @@
-"""The world of robots elsewhere as a referee sees it: a Site on which nothing acts, for a judge to look at."""
+"""The world of robots elsewhere as a referee sees it: a PhysicsWorld on which nothing acts, for a judge to look at."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from craftsim.models.parts import FreeBody
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.robots.link import Messenger
 from craftsim.robots.messages import Follow, Measurements, MessageError, TruePoses, pack, unpack
 from craftsim.robots.surroundings import Surroundings
@@ -27,15 +27,15 @@ class Mirror:
     Wheels stand still; boards stand where they were measured; velocities are what changed since what was shown before.
     """
 
-    def __init__(self, site: Site, referee: Messenger, ticket: str = "") -> None:
-        """Show on a Site, which is never stepped, what a referee publishes; ``ticket`` is that of the driver."""
-        self.site, self._referee = site, referee
+    def __init__(self, physics: PhysicsWorld, referee: Messenger, ticket: str = "") -> None:
+        """Show on a world, which is never stepped, what a referee publishes; ``ticket`` is that of the driver."""
+        self.physics, self._referee = physics, referee
         referee.send(pack(Follow(ticket)))
-        self._surroundings = Surroundings(site.size)
+        self._surroundings = Surroundings(physics.size)
         self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
-        handles = [*(car.base for car in site.cars), *site.blocks, *site.flags]
-        self._bodies: tuple[FreeBody, ...] = (*handles, *(slope.base for slope in site.slopes))
-        self._n_cars, self._n_slopes = len(site.cars), len(site.slopes)
+        handles = [*(car.base for car in physics.cars), *physics.blocks, *physics.flags]
+        self._bodies: tuple[FreeBody, ...] = (*handles, *(slope.base for slope in physics.slopes))
+        self._n_cars, self._n_slopes = len(physics.cars), len(physics.slopes)
 
     def follow(self, measured: Measurements, timeout_s: float) -> str:
         """Show how things stood when that was measured; return why it was not seen in time, or nothing."""
@@ -78,16 +78,16 @@ class Mirror:
         return ""
 
     def _show(self, poses: TruePoses, measured: Measurements) -> None:
-        site, data = self.site, self.site.data
+        physics, data = self.physics, self.physics.data
         passed_s = poses.time_s - data.time
         for body, pose in zip(self._bodies, (*poses.cars, *poses.things), strict=True):
             if passed_s > 0:
                 way = np.array(pose[:3]) - data.qpos[body.qpos : body.qpos + 3]
                 data.qvel[body.dof : body.dof + 3] = way / passed_s
             data.qpos[body.qpos : body.qpos + 7] = pose
-        for slope, hinge in zip(site.slopes, poses.hinges, strict=True):
+        for slope, hinge in zip(physics.slopes, poses.hinges, strict=True):
             data.qpos[slope.hinge.qpos] = hinge
-        for car, now in zip(site.cars, measured.cars, strict=True):
+        for car, now in zip(physics.cars, measured.cars, strict=True):
             data.qpos[car.board.qpos] = now.board_m
         data.time = poses.time_s
-        site.capped_steps = poses.capped_steps
+        physics.capped_steps = poses.capped_steps

@@ -1,4 +1,4 @@
-"""Simulated robots: the cars of a Site, behind the interface that real ones have."""
+"""Simulated robots: the cars of a PhysicsWorld, behind the interface that real ones have."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import Any
 import numpy as np
 
 from craftsim.models.measuring import CarMeasurement, PoseReader
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.robots.channel import Channel, Network
 from craftsim.robots.messages import Measurements, TruePoses
 from craftsim.robots.robot import Robot
 from craftsim.robots.service import Service
 from craftsim.robots.sockets import Host
 from craftsim.robots.station import Station
-from craftsim.skills.fleet import SiteFleet
+from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.skill import Command
 
 
 class SimulatedRobot:
-    """A car of a Site."""
+    """A car of a PhysicsWorld."""
 
-    def __init__(self, world: SiteFleet, car: int) -> None:
+    def __init__(self, world: PhysicsFleet, car: int) -> None:
         """Take car number ``car`` with its sensors and motors."""
         self._world, self._car, self._slope = world, car, -1
 
@@ -32,22 +32,22 @@ class SimulatedRobot:
 
     def command(self, command: Command) -> None:
         """Give its motors these speeds; a hinge turns while its plug is felt."""
-        site = self._world.site
+        physics = self._world.physics
         self._world.motors.drive(self._car, command.wheels)
-        site.move_board(self._car, command.board)
+        physics.move_board(self._car, command.board)
         slope = self.measure().slope
         slope = -1 if slope is None else slope
         if self._slope not in (-1, slope):
-            site.turn_hinge(self._slope, 0.0)
+            physics.turn_hinge(self._slope, 0.0)
         if slope >= 0:
-            site.turn_hinge(slope, command.hinge)
+            physics.turn_hinge(slope, command.hinge)
         self._slope = slope
 
 
 class SimulatedClock:
-    """The time of a Site, which passes in its physics alone."""
+    """The time of a PhysicsWorld, which passes in its physics alone."""
 
-    def __init__(self, world: SiteFleet) -> None:
+    def __init__(self, world: PhysicsFleet) -> None:
         """Let the time of these cars pass."""
         self._world = world
 
@@ -56,21 +56,21 @@ class SimulatedClock:
         self._world.advance()
 
 
-def simulated_robots(world: SiteFleet) -> tuple[Robot, ...]:
-    """Return a robot for each car of a Site."""
-    return tuple(SimulatedRobot(world, car) for car in range(len(world.site.cars)))
+def simulated_robots(world: PhysicsFleet) -> tuple[Robot, ...]:
+    """Return a robot for each car of a PhysicsWorld."""
+    return tuple(SimulatedRobot(world, car) for car in range(len(world.physics.cars)))
 
 
 class SimulatedReferee:
-    """Knows where everything on a Site truly is."""
+    """Knows where everything on a PhysicsWorld truly is."""
 
-    def __init__(self, site: Site) -> None:
-        """Look at a Site."""
-        self._site, self._poses = site, PoseReader(site)
+    def __init__(self, physics: PhysicsWorld) -> None:
+        """Look at a PhysicsWorld."""
+        self._physics, self._poses = physics, PoseReader(physics)
 
     def __call__(self, measured: Measurements) -> TruePoses:
         """Return where everything is, at the time at which the robots have measured."""
-        poses, n_slopes = self._poses.read(), len(self._site.slopes)
+        poses, n_slopes = self._poses.read(), len(self._physics.slopes)
         cars = np.hstack([poses.car_positions, poses.car_quaternions])
         things = np.hstack([poses.positions, poses.quaternions])
         return TruePoses(
@@ -79,12 +79,12 @@ class SimulatedReferee:
             tuple(map(tuple, cars.tolist())),
             tuple(map(tuple, things.tolist())),
             tuple(poses.hinges[len(poses.hinges) - n_slopes :].tolist()),
-            self._site.capped_steps,
+            self._physics.capped_steps,
         )
 
 
 def serve_simulated(
-    world: SiteFleet,
+    world: PhysicsFleet,
     digest: str,
     sockets: Host,
     network: Network,
@@ -92,7 +92,7 @@ def serve_simulated(
     waits: bool,
     tell: Callable[[str], None],
 ) -> Service:
-    """Return the service of the cars of a Site.
+    """Return the service of the cars of a PhysicsWorld.
 
     Args:
         world: the cars.
@@ -103,8 +103,8 @@ def serve_simulated(
         waits: whether their time stands still until each measurement has been answered.
         tell: as of the service.
     """
-    site = world.site
+    physics = world.physics
     robots = simulated_robots(world)
-    station = Station(robots, len(site.slopes), site.config.control_period_s, digest, True, waits)
+    station = Station(robots, len(physics.slopes), physics.config.control_period_s, digest, True, waits)
     up, down = (Channel[Any](network, rng) for rng in rngs)
-    return Service(station, SimulatedClock(world), up, down, sockets.send, SimulatedReferee(site), tell)
+    return Service(station, SimulatedClock(world), up, down, sockets.send, SimulatedReferee(physics), tell)

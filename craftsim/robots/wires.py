@@ -1,4 +1,4 @@
-"""Records and arrays through which compiled laws measure and command robots that are no part of a Site."""
+"""Records and arrays through which compiled laws measure and command robots that are no part of a PhysicsWorld."""
 
 from __future__ import annotations
 

@@ -19,8 +19,8 @@ from craftsim.errors import InputError
 from craftsim.models.measuring import Motors, PoseReader
 from craftsim.models.parts import FreeBody
 from craftsim.models.sensing import Sensors
-from craftsim.models.world import Site
-from craftsim.skills.fleet import SiteFleet
+from craftsim.models.world import PhysicsWorld
+from craftsim.skills.fleet import PhysicsFleet
 
 DisturbanceKind = Literal["shove", "dead-car"]
 
@@ -51,61 +51,66 @@ class Disturbance:
             )
 
 
-class DisturbedFleet(SiteFleet):
-    """The cars of a Site to which something happens."""
+class DisturbedFleet(PhysicsFleet):
+    """The cars of a PhysicsWorld to which something happens."""
 
     def __init__(
-        self, site: Site, sensors: Sensors, motors: Motors, disturbance: Disturbance, rng: np.random.Generator
+        self,
+        physics: PhysicsWorld,
+        sensors: Sensors,
+        motors: Motors,
+        disturbance: Disturbance,
+        rng: np.random.Generator,
     ) -> None:
         """Measure and command with these sensors and motors; ``rng`` draws what is hit."""
-        super().__init__(site, sensors, motors)
+        super().__init__(physics, sensors, motors)
         self.disturbance, self._rng = disturbance, rng
         self.happened = ""
         """What has happened, in words; empty before."""
-        self._poses = PoseReader(site)
+        self._poses = PoseReader(physics)
         self._dead: int | None = None
         self._shove: _Shove | None = None
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Let one control period pass."""
-        if not self.happened and self.site.time_s >= self.disturbance.start_s:
+        if not self.happened and self.physics.time_s >= self.disturbance.start_s:
             self._begin()
         if self._dead is not None:
-            self.site.drive(self._dead, (0.0, 0.0, 0.0, 0.0))
-            self.site.move_board(self._dead, 0.0)
+            self.physics.drive(self._dead, (0.0, 0.0, 0.0, 0.0))
+            self.physics.move_board(self._dead, 0.0)
             if (docked := int(self.sensors.read()[self._dead]["slope"])) >= 0:
-                self.site.turn_hinge(docked, 0.0)
+                self.physics.turn_hinge(docked, 0.0)
         if self._shove is None:
             super().advance(observe)
             return
         shove = self._shove
 
         def push() -> None:
-            shove.push(self.site)
+            shove.push(self.physics)
             if observe is not None:
                 observe()
 
-        shove.push(self.site)
+        shove.push(self.physics)
         super().advance(push)
-        if shove.over(self.site):
+        if shove.over(self.physics):
             self._shove = None
 
     def _begin(self) -> None:
         if self.disturbance.kind == "dead-car":
-            self._dead = int(self._rng.integers(len(self.site.cars)))
-            self.happened = f"car {self._dead} is out of action from {self.site.time_s:.2f} s on"
+            self._dead = int(self._rng.integers(len(self.physics.cars)))
+            self.happened = f"car {self._dead} is out of action from {self.physics.time_s:.2f} s on"
             return
         ways = list(self._ways())
         if not ways:
             return
         block, start, end = ways[int(self._rng.integers(len(ways)))]
-        self._shove = _Shove(self.site, self.site.blocks[block], end)
-        self.happened = f"block {block} is shoved from {start} to {end} at {self.site.time_s:.2f} s"
+        self._shove = _Shove(self.physics, self.physics.blocks[block], end)
+        self.happened = f"block {block} is shoved from {start} to {end} at {self.physics.time_s:.2f} s"
 
     def _ways(self) -> list[tuple[int, Cell, Cell]]:
         """Return the blocks that can be shoved now, by number, with their cells and where to."""
         poses = self._poses.read()
-        reading = read_grid(poses, self.site.size, self.site.walls)
+        reading = read_grid(poses, self.physics.size, self.physics.walls)
         found = []
         blocks = [index for index, kind in enumerate(poses.kinds) if kind == Kind.BLOCK]
         for block, index in enumerate(blocks):
@@ -142,26 +147,26 @@ def _clear(cars: np.ndarray[tuple[int, ...], np.dtype[np.float64]], *cells: Cell
 class _Shove:
     """A hand that pushes a block over the floor to the middle of a cell: a force, never a pose."""
 
-    def __init__(self, site: Site, block: FreeBody, aim: Cell) -> None:
-        self._block, self._begun_s = block, site.time_s
-        position, _ = site.free_body_state(block)
+    def __init__(self, physics: PhysicsWorld, block: FreeBody, aim: Cell) -> None:
+        self._block, self._begun_s = block, physics.time_s
+        position, _ = physics.free_body_state(block)
         self._from, self._to = position[:2], (np.array(aim[:2]) + 0.5) * CELL_PITCH_M
-        self._mass = float(site.model.body_subtreemass[block.body])
+        self._mass = float(physics.model.body_subtreemass[block.body])
 
-    def push(self, site: Site) -> None:
+    def push(self, physics: PhysicsWorld) -> None:
         """Set the force for the next physics step."""
-        share = min((site.time_s - self._begun_s) / SHOVE_S, 1.0)
+        share = min((physics.time_s - self._begun_s) / SHOVE_S, 1.0)
         target = self._from + (self._to - self._from) * 0.5 * (1 - math.cos(math.pi * share))
-        position, _ = site.free_body_state(self._block)
-        speed = site.data.qvel[self._block.dof : self._block.dof + 2].copy()
+        position, _ = physics.free_body_state(self._block)
+        speed = physics.data.qvel[self._block.dof : self._block.dof + 2].copy()
         rate = 2 * math.pi * _STIFFNESS_HZ
         pull = self._mass * (rate**2 * (target - position[:2]) - 2 * rate * speed)
-        force = site.data.xfrc_applied[self._block.body]
+        force = physics.data.xfrc_applied[self._block.body]
         force[:2], force[2] = pull, _LIFTED * self._mass * 9.81
 
-    def over(self, site: Site) -> bool:
+    def over(self, physics: PhysicsWorld) -> bool:
         """Return whether the block has arrived; the hand then lets go."""
-        if site.time_s < self._begun_s + 1.25 * SHOVE_S:
+        if physics.time_s < self._begun_s + 1.25 * SHOVE_S:
             return False
-        site.data.xfrc_applied[self._block.body] = 0.0
+        physics.data.xfrc_applied[self._block.body] = 0.0
         return True

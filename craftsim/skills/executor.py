@@ -1,4 +1,4 @@
-"""Running skills of many cars in lock-step on one Site."""
+"""Running skills of many cars in lock-step on one PhysicsWorld."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import nearest_yaw
 from craftsim.models.measuring import READING, Motors, Records
 from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measurement_of
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.estimator import PoseEstimator, assume_delay, likeliest_delay
-from craftsim.skills.fleet import Fleet, SiteFleet
+from craftsim.skills.fleet import Fleet, PhysicsFleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.laws import LAG_STEP_S, step_cars
 from craftsim.skills.library import (
@@ -44,25 +44,25 @@ from craftsim.skills.state import CAR, COMMAND, HOLD, IDLE, N_LAGS, NO_TASK, OWN
 _ASSUMED_LAG: Final = (1.0, 3.0)
 """Mean and standard deviation of a motor's lag before it has moved, in steps between candidates."""
 
-Observer = Callable[[Site], None]
+Observer = Callable[[PhysicsWorld], None]
 Guard = Callable[[], bool]
 """Returns whether something unsafe has happened."""
 
 
 class Executor:
-    """Performs actions on a Site: any number of cars act at the same time, each until its skill has ended.
+    """Performs actions on a PhysicsWorld: any number of cars act at the same time, each until its skill has ended.
 
     Example:
         >>> import craftsim
-        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
-        >>> outcome = craftsim.Executor(site).run({0: craftsim.Action.ROTATE_LEFT})[0]
+        >>> physics = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> outcome = craftsim.Executor(physics).run({0: craftsim.Action.ROTATE_LEFT})[0]
         >>> outcome.succeeded
         True
     """
 
     def __init__(
         self,
-        site: Site,
+        physics: PhysicsWorld,
         gains: Gains | None = None,
         observer: Observer | None = None,
         sensors: Sensors | None = None,
@@ -71,14 +71,14 @@ class Executor:
         fleet: Fleet | None = None,
         skills: SkillChoice | None = None,
     ) -> None:
-        """Run on a Site with these gains, sensors and motors (exact and prompt ones unless given).
+        """Run on a PhysicsWorld with these gains, sensors and motors (exact and prompt ones unless given).
 
         ``assumed`` is what the cars take the noise of their localisation to be, whatever that of the sensors is; with
         none they take each measured pose as it is.
 
         ``observer`` is called after every control period; :attr:`observers` takes more of them.
 
-        ``fleet`` are robots that are driven in place of the Site's cars: the Site then says what they and their world
+        ``fleet`` are robots that are driven in place of the world's cars: the world then says what they and their world
         are like, and it is theirs to change.
 
         ``skills`` are of your own, in place of built-in ones: ``{Action.LIFT: MyLift}`` with a subclass of
@@ -86,25 +86,25 @@ class Executor:
 
         Raises InputError for a skill that is none.
         """
-        self.site = site
+        self.physics = physics
         self.gains = gains or load_gains()
         self.observers: list[Observer] = [] if observer is None else [observer]
         self.step_observer: Callable[[], None] | None = None
         """Called after every physics step."""
         self.guard: Guard | None = None
         """Asked after every control period: a yes stops all cars, and ends their actions."""
-        self.fleet: Fleet = fleet or SiteFleet(site, sensors, motors)
-        n, period = len(site.cars), site.config.control_period_s
+        self.fleet: Fleet = fleet or PhysicsFleet(physics, sensors, motors)
+        n, period = len(physics.cars), physics.config.control_period_s
         own = own_skills(skills)
         if isinstance(skills, Mapping | str):
             check_cars(own, n)
         self._performers = performers(own, n)
-        machines = [car.parameters for car in site.cars]
-        self._setups = [SkillSetup(machine, site.machines, self.gains, period) for machine in machines]
+        machines = [car.parameters for car in physics.cars]
+        self._setups = [SkillSetup(machine, physics.machines, self.gains, period) for machine in machines]
         self._estimator = (
             None
             if assumed.exact_pose
-            else PoseEstimator(assumed, period, machines, self.gains.localisation, site.size)
+            else PoseEstimator(assumed, period, machines, self.gains.localisation, physics.size)
         )
         self._cars = records(n, CAR)
         self._cars["docked"] = -1
@@ -186,7 +186,7 @@ class Executor:
     def _feel(self) -> None:
         """Let the cars rest as long as they lean and are not sure of it."""
         uneven, floors = self.gains.uneven, self._cars["floor"]
-        for _ in range(round(uneven.tilt_time / self.site.config.control_period_s)):
+        for _ in range(round(uneven.tilt_time / self.physics.config.control_period_s)):
             readings = self.readings()
             lean = np.hypot(readings["pitch"], readings["roll"])
             leaning = (floors["n_read"] == 0) & (uneven.tilt < lean) & (lean < self.gains.hold.level)
@@ -219,7 +219,7 @@ class Executor:
         self.fleet.advance(self.step_observer)
         self._estimate()
         for observer in self.observers:
-            observer(self.site)
+            observer(self.physics)
         if self._tries and self.fleet.lost:
             ended |= self._stop_all(Reason.DISCONNECTED, self.fleet.lost)
         if self._tries and self.guard is not None and self.guard():

@@ -1,4 +1,4 @@
-"""What an executor drives: the cars of a Site, or robots that are reached in another way."""
+"""What an executor drives: the cars of a PhysicsWorld, or robots that are reached in another way."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 from craftsim.models.measuring import Floats, Motors, Records
 from craftsim.models.sensing import Sensors
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 
 class Wires(NamedTuple):
@@ -52,18 +52,22 @@ class Fleet(Protocol):
         """Command the motors of a car to zero, and the hinge of the slope that it commands, -1 for none."""
 
 
-class SiteFleet:
-    """The cars of a Site."""
+class PhysicsFleet:
+    """The cars of a PhysicsWorld."""
 
     lost = ""
     late_periods = 0
 
-    def __init__(self, site: Site, sensors: Sensors | None = None, motors: Motors | None = None) -> None:
+    def __init__(
+        self, physics: PhysicsWorld, sensors: Sensors | None = None, motors: Motors | None = None
+    ) -> None:
         """Measure and command with these sensors and motors: exact and prompt ones unless given."""
-        self.site = site
-        self.sensors, self.motors = sensors or Sensors(site), motors or Motors(site)
+        self.physics = physics
+        self.sensors, self.motors = sensors or Sensors(physics), motors or Motors(physics)
         wiring = self.sensors.wiring
-        self.wires = Wires(wiring.cars, wiring.plugs, self.motors.speeds, self.motors.share, site.data.ctrl)
+        self.wires = Wires(
+            wiring.cars, wiring.plugs, self.motors.speeds, self.motors.share, physics.data.ctrl
+        )
 
     def read(self) -> Records:
         """Return the newest readings of all cars."""
@@ -74,12 +78,12 @@ class SiteFleet:
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Let one control period pass."""
-        self.site.advance(observe)
+        self.physics.advance(observe)
         self.sensors.observe()
 
     def stop(self, car: int, slope: int) -> None:
         """Command a car's motors to zero, and the hinge of a slope."""
         self.motors.drive(car, (0.0, 0.0, 0.0, 0.0))
-        self.site.move_board(car, 0.0)
+        self.physics.move_board(car, 0.0)
         if slope >= 0:
-            self.site.turn_hinge(slope, 0.0)
+            self.physics.turn_hinge(slope, 0.0)

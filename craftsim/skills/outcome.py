@@ -11,8 +11,8 @@ class Reason(StrEnum):
 
     Example:
         >>> import craftsim
-        >>> site = craftsim.Site(craftsim.Grid.empty((1, 1, 1), n_cars=1))
-        >>> outcome = craftsim.Executor(site).run({0: craftsim.Action.LIFT})[0]
+        >>> physics = craftsim.PhysicsWorld(craftsim.Grid.empty((1, 1, 1), n_cars=1))
+        >>> outcome = craftsim.Executor(physics).run({0: craftsim.Action.LIFT})[0]
         >>> outcome.reason is craftsim.Reason.LOAD_LOST
         True
     """

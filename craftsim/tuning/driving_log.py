@@ -13,7 +13,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.logs.log import Floats, Log
 from craftsim.logs.recorder import log_of
 from craftsim.models.measuring import READING
-from craftsim.skills.fleet import SiteFleet
+from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.state import COMMAND
 from craftsim.tuning.excitation import Area
 
@@ -37,18 +37,18 @@ def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> Log:
     """
     setup = replace(setup, simulation=replace(setup.simulation, sleep=False))
     executor = set_up(grid, setup, seed, watch_contacts=False).executor
-    site, fleet = executor.site, executor.fleet
-    assert isinstance(fleet, SiteFleet)
+    physics, fleet = executor.physics, executor.fleet
+    assert isinstance(fleet, PhysicsFleet)
     sensors, motors = fleet.sensors, fleet.motors
     readings, told = np.zeros(len(commands), READING), np.zeros(len(commands), COMMAND)
     time = np.zeros(len(commands))
     for row, command in enumerate(commands):
-        readings[row], time[row] = sensors.read()[0], site.time_s
+        readings[row], time[row] = sensors.read()[0], physics.time_s
         wheels, board = tuple(command[:4].tolist()), float(command[4])
         told[row] = (wheels, board, 0.0)
         motors.drive(0, wheels)
-        site.move_board(0, board)
-        site.advance()
+        physics.move_board(0, board)
+        physics.advance()
         sensors.observe()
     log = log_of(time, readings, told)
     return replace(log, time_s=log.time_s - log.time_s[0])

@@ -19,7 +19,7 @@ from craftsim.mjcf.parameters import Machines
 from craftsim.models.config import STEPS_S, SimulationConfig
 from craftsim.models.measuring import Motors
 from craftsim.models.sensing import Sensors
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.storage.limits import IDENTIFIED_S
 from craftsim.tuning.driving_log import free_area
 from craftsim.tuning.excitation import Area
@@ -91,8 +91,8 @@ class Predictor:
         return self._kept[key]
 
     def _run(self, machines: Machines, motor_lag_s: float) -> Motion:
-        site = Site(self._grid, self._config, machines=machines)
-        sensors, motors = Sensors(site), Motors(site, motor_lag_s)
+        physics = PhysicsWorld(self._grid, self._config, machines=machines)
+        sensors, motors = Sensors(physics), Motors(physics, motor_lag_s)
         n = len(self.log)
         found = np.empty((n, N_COLUMNS))
         for row, command in enumerate(self.log.commands):
@@ -101,8 +101,8 @@ class Predictor:
             found[row, 3:7] = now["wheel_speeds"]
             found[row, 7], found[row, 8] = now["board_m"], now["board_force_n"]
             motors.drive(0, command[:4])
-            site.move_board(0, command[4])
-            site.advance()
+            physics.move_board(0, command[4])
+            physics.advance()
         found[:, 2] = np.unwrap(found[:, 2])
         return Motion(found[:, :3], found[:, 3:7], found[:, 7:])
 

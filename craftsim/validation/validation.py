@@ -183,7 +183,7 @@ def validate(
         n_cars: other than a named world's number of cars; those that its start does not list are drawn at random.
         n_blocks: the same for blocks.
         max_steps: length of an episode in ``random`` worlds, less two ticks.
-        observers: functions that are called with a run's Site after every control period; they may look, not touch.
+        observers: functions that are called with a run's world after every control period; they may look, not touch.
         progress: shows what is done.
         shrink: shows how the first failure of each kind is shrunk to its smallest world; unless given, none is.
         record: write a trajectory of each run into the folder ``trajectories`` of ``out``.

@@ -6,7 +6,7 @@ from dataclasses import MISSING, asdict, fields, replace
 import numpy as np
 import pytest
 
-from craftsim.checking import judge
+from craftsim.checking import judge as judging
 from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Thresholds, Verdict, attempt_of, verdict_of
 from craftsim.checking.contacts import Contact, impact_limit_n
 from craftsim.checking.setup import Setup, set_up
@@ -30,12 +30,12 @@ def _unfolding(blocked: bool):
     return set_up(grid, Setup("published"))
 
 
-def _watched(checked, *action, **options):
+def _watched(judge, *action, **options):
     """Perform an action, and return its watched, the verdict on it and the attempt that they make."""
     seen = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(judge, "attempt_of", lambda *given: seen.append(given) or attempt_of(*given))
-        attempt = checked.perform(*action, **options)
+        patch.setattr(judging, "attempt_of", lambda *given: seen.append(given) or attempt_of(*given))
+        attempt = judge.perform(*action, **options)
     watched, verdict, _ = seen[0]
     return watched, verdict, attempt
 
@@ -169,24 +169,24 @@ def test_every_limit_is_that_of_an_error_and_every_error_is_held_against_one():
 
 
 def test_what_the_rules_forbid_is_not_performed_and_says_which_rule():
-    checked = _unfolding(False)
-    before = checked.site.data.qpos.copy()
-    attempt = checked.perform(0, Action.DROP)
+    judge = _unfolding(False)
+    before = judge.physics.data.qpos.copy()
+    attempt = judge.perform(0, Action.DROP)
     assert (attempt.result, attempt.skill, attempt.legal) == ("failed", "not performed", False)
     assert (attempt.performed, attempt.agrees, attempt.duration_s) == (False, False, 0.0)
     assert attempt.finding == "not executed"
-    assert attempt.reason == f"the rules forbid it: {checked.rules.explain(checked.grid, 0, Action.DROP).why}"
-    np.testing.assert_array_equal(checked.site.data.qpos, before)
+    assert attempt.reason == f"the rules forbid it: {judge.rules.explain(judge.grid, 0, Action.DROP).why}"
+    np.testing.assert_array_equal(judge.physics.data.qpos, before)
 
 
 def test_what_the_rules_forbid_is_performed_where_it_is_said_what_it_should_lead_to():
-    checked = _unfolding(False)
-    intended = checked.grid.copy()
+    judge = _unfolding(False)
+    intended = judge.grid.copy()
     intended.cars[0, 0] = 3
-    assert checked.perform(0, Action.MOVE_RIGHT, intended).legal
-    before = checked.grid
-    assert not checked.rules.legal(before, 0, Action.DROP)
-    stays = checked.perform(0, Action.DROP, before.copy(), tick=1)
+    assert judge.perform(0, Action.MOVE_RIGHT, intended).legal
+    before = judge.grid
+    assert not judge.rules.legal(before, 0, Action.DROP)
+    stays = judge.perform(0, Action.DROP, before.copy(), tick=1)
     assert (stays.legal, stays.performed, stays.skill) == (False, True, "succeeded")
     assert (stays.finding, stays.result, stays.tick) == ("agrees", Verdict.AS_PREDICTED, 1)
 
@@ -195,10 +195,10 @@ def test_many_cars_at_once_get_an_attempt_each():
     grid = Grid.empty((4, 3, 2), 3)
     grid.cars[:, :4] = [[0, 0, 1, 0], [0, 2, 1, 0], [3, 1, 1, 0]]
     grid.derive_marks()
-    checked = set_up(grid, Setup())
-    checked.site.model.actuator_forcerange[checked.site.cars[1].wheel_actuators] = 0.0
+    judge = set_up(grid, Setup())
+    judge.physics.model.actuator_forcerange[judge.physics.cars[1].wheel_actuators] = 0.0
     acts = [(0, Action.MOVE_RIGHT), (1, Action.MOVE_RIGHT), (2, Action.LIFT)]
-    attempts = checked.perform_tick(acts, tick=4)
+    attempts = judge.perform_tick(acts, tick=4)
     assert [(a.tick, a.car, a.legal) for a in attempts] == [(4, 0, True), (4, 1, True), (4, 2, False)]
     assert [a.result for a in attempts] == ["as predicted", "failed", "failed"]
     assert attempts[1].skill.startswith("blocked")
@@ -206,26 +206,26 @@ def test_many_cars_at_once_get_an_attempt_each():
 
 
 def test_a_simulation_that_breaks_down_has_diverged():
-    checked = _unfolding(False)
-    site = checked.site
-    checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((1, 2), 1e30))
-    attempt = checked.perform(0, Action.UNFOLD)
+    judge = _unfolding(False)
+    physics = judge.physics
+    judge.executor.observers.append(lambda _: physics.data.xfrc_applied.__setitem__((1, 2), 1e30))
+    attempt = judge.perform(0, Action.UNFOLD)
     assert (attempt.finding, attempt.result) == ("diverged", Verdict.SOLVER)
-    assert "the simulation broke down" in checked.problems
-    site.reset()
-    assert not site.diverged
+    assert "the simulation broke down" in judge.problems
+    physics.reset()
+    assert not physics.diverged
 
 
 def test_what_still_moves_when_all_motors_rest_is_unsettled():
-    checked = _unfolding(True)
-    site = checked.site
+    judge = _unfolding(True)
+    physics = judge.physics
 
     def hand(_):
         # A declared disturbance: somebody pulls the block up, gently and for ever.
-        site.data.xfrc_applied[site.blocks[0].body, 2] = 5.4
+        physics.data.xfrc_applied[physics.blocks[0].body, 2] = 5.4
 
-    checked.executor.observers.append(hand)
-    attempt = checked.perform(0, Action.STOP)
+    judge.executor.observers.append(hand)
+    attempt = judge.perform(0, Action.STOP)
     assert attempt.finding == "unsettled"
     assert "still moves with" in attempt.differences[0]
 

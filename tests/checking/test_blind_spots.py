@@ -22,7 +22,7 @@ from craftsim.models.sensing import SensorNoise
 LEFT, RIGHT = Action.ROTATE_LEFT, Action.MOVE_RIGHT
 
 
-def _checked(objects=(), cars=((0, 0, 1, 0),), size=(5, 1, 2), setup=None):
+def _judge(objects=(), cars=((0, 0, 1, 0),), size=(5, 1, 2), setup=None):
     return set_up(draw(size, objects, cars), setup or Setup())
 
 
@@ -47,19 +47,19 @@ def _ramp(begin_s, length_s, *most):
 
 
 def test_a_block_that_is_set_down_turned_by_five_degrees_is_not_as_predicted():
-    checked = _checked(cars=[(1, 0, 1, 0, Kind.BLOCK)])
-    site, (block,) = checked.site, checked.site.blocks
+    judge = _judge(cars=[(1, 0, 1, 0, Kind.BLOCK)])
+    physics, (block,) = judge.physics, judge.physics.blocks
     stands_s = []
 
     def way(time_s):
         # From when it stands on its feet and the boss is out of its pocket.
-        if not stands_s and site.data.qpos[site.cars[0].board.qpos] > 0.02:
+        if not stands_s and physics.data.qpos[physics.cars[0].board.qpos] > 0.02:
             return None
         stands_s.append(time_s)
         return _ramp(stands_s[0], 0.1, 0, 0, math.radians(5))(time_s)
 
-    twist(checked.executor, block, way)
-    attempt = checked.perform(0, Action.DROP)
+    twist(judge.executor, block, way)
+    attempt = judge.perform(0, Action.DROP)
     assert (attempt.finding, attempt.result) == ("agrees", Verdict.FAILED)
     assert attempt.placed_error_m < 0.001
     assert attempt.thing_heading_rad == pytest.approx(math.radians(5), abs=0.02)
@@ -67,10 +67,10 @@ def test_a_block_that_is_set_down_turned_by_five_degrees_is_not_as_predicted():
 
 
 def test_a_bystander_that_is_twisted_by_six_degrees_is_a_side_effect():
-    checked = _checked([(Kind.BLOCK, (3, 0, 1))])
-    start_s = checked.site.time_s
-    twist(checked.executor, checked.site.blocks[0], _ramp(start_s, 0.3, 0, 0, math.radians(6)))
-    attempt = checked.perform(0, LEFT)
+    judge = _judge([(Kind.BLOCK, (3, 0, 1))])
+    start_s = judge.physics.time_s
+    twist(judge.executor, judge.physics.blocks[0], _ramp(start_s, 0.3, 0, 0, math.radians(6)))
+    attempt = judge.perform(0, LEFT)
     assert (attempt.finding, attempt.result) == ("agrees", Verdict.SIDE_EFFECT)
     assert attempt.bystander_displacement_m < 0.001
     assert attempt.bystander_turn_rad == pytest.approx(math.radians(6), abs=0.02)
@@ -78,10 +78,10 @@ def test_a_bystander_that_is_twisted_by_six_degrees_is_a_side_effect():
 
 
 def test_a_bystander_car_that_is_tipped_and_stands_again_is_a_side_effect():
-    checked = _checked(cars=[(0, 0, 1, 0), (3, 0, 1, 0)])
-    base = checked.site.cars[1].base
-    twist(checked.executor, base, _bump(checked.site.time_s, 1.2, 0, -math.radians(16), 0))
-    attempt = checked.perform(0, LEFT)
+    judge = _judge(cars=[(0, 0, 1, 0), (3, 0, 1, 0)])
+    base = judge.physics.cars[1].base
+    twist(judge.executor, base, _bump(judge.physics.time_s, 1.2, 0, -math.radians(16), 0))
+    attempt = judge.perform(0, LEFT)
     assert (attempt.finding, attempt.result) == ("agrees", Verdict.SIDE_EFFECT)
     assert attempt.bystander_turn_rad < 0.003
     assert attempt.drift_rad == pytest.approx(math.radians(16), abs=0.06)
@@ -90,10 +90,10 @@ def test_a_bystander_car_that_is_tipped_and_stands_again_is_a_side_effect():
 
 def test_what_is_pressed_harder_than_weights_and_motors_can_is_unsafe():
     """A car of 101 N is pressed down with 400 N more: 502 N."""
-    checked = _checked(cars=[(0, 0, 1, 0), (3, 0, 1, 0)])
-    site, base = checked.site, checked.site.cars[1].base
-    checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((base.body, 2), -400.0))
-    attempt = checked.perform(0, LEFT)
+    judge = _judge(cars=[(0, 0, 1, 0), (3, 0, 1, 0)])
+    physics, base = judge.physics, judge.physics.cars[1].base
+    judge.executor.observers.append(lambda _: physics.data.xfrc_applied.__setitem__((base.body, 2), -400.0))
+    attempt = judge.perform(0, LEFT)
     assert 461 < attempt.peak_force_n < 627
     assert attempt.result == Verdict.UNSAFE
     assert attempt.reason.startswith("ground and car 1 hit each other (")
@@ -102,11 +102,11 @@ def test_what_is_pressed_harder_than_weights_and_motors_can_is_unsafe():
 
 def test_many_small_movements_add_up_and_are_held_against_one_action():
     """A block creeps by half a millimetre with each action, which is allowed once and twice."""
-    checked = _checked([(Kind.BLOCK, (2, 0, 1))])
+    judge = _judge([(Kind.BLOCK, (2, 0, 1))])
     attempts = []
     for _ in range(4):
-        checked.executor.observers.append(push(0, 0.0003))
-        attempts.append(checked.perform(0, LEFT))
+        judge.executor.observers.append(push(0, 0.0003))
+        attempts.append(judge.perform(0, LEFT))
     assert max(attempt.bystander_displacement_m for attempt in attempts) < 0.001
     results = [str(attempt.result) for attempt in attempts]
     wrong = attempts[results.index("side effect")]
@@ -118,26 +118,26 @@ def test_many_small_movements_add_up_and_are_held_against_one_action():
 
 def test_a_bystander_may_not_come_too_near_to_its_neighbour_however_little_it_was_moved():
     """A block that was set down 0.8 mm off, as is allowed, is moved by half a millimetre later, as is allowed too."""
-    checked = _checked(cars=[(0, 0, 1, 0), (3, 0, 1, 0, Kind.BLOCK)])
-    checked.executor.observers.append(push(0, 0.0008))
-    dropped = checked.perform(1, Action.DROP)
+    judge = _judge(cars=[(0, 0, 1, 0), (3, 0, 1, 0, Kind.BLOCK)])
+    judge.executor.observers.append(push(0, 0.0008))
+    dropped = judge.perform(1, Action.DROP)
     assert dropped.agrees
-    checked.executor.observers.append(push(0, 0.0004))
-    attempt = checked.perform(0, LEFT)
+    judge.executor.observers.append(push(0, 0.0004))
+    attempt = judge.perform(0, LEFT)
     assert attempt.bystander_displacement_m < 0.001
     assert attempt.result == Verdict.SIDE_EFFECT
     assert attempt.reason == (
         f"block 0 is {1e3 * attempt.bystander_reach_m:.2f} mm too near to a neighbouring cell (allowed 1.25)"
     )
-    assert checked.perform(0, LEFT).agrees, "it is held against one action alone"
+    assert judge.perform(0, LEFT).agrees, "it is held against one action alone"
 
 
 def test_a_failure_names_its_limit_and_no_contact_of_another_car():
     """Both cars are localised 5 mrad off: one turns by so much less or more, the other lifts its block as it should."""
     biased = replace(NONE, sensors=SensorNoise(heading_bias_rad=0.005))
     cars = [(0, 0, 1, 0), (3, 0, 1, 0)]
-    checked = _checked([(Kind.BLOCK, (3, 0, 1))], cars, setup=Setup(randomization=biased))
-    turns, lifts = checked.perform_tick([(0, LEFT), (1, Action.LIFT)])
+    judge = _judge([(Kind.BLOCK, (3, 0, 1))], cars, setup=Setup(randomization=biased))
+    turns, lifts = judge.perform_tick([(0, LEFT), (1, Action.LIFT)])
     assert lifts.agrees
     assert turns.heading_error_rad > 0.003
     assert turns.reason == f"the car is turned by {1e3 * turns.heading_error_rad:.2f} mrad (allowed 3.00)"
@@ -145,11 +145,11 @@ def test_a_failure_names_its_limit_and_no_contact_of_another_car():
 
 def test_on_an_uneven_floor_a_failure_says_how_far_the_car_was_from_its_path():
     setup = replace(setup_of("lab_floor"), thresholds=Thresholds(car_m=1e-9))
-    attempt = _checked(setup=setup).perform(0, RIGHT)
+    attempt = _judge(setup=setup).perform(0, RIGHT)
     assert attempt.reason.startswith("the car is ")
     assert "; the car strayed " in attempt.reason
     assert float(attempt.reason.split("strayed ")[1].split(" mm")[0]) < 10
-    even = _checked(setup=Setup(thresholds=Thresholds(car_m=1e-9))).perform(0, RIGHT)
+    even = _judge(setup=Setup(thresholds=Thresholds(car_m=1e-9))).perform(0, RIGHT)
     assert "strayed" not in even.reason
 
 

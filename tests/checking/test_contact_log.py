@@ -10,7 +10,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.state import GRAVITY
 
@@ -19,7 +19,7 @@ BLOCK, SMARTCAR = NOMINAL.block, NOMINAL.cars[0]
 SIZE = (4, 3, 3)
 
 
-def _site(config: SimulationConfig | None = None, **cells: Kind) -> Site:
+def _physics(config: SimulationConfig | None = None, **cells: Kind) -> PhysicsWorld:
     """Return a car at (0, 1) that faces +x; cells such as ``b211=Kind.BLOCK`` hold things."""
     grid = Grid.empty(SIZE, 1)
     grid.cars[0, :4] = 0, 1, 1, 0
@@ -27,7 +27,7 @@ def _site(config: SimulationConfig | None = None, **cells: Kind) -> Site:
         x, y, z = (int(digit) for digit in name[1:])
         grid.kind[x, y, z] = kind
     grid.derive_marks()
-    return Site(grid, config)
+    return PhysicsWorld(grid, config)
 
 
 def _pairs(log: ContactLog) -> dict[tuple[str, str], float]:
@@ -35,9 +35,9 @@ def _pairs(log: ContactLog) -> dict[tuple[str, str], float]:
 
 
 def test_what_stands_on_what_at_the_start_is_known_with_its_weight_though_all_of_it_sleeps():
-    site = _site(b211=Kind.BLOCK, b212=Kind.BLOCK)
-    assert site.data.ncon == 0, "MuJoCo leaves out contacts of sleeping things"
-    log = ContactLog(site)
+    physics = _physics(b211=Kind.BLOCK, b212=Kind.BLOCK)
+    assert physics.data.ncon == 0, "MuJoCo leaves out contacts of sleeping things"
+    log = ContactLog(physics)
     block, car = BLOCK.mass_kg * GRAVITY, SMARTCAR.mass_kg * GRAVITY
     assert _pairs(log) == {
         ("ground", "car 0"): pytest.approx(car, rel=0.01),
@@ -51,27 +51,29 @@ def test_what_stands_on_what_at_the_start_is_known_with_its_weight_though_all_of
 def test_watching_leaves_the_simulation_as_it_is():
     ends = []
     for watched in (False, True):
-        site = _site(b111=Kind.BLOCK)
-        executor = Executor(site)
-        log = ContactLog(site) if watched else None
+        physics = _physics(b111=Kind.BLOCK)
+        executor = Executor(physics)
+        log = ContactLog(physics) if watched else None
         if log is not None:
             executor.observers.append(log.sample)
         executor.run({0: Action.MOVE_RIGHT})
         if log is not None:
             log.begin()
         executor.run({0: Action.LIFT})
-        ends.append((site.data.qpos.copy(), site.data.qvel.copy(), site.model.tree_sleep_policy.copy()))
+        ends.append(
+            (physics.data.qpos.copy(), physics.data.qvel.copy(), physics.model.tree_sleep_policy.copy())
+        )
     for alone, seen in zip(*ends, strict=True):
         np.testing.assert_array_equal(alone, seen)
 
 
 def test_a_lift_touches_the_load_and_parts_it_from_the_ground():
-    site = _site(b111=Kind.BLOCK)
-    executor = Executor(site)
+    physics = _physics(b111=Kind.BLOCK)
+    executor = Executor(physics)
     executor.run({0: Action.MOVE_RIGHT})
-    log = ContactLog(site)
+    log = ContactLog(physics)
     executor.observers.append(log.sample)
-    began_s = site.time_s
+    began_s = physics.time_s
     executor.run({0: Action.LIFT})
     (lift,) = [contact for contact in log.contacts if not contact.at_start]
     assert (lift.first, lift.second) == ("car 0", "block 0")
@@ -84,11 +86,11 @@ def test_a_lift_touches_the_load_and_parts_it_from_the_ground():
 
 
 def test_a_car_that_runs_into_a_wall_presses_on_it():
-    site = _site(w111=Kind.WALL)
-    log = ContactLog(site)
-    site.drive(0, [10.0, 0.0, 0.0, 10.0])  # askew: between its legs a wall can be driven under
+    physics = _physics(w111=Kind.WALL)
+    log = ContactLog(physics)
+    physics.drive(0, [10.0, 0.0, 0.0, 10.0])  # askew: between its legs a wall can be driven under
     for _ in range(40):
-        site.advance()
+        physics.advance()
         log.sample()
     assert _pairs(log)["wall", "car 0"] > 20
 
@@ -96,23 +98,23 @@ def test_a_car_that_runs_into_a_wall_presses_on_it():
 AWAKE = SimulationConfig(sleep=False)
 
 
-def _strike(site: Site, log: ContactLog, force_n: float) -> None:
+def _strike(physics: PhysicsWorld, log: ContactLog, force_n: float) -> None:
     """Strike a block down for one physics step of 4 ms, as a declared disturbance, and look as a judge does."""
-    push = site.data.xfrc_applied[site.blocks[0].body]
+    push = physics.data.xfrc_applied[physics.blocks[0].body]
     push[2] = -force_n
 
     def look() -> None:
         push[2] = 0.0
         log.look()
 
-    site.advance(look)
+    physics.advance(look)
     log.sample()
 
 
 def test_a_blow_that_is_over_within_a_control_period_is_seen():
-    site = _site(AWAKE, b211=Kind.BLOCK)
-    log, periods = ContactLog(site), ContactLog(site)
-    _strike(site, log, 500.0)
+    physics = _physics(AWAKE, b211=Kind.BLOCK)
+    log, periods = ContactLog(physics), ContactLog(physics)
+    _strike(physics, log, 500.0)
     periods.sample()
     assert _pairs(log)["ground", "block 0"] == pytest.approx(500 + BLOCK.mass_kg * GRAVITY, rel=0.05)
     assert _pairs(periods)["ground", "block 0"] < 20, "looked at from period to period it does not show"
@@ -120,9 +122,9 @@ def test_a_blow_that_is_over_within_a_control_period_is_seen():
 
 def test_a_force_that_nothing_here_could_have_produced_is_no_hazard_but_impossible():
     """A resting block of 0.5 kg presses with twice its weight at most; a disturbance knows no such limit."""
-    site = _site(AWAKE, b211=Kind.BLOCK)
-    log = ContactLog(site)
-    _strike(site, log, 20_000.0)
+    physics = _physics(AWAKE, b211=Kind.BLOCK)
+    log = ContactLog(physics)
+    _strike(physics, log, 20_000.0)
     (line,) = log.impossible
     assert line.startswith("ground and block 0 press on each other with 199")
     log.begin()
@@ -131,13 +133,15 @@ def test_a_force_that_nothing_here_could_have_produced_is_no_hazard_but_impossib
 
 def test_a_hard_landing_is_a_hazard_and_not_impossible():
     """A car that is that lands at 1.5 m/s stops within some steps: 15 kg m/s in 12 ms are a kilonewton and more."""
-    site = _site(AWAKE)
-    log = ContactLog(site)
-    site.data.xfrc_applied[site.cars[0].base.body, 2] = 300.0  # a declared disturbance: somebody throws it up
+    physics = _physics(AWAKE)
+    log = ContactLog(physics)
+    physics.data.xfrc_applied[physics.cars[0].base.body, 2] = (
+        300.0  # a declared disturbance: somebody throws it up
+    )
     for period in range(40):
         if period == 5:
-            site.data.xfrc_applied[site.cars[0].base.body, 2] = 0.0
-        site.advance(log.look)
+            physics.data.xfrc_applied[physics.cars[0].base.body, 2] = 0.0
+        physics.advance(log.look)
         log.sample()
     assert log.fall_m_s > 1.5
     assert log.peak_n > 1000
@@ -145,13 +149,15 @@ def test_a_hard_landing_is_a_hazard_and_not_impossible():
 
 
 def test_a_fall_and_a_tip_are_hazards_with_the_name_of_what_fell():
-    site = _site(b211=Kind.BLOCK, b212=Kind.BLOCK)
-    log = ContactLog(site)
-    top = site.blocks[1]
+    physics = _physics(b211=Kind.BLOCK, b212=Kind.BLOCK)
+    log = ContactLog(physics)
+    top = physics.blocks[1]
     for _ in range(100):
         # A declared disturbance: somebody shoves the upper block off.
-        site.data.xfrc_applied[top.body, 0] = 5.0 if site.free_body_state(top)[0][0] < 3.2 * 0.3225 else 0.0
-        site.advance()
+        physics.data.xfrc_applied[top.body, 0] = (
+            5.0 if physics.free_body_state(top)[0][0] < 3.2 * 0.3225 else 0.0
+        )
+        physics.advance()
         log.sample()
     assert log.falls_m_s["block 1"] > FALL_M_S > log.falls_m_s["block 0"]
     assert log.tilts_rad["block 1"] > TIPPED_RAD > log.tilts_rad["car 0"]
@@ -163,7 +169,7 @@ def test_a_fall_and_a_tip_are_hazards_with_the_name_of_what_fell():
 
 
 def test_the_file_has_a_line_for_each_contact(tmp_path):
-    log = ContactLog(_site(b211=Kind.BLOCK))
+    log = ContactLog(_physics(b211=Kind.BLOCK))
     log.write(tmp_path / "contacts.csv")
     with (tmp_path / "contacts.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

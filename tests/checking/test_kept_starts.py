@@ -24,15 +24,17 @@ def _grid(y=1):
     return grid
 
 
-def _numbers(site):
-    return np.concatenate([site.data.qpos, site.data.qvel, site.data.qacc_warmstart, site.data.tree_asleep])
+def _numbers(physics):
+    return np.concatenate(
+        [physics.data.qpos, physics.data.qvel, physics.data.qacc_warmstart, physics.data.tree_asleep]
+    )
 
 
 def _moved(grid, setup):
-    checked = set_up(grid, setup)
-    start = _numbers(checked.site)
-    attempt = checked.perform(0, Action.MOVE_RIGHT)
-    return start, attempt, _numbers(checked.site)
+    judge = set_up(grid, setup)
+    start = _numbers(judge.physics)
+    attempt = judge.perform(0, Action.MOVE_RIGHT)
+    return start, attempt, _numbers(judge.physics)
 
 
 def test_a_start_is_settled_once_and_goes_on_alike():
@@ -57,7 +59,7 @@ def test_another_start_configuration_or_goal_is_not_taken_for_it():
 
 
 def test_drawn_physics_before_changes_nothing():
-    fresh = set_up(_grid(), Setup()).site
+    fresh = set_up(_grid(), Setup()).physics
     figures = fresh.model.body_mass.copy(), fresh.model.dof_invweight0.copy(), _numbers(fresh)
     world = compile_world(_grid(), Setup())
     randomize(world, DomainRandomization(), np.random.default_rng(0))

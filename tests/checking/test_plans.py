@@ -9,7 +9,7 @@ from drawn import draw
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.contacts import under
 from craftsim.checking.episode import do
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, nominal_gains, set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
@@ -35,10 +35,10 @@ def _yard() -> Grid:
     return grid
 
 
-def _run(disable=lambda site: None, order="concurrent", plan=PLAN) -> tuple[CheckedSite, tuple[Attempt, ...]]:
-    checked = set_up(_yard(), Setup())
-    disable(checked.site)
-    return checked, checked.perform_plan(plan, order)
+def _run(disable=lambda physics: None, order="concurrent", plan=PLAN) -> tuple[Judge, tuple[Attempt, ...]]:
+    judge = set_up(_yard(), Setup())
+    disable(judge.physics)
+    return judge, judge.perform_plan(plan, order)
 
 
 def _not_performed(attempts) -> list[int]:
@@ -48,8 +48,8 @@ def _not_performed(attempts) -> list[int]:
 def _unpower(car):
     """Return a fault: the wheel motors of a car give no torque."""
 
-    def fault(site):
-        site.model.actuator_forcerange[site.cars[car].wheel_actuators] = 0.0
+    def fault(physics):
+        physics.model.actuator_forcerange[physics.cars[car].wheel_actuators] = 0.0
 
     return fault
 
@@ -57,11 +57,11 @@ def _unpower(car):
 def _polish(car):
     """Return a fault: the rollers of a car and the ground under it have next to no friction."""
 
-    def fault(site):
-        own = site.model.geom_bodyid
-        of_car = site.model.body_rootid[own] == site.cars[car].base.body
-        site.model.geom_friction[of_car] = 1e-4
-        site.model.geom_priority[of_car] = 1
+    def fault(physics):
+        own = physics.model.geom_bodyid
+        of_car = physics.model.body_rootid[own] == physics.cars[car].base.body
+        physics.model.geom_friction[of_car] = 1e-4
+        physics.model.geom_priority[of_car] = 1
 
     return fault
 
@@ -90,7 +90,7 @@ def test_within_a_tick_carried_out_by_itself_its_own_constraints_hold():
 
 @pytest.mark.parametrize("fault", [_unpower, _polish])
 def test_a_car_that_fails_stops_with_all_that_depends_on_it_and_the_others_finish(fault):
-    checked, attempts = _run(fault(0))
+    judge, attempts = _run(fault(0))
     assert attempts[0].skill.startswith(("blocked", "slipped"))
     assert attempts[0].differences
     assert _not_performed(attempts) == [1, 3, 4]
@@ -98,9 +98,9 @@ def test_a_car_that_fails_stops_with_all_that_depends_on_it_and_the_others_finis
     for index in STEPS_OF[2]:
         assert attempts[index].agrees, attempts[index]
     assert not any(attempts[index].agrees for car in (0, 1) for index in STEPS_OF[car])
-    assert checked.problems == ()
-    assert checked.grid.kind[2, 3, 1] == Kind.BLOCK
-    np.testing.assert_array_equal(checked.grid.cars[:2], _yard().cars[:2])
+    assert judge.problems == ()
+    assert judge.grid.kind[2, 3, 1] == Kind.BLOCK
+    np.testing.assert_array_equal(judge.grid.cars[:2], _yard().cars[:2])
 
 
 def test_the_failure_of_a_car_that_nobody_waits_for_concerns_nobody_else():
@@ -111,7 +111,7 @@ def test_the_failure_of_a_car_that_nobody_waits_for_concerns_nobody_else():
 
 @pytest.mark.parametrize("force_n", [0.0, 120.0])
 def test_what_moves_after_its_action_has_ended_is_held_against_the_actions_still_running(force_n):
-    checked = set_up(_yard(), Setup(assumed=EXACT))
+    judge = set_up(_yard(), Setup(assumed=EXACT))
     running, started, start = {}, set(), []
 
     def listen(now):
@@ -119,17 +119,17 @@ def test_what_moves_after_its_action_has_ended_is_held_against_the_actions_still
         running.update(now)
         started.update(now)
 
-    def shove(site):
+    def shove(physics):
         ended = started - set(running)
         if len(ended) == 1 and running:
-            base = site.cars[next(iter(ended))].base
-            x = float(site.free_body_state(base)[0][0])
+            base = physics.cars[next(iter(ended))].base
+            x = float(physics.free_body_state(base)[0][0])
             start.append(x)
-            site.data.xfrc_applied[base.body, 0] = force_n if x < start[0] + 0.006 else 0.0
+            physics.data.xfrc_applied[base.body, 0] = force_n if x < start[0] + 0.006 else 0.0
 
-    checked.on_change = listen
-    checked.executor.observers.append(shove)
-    attempts = checked.perform_tick([(0, RIGHT), (2, Action.LIFT)])
+    judge.on_change = listen
+    judge.executor.observers.append(shove)
+    attempts = judge.perform_tick([(0, RIGHT), (2, Action.LIFT)])
     assert all(attempt.performed for attempt in attempts)
     assert len(start) > 4
     assert [attempt.agrees for attempt in attempts] == [True, force_n == 0.0]
@@ -151,23 +151,23 @@ def test_a_plan_goes_on_past_what_the_rules_forbid():
 
 def test_two_runs_are_equal_bit_for_bit():
     (one, first), (two, second) = _run(), _run()
-    np.testing.assert_array_equal(one.site.data.qpos, two.site.data.qpos)
-    np.testing.assert_array_equal(one.site.data.qvel, two.site.data.qvel)
+    np.testing.assert_array_equal(one.physics.data.qpos, two.physics.data.qpos)
+    np.testing.assert_array_equal(one.physics.data.qvel, two.physics.data.qvel)
     assert first == second
 
 
 def test_an_empty_plan_takes_no_time():
-    checked = set_up(_yard(), Setup())
-    before = checked.site.data.qpos.copy()
-    assert checked.perform_plan([], "concurrent") == ()
-    np.testing.assert_array_equal(checked.site.data.qpos, before)
+    judge = set_up(_yard(), Setup())
+    before = judge.physics.data.qpos.copy()
+    assert judge.perform_plan([], "concurrent") == ()
+    np.testing.assert_array_equal(judge.physics.data.qpos, before)
 
 
 def test_the_listener_hears_every_change_of_what_runs():
-    checked = set_up(_yard(), Setup())
+    judge = set_up(_yard(), Setup())
     heard = []
-    checked.on_change = lambda running: heard.append({car: step.action for car, step in running.items()})
-    checked.perform_plan([[(0, RIGHT), (1, RIGHT)]], "concurrent")
+    judge.on_change = lambda running: heard.append({car: step.action for car, step in running.items()})
+    judge.perform_plan([[(0, RIGHT), (1, RIGHT)]], "concurrent")
     assert [one for one, last in zip(heard, [None, *heard], strict=False) if one != last] == [
         {0: RIGHT},
         {1: RIGHT},
@@ -185,8 +185,8 @@ def test_a_car_on_the_foot_of_a_slope_or_on_its_body_stands_on_that_slope(start,
         levels = {2: (1, 0, 0), 3: (2, 0, 0)}.get(x, (1, 0, 0))
         return draw((5, 1, 3), [(Kind.BODY, (3, 0, 1), 2)], [(x, 0, *levels)])
 
-    checked = set_up(yard(0), Setup())
-    reading = replace(checked.reading, grid=yard(start))
+    judge = set_up(yard(0), Setup())
+    reading = replace(judge.reading, grid=yard(start))
     assert under(reading, yard(goal), 0) == ([0] if stands else [])
 
 
@@ -195,19 +195,17 @@ def test_a_stack_that_sways_under_a_car_on_its_way_is_held_against_no_other_acti
     stacks = [(Kind.BLOCK, (x, 0, z)) for x in (0, 1) for z in (1, 2, 3, 4)]
     grid = draw((4, 2, 5), stacks, [(0, 0, 5, 0, Kind.FSLOPE, 2), (3, 1, 1, 0)])
     gains = nominal_gains()
-    checked = set_up(
-        grid, Setup(gains=replace(gains, drive=replace(gains.drive, rocking=9.0)), assumed=EXACT)
-    )
+    judge = set_up(grid, Setup(gains=replace(gains, drive=replace(gains.drive, rocking=9.0)), assumed=EXACT))
     swayed = []
 
-    def note(site):
-        top = site.data.qpos[site.blocks[7].qpos : site.blocks[7].qpos + 3]
+    def note(physics):
+        top = physics.data.qpos[physics.blocks[7].qpos : physics.blocks[7].qpos + 3]
         swayed.append(float(np.linalg.norm(top - start)))
 
-    start = checked.site.free_body_state(checked.site.blocks[7])[0]
-    checked.executor.observers.append(note)
-    drive, turn = checked.perform_tick([(0, RIGHT), (1, Action.ROTATE_LEFT)], order="concurrent")
-    assert max(swayed) > checked.thresholds.bystander_m > swayed[-1]
-    assert swayed[round(turn.duration_s / 0.02)] > checked.thresholds.bystander_m
+    start = judge.physics.free_body_state(judge.physics.blocks[7])[0]
+    judge.executor.observers.append(note)
+    drive, turn = judge.perform_tick([(0, RIGHT), (1, Action.ROTATE_LEFT)], order="concurrent")
+    assert max(swayed) > judge.thresholds.bystander_m > swayed[-1]
+    assert swayed[round(turn.duration_s / 0.02)] > judge.thresholds.bystander_m
     assert drive.agrees
     assert turn.agrees

@@ -51,17 +51,17 @@ def test_machines_of_ones_own_stand_in_the_world():
     for options in ({}, {"machines": heavy}):
         world = parallel_env("strip", "physics", **options)
         world.reset(seed=0)
-        masses.append(world.core.backend.checked.site.model.body_mass.sum())
+        masses.append(world.core.backend.judge.physics.model.body_mass.sum())
     assert masses[1] > masses[0]
-    assert world.core.backend.checked.site.machines == heavy
+    assert world.core.backend.judge.physics.machines == heavy
 
 
 @pytest.mark.parametrize("form", ["parallel", "turns", "central"])
 def test_observers_see_the_site_after_every_control_period(form):
     times: list[float] = []
 
-    def observer(site):
-        times.append(site.time_s)
+    def observer(physics):
+        times.append(physics.time_s)
 
     if form == "central":
         world = _central(backend="physics", observers=[observer])

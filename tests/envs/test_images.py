@@ -29,10 +29,10 @@ def test_each_agent_sees_through_its_own_camera_what_the_site_holds():
         seen = cars.reset(seed=0)[0]
         before = seen["car_1"]["rgb"].copy()
         for tick in range(2):
-            site = cars.core.backend.checked.site
+            physics = cars.core.backend.judge.physics
             for car, agent in enumerate(cars.agents):
                 assert cars.observation_space(agent).contains(seen[agent])
-                for kind, array in take_images(site, f"front:{car}", SIZE).items():
+                for kind, array in take_images(physics, f"front:{car}", SIZE).items():
                     np.testing.assert_array_equal(seen[agent][kind], array)
             if tick == 0:
                 seen = cars.step(dict(zip(cars.agents, MOVES.tolist(), strict=True)))[0]

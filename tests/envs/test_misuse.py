@@ -37,7 +37,7 @@ STOP = int(Action.STOP)
         ({"backend": "physics", "machines": "heavy.yaml"}, "must be a Machines"),
         ({"render_camera": "top"}, "backend='physics'"),
         ({"backend": "physics", "render_size": (640, 0)}, "width, height"),
-        ({"backend": "physics", "observers": 3}, "functions of a Site"),
+        ({"backend": "physics", "observers": 3}, "functions of a PhysicsWorld"),
         ({"observers": [print]}, "no control periods"),
         ({"observe": print}, "must be an Observe"),
         ({"backend": "physics", "images": "front"}, "must be an Images"),

@@ -96,10 +96,10 @@ def test_noise_and_varied_physics_are_drawn_anew_for_every_episode_from_the_seed
 def test_a_failed_skill_shows_as_what_happened_and_in_the_infos():
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
-    site = env.core.backend.checked.site
-    weak = site.baseline.copy()
-    weak.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
-    site.set_baseline(weak)
+    physics = env.core.backend.judge.physics
+    weak = physics.baseline.copy()
+    weak.actuator_forcerange[physics.cars[0].wheel_actuators] = 0.0
+    physics.set_baseline(weak)
     before = env.grid
     observations, _, terminated, truncated, infos = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})
     info = infos["car_0"]
@@ -145,7 +145,7 @@ def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predi
 def test_a_car_beyond_its_limit_disagrees_though_the_reading_is_as_predicted():
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
-    env.core.backend.checked.thresholds = Thresholds(car_m=1e-9)
+    env.core.backend.judge.thresholds = Thresholds(car_m=1e-9)
     told = env.step({"car_0": int(Action.MOVE_LEFT), "car_1": STOP})[4]["car_0"]
     assert (told["result"], told["finding"]) == ("failed", "agrees")
     assert told["reason"].startswith("the car is ")
@@ -157,8 +157,8 @@ def test_a_recorded_episode_is_re_run_bit_for_bit(check_contacts):
     env = parallel_env(_level("strip"), "physics", **options)
     assert _episode(env, seed=3, ticks=3)
     backend = env.core.backend
-    checked = run_up(replace(backend.recipe, steps=()))
-    again = [do(checked, step) for step in backend.recipe.steps]
+    judge = run_up(replace(backend.recipe, steps=()))
+    again = [do(judge, step) for step in backend.recipe.steps]
     ticks = list(backend.ticks)
     if not check_contacts:  # then nothing is known of forces, and a reason names no contact
         blind = {"peak_force_n": 0.0, "reason": ""}
@@ -168,15 +168,15 @@ def test_a_recorded_episode_is_re_run_bit_for_bit(check_contacts):
     assert again == ticks
     assert len(again) == 3
     for name in ("qpos", "qvel", "qacc_warmstart"):
-        one, other = (getattr(world.site.data, name) for world in (checked, backend.checked))
+        one, other = (getattr(world.physics.data, name) for world in (judge, backend.judge))
         assert one.tobytes() == other.tobytes()
 
 
 def test_a_world_that_cannot_be_read_truncates_the_episode_and_says_why():
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
-    site = env.core.backend.checked.site
-    site.data.qpos[site.blocks[0].qpos] += 0.06  # what no skill would do
+    physics = env.core.backend.judge.physics
+    physics.data.qpos[physics.blocks[0].qpos] += 0.06  # what no skill would do
     _, rewards, terminated, truncated, infos = env.step({"car_0": STOP, "car_1": STOP})
     assert set(truncated.values()) == {True}
     assert set(terminated.values()) == {False}
@@ -190,8 +190,8 @@ def test_a_world_that_cannot_be_read_truncates_the_episode_and_says_why():
 def test_a_simulation_that_breaks_down_truncates_the_episode_and_says_so():
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
-    site = env.core.backend.checked.site
-    site.data.qvel[site.blocks[0].dof] = (
+    physics = env.core.backend.judge.physics
+    physics.data.qvel[physics.blocks[0].dof] = (
         1e12  # MuJoCo then starts over, and all seems to stand where it stood
     )
     _, rewards, _, truncated, infos = env.step({"car_0": STOP, "car_1": STOP})
@@ -253,7 +253,7 @@ def test_recorded_episodes_are_those_that_were_played(tmp_path):
     for trajectory in trajectories:
         again = run_up(trajectory.story.recipe)
         do(again, trajectory.story.recipe.steps[-1])
-        assert np.array_equal(again.site.data.qpos, trajectory.qpos[-1])
+        assert np.array_equal(again.physics.data.qpos, trajectory.qpos[-1])
         assert len(trajectory.story.attempts) == 2 * len(trajectory.story.recipe.steps)
     assert trajectories[0].story.design
     with closing(parallel_env(_level("strip"), "physics", record=tmp_path / "new")) as env:

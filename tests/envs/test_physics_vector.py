@@ -182,7 +182,7 @@ def test_a_killed_worker_is_one_clear_error_and_nothing_is_left_running():
 def test_what_breaks_in_a_world_is_told_here_and_closing_in_the_middle_of_a_step_ends_all_processes():
     with closing(vector_env("strip", 2, "physics", workers=1, observers=[math.sqrt])) as envs:
         envs.reset(seed=0)
-        with pytest.raises(CraftsimError, match="TypeError: must be real number, not Site"):
+        with pytest.raises(CraftsimError, match="TypeError: must be real number, not PhysicsWorld"):
             envs.step(np.full((2, 2), Action.ROTATE_LEFT))
     envs = vector_env("strip", 2, "physics", workers=1)
     envs.reset(seed=0)

@@ -27,7 +27,7 @@ def _played(envs):
     return seen
 
 
-def _leave(site):
+def _leave(physics):
     os.kill(os.getpid(), signal.SIGKILL)
 
 

@@ -127,10 +127,10 @@ def test_the_refusal_is_in_the_same_words_in_physics_and_on_the_grid():
 def test_a_skill_that_fails_says_what_happened():
     env = TextConstruction("strip", backend="physics")
     env.reset(seed=0)
-    site = env.core.backend.checked.site
-    weak = site.baseline.copy()
-    weak.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
-    site.set_baseline(weak)
+    physics = env.core.backend.judge.physics
+    weak = physics.baseline.copy()
+    weak.actuator_forcerange[physics.cars[0].wheel_actuators] = 0.0
+    physics.set_baseline(weak)
     text, *_, info = env.step("car_0: move left; car_1: stop")
     first, second = info["feedback"]
     assert (first.result, second.result) == ("failed", "as predicted")
@@ -188,8 +188,8 @@ def test_an_option_that_texts_have_no_place_for_is_refused(option):
 def test_a_world_that_cannot_be_read_any_more_is_told_as_such():
     env = TextConstruction("strip", backend="physics")
     env.reset(seed=0)
-    site = env.core.backend.checked.site
-    site.data.qpos[site.blocks[0].qpos] += 0.06  # what no skill would do
+    physics = env.core.backend.judge.physics
+    physics.data.qpos[physics.blocks[0].qpos] += 0.06  # what no skill would do
     text, reward, terminated, truncated, info = env.step("car_0: move left")
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert f"The world cannot be read any more: {'; '.join(info['problems'])}." in text

@@ -140,10 +140,10 @@ def motion() -> Any:
             for preset in RANDOMIZE:
                 judge = set_up(start, setup_of(preset, drive=drive), Seed((5,)))
                 for tick in actions:
-                    if judge.site.time_s > 5.0:
+                    if judge.physics.time_s > 5.0:
                         break
                     judge.perform_tick(tick)
-                data = judge.site.data
+                data = judge.physics.data
                 found[f"{name} {drive} {preset}"] = [
                     round(data.time, 3),
                     digest(data.qpos.tobytes() + data.qvel.tobytes()),

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from bags import write_bag
 
-from craftsim import Action, Executor, Grid, Machines, SensorNoise, Sensors, Site, Trajectory, validate
+from craftsim import (
+    Action,
+    Executor,
+    Grid,
+    Machines,
+    PhysicsWorld,
+    SensorNoise,
+    Sensors,
+    Trajectory,
+    validate,
+)
 from craftsim.errors import InputError
 from craftsim.logs.files import read_log, read_logs
 from craftsim.logs.log import GROUPS, Log
@@ -153,21 +163,21 @@ def test_replaying_recorded_commands_repeats_the_run():
     grid = Grid.empty((3, 2, 1), n_cars=1)
 
     def parts():
-        site = Site(grid, machines=machines)
-        return site, Sensors(site, noise, np.random.default_rng(1)), Motors(site, noise.motor_lag_s)
+        physics = PhysicsWorld(grid, machines=machines)
+        return physics, Sensors(physics, noise, np.random.default_rng(1)), Motors(physics, noise.motor_lag_s)
 
-    site, sensors, motors = parts()
-    executor = Executor(site, sensors=sensors, motors=motors)
+    physics, sensors, motors = parts()
+    executor = Executor(physics, sensors=sensors, motors=motors)
     recorder = LogRecorder(executor)
     executor.run({0: Action.MOVE_RIGHT})
     log = recorder.logs()[0]
-    site, sensors, motors = parts()
+    physics, sensors, motors = parts()
     for row in range(len(log)):
-        assert site.time_s == log.time_s[row]
+        assert physics.time_s == log.time_s[row]
         assert np.array_equal(sensors.read()[0]["wheel_speeds"], log.wheel_speeds[row])
         assert sensors.read()[0]["x"] == log.pose[row, 0]
         motors.drive(0, log.commands[row, :4])
-        site.advance()
+        physics.advance()
         sensors.observe()
 
 

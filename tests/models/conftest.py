@@ -66,7 +66,7 @@ class LoneCar:
         self.run(0.4)
 
     def run(self, seconds: float) -> None:
-        """Step as a Site does; the figures in the model stay what a test has made of them."""
+        """Step as a PhysicsWorld does; the figures in the model stay what a test has made of them."""
         self.baseline = Baseline.of(self.model)
         bearings = Bearings(self)
         bearings.start(self)

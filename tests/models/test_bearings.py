@@ -10,15 +10,15 @@ from craftsim.discrete.grid import Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.randomization import DomainRandomization, randomize
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 BEARING_NM = NOMINAL.cars[0].roller_bearing_friction_nm
 
 
-def two_cars() -> Site:
+def two_cars() -> PhysicsWorld:
     """Return a car that is about to drive onto a ramp, and one that stands elsewhere."""
     slope = [(Kind.BLOCK, (3, 0, 1), 0), (Kind.BODY, (2, 0, 1), 2)]
-    return Site(draw((5, 4, 3), slope, [(0, 0, 1, 0, 0, 0, 0), (4, 3, 1, 0, 0, 0, 0)]))
+    return PhysicsWorld(draw((5, 4, 3), slope, [(0, 0, 1, 0, 0, 0, 0), (4, 3, 1, 0, 0, 0, 0)]))
 
 
 def rollers(model: mujoco.MjModel) -> dict[int, int]:
@@ -28,64 +28,64 @@ def rollers(model: mujoco.MjModel) -> dict[int, int]:
 
 
 def test_rollers_that_touch_and_those_of_sleeping_cars_have_dry_bearings_and_no_others():
-    site = two_cars()
-    by_geom = rollers(site.model)
+    physics = two_cars()
+    by_geom = rollers(physics.model)
     all_dofs = np.array(list(by_geom.values()))
     assert len(all_dofs) == 80
-    site.drive(0, [8.0] * 4)
+    physics.drive(0, [8.0] * 4)
     counts = []
 
     def look() -> None:
-        friction = site.model.dof_frictionloss[all_dofs]
-        near = {by_geom[g] for g in site.data.contact.geom.ravel().tolist() if g in by_geom}
-        asleep = site.data.tree_asleep[site.model.dof_treeid[all_dofs]] >= 0
+        friction = physics.model.dof_frictionloss[all_dofs]
+        near = {by_geom[g] for g in physics.data.contact.geom.ravel().tolist() if g in by_geom}
+        asleep = physics.data.tree_asleep[physics.model.dof_treeid[all_dofs]] >= 0
         dry = np.isin(all_dofs, list(near)) | asleep
         np.testing.assert_array_equal(friction, np.where(dry, BEARING_NM, 0.0))
         counts.append((dry & ~asleep).sum())
         assert asleep.sum() in (0, 40)
 
     for _ in range(75):
-        site.advance(look)
-    assert site.data.tree_asleep[site.cars[1].base.tree] >= 0
+        physics.advance(look)
+    assert physics.data.tree_asleep[physics.cars[1].base.tree] >= 0
     assert min(counts) >= 2
     assert 3 < np.mean(counts) < 10
 
 
 def test_going_back_to_a_saved_state_brings_its_bearings_back():
-    site = two_cars()
-    site.drive(0, [8.0] * 4)
-    saved = site.save()
-    before = site.model.dof_frictionloss.copy()
+    physics = two_cars()
+    physics.drive(0, [8.0] * 4)
+    saved = physics.save()
+    before = physics.model.dof_frictionloss.copy()
     for _ in range(3):
-        site.advance()
-    assert (site.model.dof_frictionloss != before).any()
-    site.restore(saved)
-    np.testing.assert_array_equal(site.model.dof_frictionloss, before)
+        physics.advance()
+    assert (physics.model.dof_frictionloss != before).any()
+    physics.restore(saved)
+    np.testing.assert_array_equal(physics.model.dof_frictionloss, before)
 
 
 def test_the_figures_of_a_running_site_are_read_whole_and_it_goes_on_as_it_was():
-    site = two_cars()
-    site.drive(0, [8.0] * 4)
-    site.advance()
-    before = site.model.dof_frictionloss.copy()
-    read = site.baseline.dof_frictionloss[list(rollers(site.model).values())]
+    physics = two_cars()
+    physics.drive(0, [8.0] * 4)
+    physics.advance()
+    before = physics.model.dof_frictionloss.copy()
+    read = physics.baseline.dof_frictionloss[list(rollers(physics.model).values())]
     assert (read == BEARING_NM).all()
-    assert (before[list(rollers(site.model).values())] == 0).any()
-    np.testing.assert_array_equal(site.model.dof_frictionloss, before)
+    assert (before[list(rollers(physics.model).values())] == 0).any()
+    np.testing.assert_array_equal(physics.model.dof_frictionloss, before)
 
 
 def test_friction_is_drawn_around_the_nominal_one_whatever_touched_before():
-    site = two_cars()
-    site.drive(0, [8.0] * 4)
-    site.advance()
-    dofs = list(rollers(site.model).values())
+    physics = two_cars()
+    physics.drive(0, [8.0] * 4)
+    physics.advance()
+    dofs = list(rollers(physics.model).values())
     for seed in (0, 1):
-        randomize(site, DomainRandomization(), np.random.default_rng(seed))
-        drawn = site.baseline.dof_frictionloss[dofs] / BEARING_NM
+        randomize(physics, DomainRandomization(), np.random.default_rng(seed))
+        drawn = physics.baseline.dof_frictionloss[dofs] / BEARING_NM
         assert 0.5 <= drawn.min() < 0.6
         assert 1.4 < drawn.max() <= 1.5
-    site.reset_compiled()
-    assert (site.baseline.dof_frictionloss[dofs] == BEARING_NM).all()
+    physics.reset_compiled()
+    assert (physics.baseline.dof_frictionloss[dofs] == BEARING_NM).all()
 
 
 @pytest.mark.parametrize("name", ["forward", "left", "turning left"])
@@ -117,4 +117,4 @@ def test_a_roller_in_the_air_is_stopped_by_its_grease_and_does_nothing_to_the_ca
 def test_damping_that_a_step_cannot_take_is_refused_by_name():
     greasy = Machines((SmartcarParameters(roller_damping_nms_rad=1e-4),))
     with pytest.raises(InputError, match=r"car0/roller_\w+ is damped by 0.0001: at most 6.07e-05"):
-        Site(draw((2, 1, 1), [], [(0, 0, 1, 0, 0, 0, 0)]), machines=greasy)
+        PhysicsWorld(draw((2, 1, 1), [], [(0, 0, 1, 0, 0, 0, 0)]), machines=greasy)

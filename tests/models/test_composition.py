@@ -13,7 +13,7 @@ from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameter
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.imperfection import FLAT, Floor
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 GOALS = ((0, 0, 1), (1, 1, 2))
 ORDERED = {"body": "body", "jnt": "joint", "actuator": "actuator", "dof": None, "pair": None, "tree": None}
@@ -81,7 +81,7 @@ def test_equal_machines_share_their_meshes():
 
 def test_worlds_of_one_grid_share_nothing():
     grid = Grid.empty((4, 3, 1), 1)
-    first, second = Site(grid, reset=False), Site(grid, reset=False)
+    first, second = PhysicsWorld(grid, reset=False), PhysicsWorld(grid, reset=False)
     first.model.geom_friction[:] = 0.25
     grid.cars[0, 0] = 3
     assert second.model.geom_friction.max() > 0.5
@@ -91,4 +91,4 @@ def test_worlds_of_one_grid_share_nothing():
 def test_parameters_of_which_a_joint_would_swing_up_are_refused():
     machines = Machines(cars=(SmartcarParameters(roller_damping_nms_rad=0.02),))
     with pytest.raises(InputError, match="is damped by"):
-        Site(Grid.empty((3, 1, 1), 1), machines=machines)
+        PhysicsWorld(Grid.empty((3, 1, 1), 1), machines=machines)

@@ -11,7 +11,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.imperfection import IDEAL, Drivetrain
 from craftsim.models.randomization import NONE
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 CAR = NOMINAL.cars[0]
 MOST_NM, TOP_RAD_S = CAR.wheel_torque_nm, CAR.wheel_speed_rad_s
@@ -20,26 +20,26 @@ DRIVES = ("rollers", "reduced")
 EVERYTHING = Drivetrain(0.3, 0.1, 0.005, 0.1)
 
 
-def _site(drivetrain: Drivetrain, drive: str = "rollers") -> Site:
-    site = Site(GRID, machines=replace(NOMINAL, drive=drive))
-    site.set_drivetrain(drivetrain)
-    return site
+def _physics(drivetrain: Drivetrain, drive: str = "rollers") -> PhysicsWorld:
+    physics = PhysicsWorld(GRID, machines=replace(NOMINAL, drive=drive))
+    physics.set_drivetrain(drivetrain)
+    return physics
 
 
-def _driven(site: Site, wheels: float, periods: int) -> tuple[np.ndarray, np.ndarray]:
+def _driven(physics: PhysicsWorld, wheels: float, periods: int) -> tuple[np.ndarray, np.ndarray]:
     """Drive all wheels alike; return speeds and torques of one after each physics step."""
-    motor, rows = site.cars[0].wheel_actuators[0], []
+    motor, rows = physics.cars[0].wheel_actuators[0], []
     for _ in range(periods):
-        site.drive(0, [wheels] * 4)
-        site.advance(
-            lambda: rows.append((site.data.actuator_velocity[motor], site.data.actuator_force[motor]))
+        physics.drive(0, [wheels] * 4)
+        physics.advance(
+            lambda: rows.append((physics.data.actuator_velocity[motor], physics.data.actuator_force[motor]))
         )
     speeds, torques = np.array(rows).T
     return speeds, torques
 
 
 def test_the_most_torque_of_a_motor_falls_with_its_speed_along_the_declared_line():
-    speeds, torques = _driven(_site(Drivetrain(torque_slope=0.4)), TOP_RAD_S, 12)
+    speeds, torques = _driven(_physics(Drivetrain(torque_slope=0.4)), TOP_RAD_S, 12)
     line = MOST_NM * (1 - 0.4 * speeds[:-1] / TOP_RAD_S)  # as of the step before
     saturated = speeds[1:] < 0.8 * TOP_RAD_S
     assert saturated.sum() > 10
@@ -47,30 +47,32 @@ def test_the_most_torque_of_a_motor_falls_with_its_speed_along_the_declared_line
 
 
 def test_a_motor_that_brakes_has_all_of_its_torque():
-    site = _site(Drivetrain(torque_slope=0.4))
-    _driven(site, TOP_RAD_S, 20)
-    _, torques = _driven(site, -TOP_RAD_S, 2)
+    physics = _physics(Drivetrain(torque_slope=0.4))
+    _driven(physics, TOP_RAD_S, 20)
+    _, torques = _driven(physics, -TOP_RAD_S, 2)
     assert torques.min() == -MOST_NM
 
 
 def test_on_the_reduced_drive_no_motor_passes_on_more_than_line_and_grip_leave_it():
-    ideal, weak = (_driven(_site(d, "reduced"), TOP_RAD_S, 8) for d in (IDEAL, Drivetrain(torque_slope=0.9)))
+    ideal, weak = (
+        _driven(_physics(d, "reduced"), TOP_RAD_S, 8) for d in (IDEAL, Drivetrain(torque_slope=0.9))
+    )
     starts = weak[0][::5]  # limits are of the speeds at the start of each control period
     assert (weak[1] <= np.repeat(MOST_NM * (1 - 0.9 * np.append(0, starts[1:]) / TOP_RAD_S), 5) + 0.2).all()
     assert weak[1][-1] < ideal[1][-1]
 
 
 def test_a_battery_sags_by_the_declared_share_of_the_torque_that_all_motors_give():
-    _, torques = _driven(_site(Drivetrain(sag=0.25)), TOP_RAD_S, 4)
+    _, torques = _driven(_physics(Drivetrain(sag=0.25)), TOP_RAD_S, 4)
     # All motors give T = T_most (1 - sag T / T_most).
     assert torques[4:].mean() == pytest.approx(MOST_NM / 1.25, rel=0.01)
 
 
 def test_a_gear_takes_its_share_of_a_driving_motors_torque_and_adds_it_to_a_braking_ones():
-    site = _site(Drivetrain(gear_loss=0.2))
-    _, torques = _driven(site, TOP_RAD_S, 20)
+    physics = _physics(Drivetrain(gear_loss=0.2))
+    _, torques = _driven(physics, TOP_RAD_S, 20)
     assert torques[2:10].max() == pytest.approx(0.8 * MOST_NM, rel=1e-9)
-    _, torques = _driven(site, -TOP_RAD_S, 2)
+    _, torques = _driven(physics, -TOP_RAD_S, 2)
     assert torques.min() == pytest.approx(-1.2 * MOST_NM, rel=1e-9)
 
 
@@ -79,16 +81,16 @@ def test_a_parked_car_rolls_through_the_play_of_its_gears_and_no_further(drive):
     """Band: 2 mrad and a tenth, one step at the speed that the car has by then; bristles give way without play too."""
     ways = []
     for backlash in (0.0, 0.02):
-        site = _site(Drivetrain(gear_loss=0.01, backlash_rad=backlash), drive)
-        site.config = replace(site.config, sleep=False)
-        site.model.opt.enableflags = 0
-        places = [site.data.qpos[0]]
+        physics = _physics(Drivetrain(gear_loss=0.01, backlash_rad=backlash), drive)
+        physics.config = replace(physics.config, sleep=False)
+        physics.model.opt.enableflags = 0
+        places = [physics.data.qpos[0]]
         # Tilted by 3 degrees, first one way, then the other; gravity turns instead.
         for tilt in (0.05, -0.05):
-            site.model.opt.gravity[:2] = 9.81 * tilt, 0.0
+            physics.model.opt.gravity[:2] = 9.81 * tilt, 0.0
             for _ in range(30):
-                site.advance()
-            places.append(site.data.qpos[0])
+                physics.advance()
+            places.append(physics.data.qpos[0])
         ways.append(np.diff(places))
     free = (ways[1] - ways[0]) / CAR.wheel_radius_m
     np.testing.assert_allclose(free, (0.01, -0.02), atol=0.002, rtol=0.1)
@@ -96,26 +98,26 @@ def test_a_parked_car_rolls_through_the_play_of_its_gears_and_no_further(drive):
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_a_restored_site_goes_on_to_the_bit(drive):
-    site, other = _site(EVERYTHING, drive), _site(EVERYTHING, drive)
+    physics, other = _physics(EVERYTHING, drive), _physics(EVERYTHING, drive)
 
-    def go_on(site: Site) -> np.ndarray:
+    def go_on(physics: PhysicsWorld) -> np.ndarray:
         rows = []
         for wheels in np.repeat([8.0, -3.0, 0.0, 5.0], 5):
-            site.drive(0, [wheels] * 4)
-            site.advance()
-            rows.append(site.data.qpos.copy())
+            physics.drive(0, [wheels] * 4)
+            physics.advance()
+            rows.append(physics.data.qpos.copy())
         return np.array(rows)
 
-    go_on(site)
-    saved = site.save()
-    first = go_on(site)
-    for restored in (site, other):
+    go_on(physics)
+    saved = physics.save()
+    first = go_on(physics)
+    for restored in (physics, other):
         restored.restore(saved)
         np.testing.assert_array_equal(go_on(restored), first)
-    site.reset()
-    once = go_on(site)
-    site.reset()
-    np.testing.assert_array_equal(go_on(site), once)
+    physics.reset()
+    once = go_on(physics)
+    physics.reset()
+    np.testing.assert_array_equal(go_on(physics), once)
 
 
 @pytest.mark.parametrize("drive", DRIVES)
@@ -123,9 +125,9 @@ def test_a_world_that_is_used_again_is_as_a_fresh_one_whatever_its_drivetrain_wa
     def end(drivetrain, reuse):
         setup = setup_of("none", drive=drive)
         setup = replace(setup, randomization=replace(NONE, drivetrain=drivetrain))
-        checked = set_up(GRID, setup, reuse=reuse)
-        checked.perform(0, Action.MOVE_RIGHT)
-        return checked.site.data.qpos.copy()
+        judge = set_up(GRID, setup, reuse=reuse)
+        judge.perform(0, Action.MOVE_RIGHT)
+        return judge.physics.data.qpos.copy()
 
     world = compile_world(GRID, setup_of("none", drive=drive))
     ideal = end(IDEAL, None)

@@ -9,7 +9,7 @@ import pytest
 from craftsim.discrete.grid import Grid
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.sensing import SensorNoise, Sensors
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 STEP_RAD = 2 * math.pi / 4096
 WHEELS = {
@@ -25,15 +25,15 @@ def _driven(
     drive: str, wheels: tuple[float, ...], noise: SensorNoise
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Drive a car for a second; return the readings of its speeds (50, 4), its way and its wheels' turning."""
-    site = Site(Grid.empty((5, 5, 1), 1), machines=replace(NOMINAL, drive=drive))
-    sensors, car = Sensors(site, noise, np.random.default_rng(0)), site.cars[0]
-    joints = site.model.jnt_qposadr[site.model.dof_jntid[car.wheel_dofs]]
+    physics = PhysicsWorld(Grid.empty((5, 5, 1), 1), machines=replace(NOMINAL, drive=drive))
+    sensors, car = Sensors(physics, noise, np.random.default_rng(0)), physics.cars[0]
+    joints = physics.model.jnt_qposadr[physics.model.dof_jntid[car.wheel_dofs]]
     speeds, poses, turned = [], [], []
     for _ in range(51):
-        poses.append(site.data.qpos[car.base.qpos : car.base.qpos + 7].copy())
-        turned.append(site.data.qpos[joints].copy())
-        site.drive(0, wheels)
-        site.advance()
+        poses.append(physics.data.qpos[car.base.qpos : car.base.qpos + 7].copy())
+        turned.append(physics.data.qpos[joints].copy())
+        physics.drive(0, wheels)
+        physics.advance()
         sensors.observe()
         speeds.append(sensors.measure(0).wheel_speeds)
     return np.array(speeds[:-1]), np.array(poses), np.array(turned)

@@ -12,7 +12,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import Bearings
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.mecanum import Mecanum
 
 GRAVITY = 9.81
@@ -21,7 +21,7 @@ NO_MOTORS = int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
 
 
 def energies(world, seconds: float) -> np.ndarray:
-    """Return the mechanical energy in joules of a Site or a lone car before and after every step."""
+    """Return the mechanical energy in joules of a PhysicsWorld or a lone car before and after every step."""
     model, data = world.model, world.data
     mujoco.mj_forward(model, data)
     bearings = Bearings(world)
@@ -64,15 +64,15 @@ def test_a_dropped_crowd_never_gains_energy(drop_m, timestep_s):
     Bands: never above the start; rebounds below 10 % of what fell (m g drop, and 1 J of flap and settling loads); and
     in the last second, at rest, below 1 mJ, which is 4 micrometres of height of the whole crowd's 25 kg.
     """
-    site = Site(crowd(), SimulationConfig(sleep=False, settle_s=0, timestep_s=timestep_s))
-    model, data = site.model, site.data
+    physics = PhysicsWorld(crowd(), SimulationConfig(sleep=False, settle_s=0, timestep_s=timestep_s))
+    model, data = physics.model, physics.data
     model.opt.enableflags |= ENERGY
     model.opt.disableflags |= NO_MOTORS
-    free = [car.base for car in site.cars] + [*site.blocks] + [slope.base for slope in site.slopes]
+    free = [car.base for car in physics.cars] + [*physics.blocks] + [slope.base for slope in physics.slopes]
     for body in free:
         data.qpos[body.qpos + 2] += drop_m
-    data.qpos[site.slopes[1].hinge.qpos] = 1.2
-    energy = energies(site, 2.5)
+    data.qpos[physics.slopes[1].hinge.qpos] = 1.2
+    energy = energies(physics, 2.5)
     mass = float(model.body_mass.sum())
     assert energy.max() <= energy[0]
     assert rise(energy) < 0.1 * (mass * GRAVITY * drop_m + 1.0)

@@ -13,7 +13,7 @@ from drawn import draw
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Kind
 from craftsim.models.config import SimulationConfig
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 BLOCK = Kind.BLOCK
 STACKS = [(BLOCK, (x, y, z)) for x in range(3) for y in range(2) for z in range(1, 4)]
@@ -28,23 +28,23 @@ WORLDS = {
 }
 
 
-def _moving(name: str) -> Site:
+def _moving(name: str) -> PhysicsWorld:
     """Return a world a quarter of a second after its cars began to drive with wheels that fight each other."""
     size, objects, cars = WORLDS[name]
-    site = Site(draw(size, objects, cars), SimulationConfig(sleep=False))
+    physics = PhysicsWorld(draw(size, objects, cars), SimulationConfig(sleep=False))
     for _ in range(12):
-        for car in range(len(site.cars)):
-            site.drive(car, [3.0, -2.0, 1.0, 2.0])
-        site.advance()
-    return site
+        for car in range(len(physics.cars)):
+            physics.drive(car, [3.0, -2.0, 1.0, 2.0])
+        physics.advance()
+    return physics
 
 
-def _accelerations(site: Site, jacobian: mujoco.mjtJacobian, iterations: int = 100) -> np.ndarray:
+def _accelerations(physics: PhysicsWorld, jacobian: mujoco.mjtJacobian, iterations: int = 100) -> np.ndarray:
     """Return the accelerations (nv,) of this moment, found from nothing by another factorisation."""
-    model, data = site.model, mujoco.MjData(site.model)
+    model, data = physics.model, mujoco.MjData(physics.model)
     before = model.opt.jacobian, model.opt.iterations
     model.opt.jacobian, model.opt.iterations = jacobian, iterations
-    mujoco.mj_copyData(data, model, site.data)
+    mujoco.mj_copyData(data, model, physics.data)
     data.qacc_warmstart[:] = 0.0
     mujoco.mj_forward(model, data)
     model.opt.jacobian, model.opt.iterations = before
@@ -52,16 +52,16 @@ def _accelerations(site: Site, jacobian: mujoco.mjtJacobian, iterations: int = 1
 
 
 def test_every_world_is_solved_by_the_sparse_one():
-    site = Site(draw((1, 1, 1), [], [(0, 0, 1, 0)]))
-    assert site.model.opt.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE
+    physics = PhysicsWorld(draw((1, 1, 1), [], [(0, 0, 1, 0)]))
+    assert physics.model.opt.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE
 
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_it_gives_the_accelerations_of_the_dense_one_to_a_billionth(name):
-    site = _moving(name)
-    sparse = _accelerations(site, mujoco.mjtJacobian.mjJAC_SPARSE)
-    dense = _accelerations(site, mujoco.mjtJacobian.mjJAC_DENSE)
-    unsolved = _accelerations(site, mujoco.mjtJacobian.mjJAC_DENSE, iterations=1)
+    physics = _moving(name)
+    sparse = _accelerations(physics, mujoco.mjtJacobian.mjJAC_SPARSE)
+    dense = _accelerations(physics, mujoco.mjtJacobian.mjJAC_DENSE)
+    unsolved = _accelerations(physics, mujoco.mjtJacobian.mjJAC_DENSE, iterations=1)
     scale = np.abs(dense).max()
     assert np.abs(sparse - dense).max() < 1e-9 * scale
     # What a solver that has not converged gives is far from both.
@@ -69,12 +69,12 @@ def test_it_gives_the_accelerations_of_the_dense_one_to_a_billionth(name):
 
 
 def test_stacks_stay_put_level_and_at_their_height():
-    site = Site(draw((3, 2, 4), STACKS, []), SimulationConfig(sleep=False))
-    start = [site.free_body_state(block) for block in site.blocks]
+    physics = PhysicsWorld(draw((3, 2, 4), STACKS, []), SimulationConfig(sleep=False))
+    start = [physics.free_body_state(block) for block in physics.blocks]
     for _ in range(50):
-        site.advance()
-    for (place, _), block in zip(start, site.blocks, strict=True):
-        position, (_, qx, qy, _) = site.free_body_state(block)
+        physics.advance()
+    for (place, _), block in zip(start, physics.blocks, strict=True):
+        position, (_, qx, qy, _) = physics.free_body_state(block)
         np.testing.assert_allclose(position, place, atol=1e-5)
         assert abs(position[2] / LEVEL_HEIGHT_M - round(position[2] / LEVEL_HEIGHT_M)) * LEVEL_HEIGHT_M < 2e-4
         assert 2 * np.hypot(qx, qy) < 1e-4

@@ -9,14 +9,14 @@ from craftsim.discrete.grid import Kind
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization, randomize
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 GRAVITY = 9.81
 
 
-def flap_on_base(site: Site) -> tuple[float, float]:
+def flap_on_base(physics: PhysicsWorld) -> tuple[float, float]:
     """Return the summed normal force between flap and base, and their deepest penetration in metres."""
-    model, data = site.model, site.data
+    model, data = physics.model, physics.data
     flap, base = model.body("slope0/flap").id, model.body("slope0/slope").id
     force, total, depth = np.zeros(6), 0.0, 0.0
     for i, contact in enumerate(data.contact):
@@ -26,9 +26,9 @@ def flap_on_base(site: Site) -> tuple[float, float]:
     return total, depth
 
 
-def slope_at(kind: Kind, settle_s: float = 0.3, cars=()) -> Site:
+def slope_at(kind: Kind, settle_s: float = 0.3, cars=()) -> PhysicsWorld:
     config = SimulationConfig(sleep=False, settle_s=settle_s)
-    return Site(draw((3, 5, 3), [(kind, (1, 1, 1), 1)], cars), config)
+    return PhysicsWorld(draw((3, 5, 3), [(kind, (1, 1, 1), 1)], cars), config)
 
 
 @pytest.mark.parametrize("settle_s", [0.0, 0.3])
@@ -41,18 +41,18 @@ def test_a_folded_flap_lies_on_the_base_with_no_more_than_its_weight_and_an_unfo
 
 def test_the_base_bears_what_stands_on_a_folded_flap():
     """Band: the flap's tip bears half of the car, less a tenth that the hinge's stop holds."""
-    site = slope_at(Kind.FSLOPE, cars=[(1, 1, 2, 0)])
-    force, depth = flap_on_base(site)
+    physics = slope_at(Kind.FSLOPE, cars=[(1, 1, 2, 0)])
+    force, depth = flap_on_base(physics)
     assert force > 0.45 * NOMINAL.cars[0].mass_kg * GRAVITY
     assert depth < 5e-4
-    position, _ = site.free_body_state(site.cars[0].base)
+    position, _ = physics.free_body_state(physics.cars[0].base)
     assert position[2] == pytest.approx(NOMINAL.slope.height_m, abs=5e-4)
 
 
 def test_randomized_friction_reaches_the_flap():
-    site = slope_at(Kind.FSLOPE)
-    randomize(site, DomainRandomization(), np.random.default_rng(0))
-    model = site.model
+    physics = slope_at(Kind.FSLOPE)
+    randomize(physics, DomainRandomization(), np.random.default_rng(0))
+    model = physics.model
     flap = model.geom("slope0/flap").friction[0]
     assert flap != NOMINAL.slope.friction
     assert (model.pair_friction[:, :2] == flap).all()

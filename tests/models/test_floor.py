@@ -11,7 +11,7 @@ from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Drive
 from craftsim.models.imperfection import FLAT, Floor
 from craftsim.models.randomization import NONE, DomainRandomization, randomize
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 LIPPAGE = Floor(lippage_m=0.001)
 SMOOTH = Floor(unevenness_m=0.002)
@@ -29,34 +29,34 @@ def _grid() -> Grid:
     return grid
 
 
-def _world(floor: Floor, drive: Drive = "reduced") -> Site:
-    return Site(_grid(), machines=replace(NOMINAL, drive=drive), floor=floor, reset=False)
+def _world(floor: Floor, drive: Drive = "reduced") -> PhysicsWorld:
+    return PhysicsWorld(_grid(), machines=replace(NOMINAL, drive=drive), floor=floor, reset=False)
 
 
-def _drawn(floor: Floor, seed: int = 0, drive: Drive = "reduced") -> Site:
+def _drawn(floor: Floor, seed: int = 0, drive: Drive = "reduced") -> PhysicsWorld:
     world = _world(floor, drive)
     randomize(world, replace(NONE, floor=floor), np.random.default_rng(seed))
     return world
 
 
-def _height(site: Site, x: float, y: float) -> tuple[float, int]:
+def _height(physics: PhysicsWorld, x: float, y: float) -> tuple[float, int]:
     """Return the height of the floor at a place, as a ray sees it, and the geom that it meets."""
     groups = np.array([1, 0, 0, 0, 0, 0], np.uint8)
     geom = np.zeros(1, np.int32)
     above = np.array([x, y, 0.05])
-    way = mujoco.mj_ray(site.model, site.data, above, np.array([0.0, 0.0, -1.0]), groups, 1, -1, geom)
+    way = mujoco.mj_ray(physics.model, physics.data, above, np.array([0.0, 0.0, -1.0]), groups, 1, -1, geom)
     return 0.05 - way, int(geom[0])
 
 
-def _sampled(site: Site, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
+def _sampled(physics: PhysicsWorld, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
     """Return heights and geoms at random places of the area."""
     places = np.random.default_rng(1).uniform(0, [5 * 0.3225, 4 * 0.3225], (count, 2))
-    heights, geoms = zip(*(_height(site, x, y) for x, y in places), strict=True)
+    heights, geoms = zip(*(_height(physics, x, y) for x, y in places), strict=True)
     return np.array(heights), np.array(geoms)
 
 
 def test_a_flat_floor_is_the_plane():
-    model = Site(_grid(), reset=False).model
+    model = PhysicsWorld(_grid(), reset=False).model
     assert (model.nhfield, model.geom("ground").type) == (0, mujoco.mjtGeom.mjGEOM_PLANE)
     assert model.geom("ground").pos[2] == 0
 
@@ -81,11 +81,11 @@ def test_tiles_are_level_until_they_are_drawn_and_differ_by_the_lippage_at_most(
 
 def test_a_smooth_floor_is_as_uneven_as_declared_and_has_no_steps():
     for seed in range(3):
-        site = _drawn(SMOOTH, seed)
-        heights, _ = _sampled(site)
+        physics = _drawn(SMOOTH, seed)
+        heights, _ = _sampled(physics)
         assert 0.0012 < np.ptp(heights) <= 0.002
         x = np.linspace(0, 1.6, 2000)
-        along = np.array([_height(site, value, 0.6)[0] for value in x])
+        along = np.array([_height(physics, value, 0.6)[0] for value in x])
         # Six waves of equal size in line are steeper than any that are drawn.
         assert abs(np.diff(along)).max() < 0.002 * np.pi / SMOOTH.wavelength_m * (x[1] - x[0]) * 1.5
 
@@ -102,14 +102,14 @@ def test_joints_run_between_tiles_and_have_a_bottom():
 @pytest.mark.parametrize("drive", ["rollers", "reduced"])
 def test_everything_stands_still_after_a_reset(floor, drive):
     for seed in range(2):
-        site = _drawn(floor, seed, drive)
-        assert site.overlaps == ()
-        assert site.data.warning.number.sum() == 0
-        for body in (*site.blocks, *(slope.base for slope in site.slopes), site.cars[0].base):
-            assert abs(site.data.qvel[body.dof : body.dof + 3]).max() < 0.002
-        for number, _ in enumerate(site.blocks):
-            feet = [site.data.geom(f"block{number}/foot_{corner}") for corner in ("fl", "fr", "rl", "rr")]
-            gaps = [foot.xpos[2] - 0.005 - _height(site, *foot.xpos[:2])[0] for foot in feet]
+        physics = _drawn(floor, seed, drive)
+        assert physics.overlaps == ()
+        assert physics.data.warning.number.sum() == 0
+        for body in (*physics.blocks, *(slope.base for slope in physics.slopes), physics.cars[0].base):
+            assert abs(physics.data.qvel[body.dof : body.dof + 3]).max() < 0.002
+        for number, _ in enumerate(physics.blocks):
+            feet = [physics.data.geom(f"block{number}/foot_{corner}") for corner in ("fl", "fr", "rl", "rr")]
+            gaps = [foot.xpos[2] - 0.005 - _height(physics, *foot.xpos[:2])[0] for foot in feet]
             touching = [gap < CLOSE_M for gap in gaps]
             # Its centre of mass lies over the diagonals: on two feet it is in balance until something touches it.
             assert sum(touching) >= 3 or touching in ([True, False, False, True], [False, True, True, False])
@@ -119,14 +119,14 @@ def test_everything_stands_still_after_a_reset(floor, drive):
 def test_the_tiles_are_the_ground_and_of_one_material():
     world = _world(TILED)
     randomize(world, DomainRandomization(floor=TILED), np.random.default_rng(0))
-    site = world
-    tiles = [i for i in range(site.model.ngeom) if site.model.geom(i).name.startswith("tile")]
-    assert {site.machine_names.names[site.machine_names.of_geom[i]] for i in tiles} == {"ground"}
-    ground = site.model.geom("ground").id
+    physics = world
+    tiles = [i for i in range(physics.model.ngeom) if physics.model.geom(i).name.startswith("tile")]
+    assert {physics.machine_names.names[physics.machine_names.of_geom[i]] for i in tiles} == {"ground"}
+    ground = physics.model.geom("ground").id
     for name in ("geom_friction", "geom_solref", "geom_solimp", "geom_contype", "geom_conaffinity"):
-        figures = getattr(site.model, name)
+        figures = getattr(physics.model, name)
         assert (figures[tiles] == figures[ground]).all(), name
-    assert site.model.geom_friction[ground, 0] != NOMINAL.contact.ground_friction
+    assert physics.model.geom_friction[ground, 0] != NOMINAL.contact.ground_friction
 
 
 def test_what_is_drawn_of_the_floor_and_of_the_rest_do_not_depend_on_each_other():
@@ -168,7 +168,7 @@ def test_a_car_drives_on_level_tiles_as_on_the_plane_and_keeps_its_line_on_a_smo
     for floor in (FLAT, Floor(lippage_m=1e-7), Floor(unevenness_m=0.001)):
         grid = Grid.empty((5, 3, 1), 1)
         grid.cars[0, :3] = 0, 1, 1
-        world = Site(grid, machines=replace(NOMINAL, drive=drive), floor=floor, reset=False)
+        world = PhysicsWorld(grid, machines=replace(NOMINAL, drive=drive), floor=floor, reset=False)
         randomize(world, replace(NONE, floor=floor), np.random.default_rng(0))
         for period in range(60):
             world.drive(0, [min(15.0, 1.0 * period)] * 4)
@@ -186,7 +186,7 @@ def test_a_floor_that_cannot_be_is_refused():
         Floor(tile_m=0.1, joint_m=0.1)
     for floor in (Floor(lippage_m=0.001, tile_m=0.01), Floor(unevenness_m=0.001, wavelength_m=0.001)):
         with pytest.raises(InputError, match="too fine"):
-            Site(_grid(), floor=floor)
+            PhysicsWorld(_grid(), floor=floor)
     randomize(_world(FLAT), replace(NONE, floor=Floor(tile_m=0.6)), np.random.default_rng(0))
     with pytest.raises(InputError, match="floor"):
         randomize(_world(FLAT), replace(NONE, floor=LIPPAGE), np.random.default_rng(0))

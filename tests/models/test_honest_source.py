@@ -33,12 +33,12 @@ ARRAY_METHODS = {
 }
 ARRAY_WRITERS = {"copyto", "put", "place", "putmask", "put_along_axis", "fill_diagonal"}
 ALLOWED = {
-    "craftsim/models/world.py": {"Site.reset", "Site.restore", "Site.awake_copy"},
+    "craftsim/models/world.py": {"PhysicsWorld.reset", "PhysicsWorld.restore", "PhysicsWorld.awake_copy"},
     "craftsim/rendering/playback.py": {"Posed.at"},
     "craftsim/robots/mirror.py": {"Mirror._show"},
 }
-"""Site.awake_copy writes a copy, and leaves the Site as it is (tests/checking/test_contact_log.py); what is posed
-has data of its own, to be drawn; a mirror shows robots elsewhere, and is never stepped."""
+"""PhysicsWorld.awake_copy writes a copy, and leaves the world as it is (tests/checking/test_contact_log.py); what is
+posed has data of its own, to be drawn; a mirror shows robots elsewhere, and is never stepped."""
 DECLARED = {"craftsim/skills/disturbances.py": {"_Shove.push", "_Shove.over"}}
 """Where a force is applied that somebody asked for as a disturbance (``craftsim build --disturb shove``)."""
 
@@ -173,7 +173,7 @@ PLANTED = [
     "mujoco.mj_copyData(a, model, b)",
     "mujoco.mju_copy(data.qpos, x)",
     "mujoco.mj_integratePos(model, data.qpos, v, 0.1)",
-    "class Site:\n    def jump(self):\n        self.data.qpos[0] = 1",
+    "class PhysicsWorld:\n    def jump(self):\n        self.data.qpos[0] = 1",
     "def reset(self):\n    self.data.qpos[0] = 1",
     "data.xfrc_applied[1] = 1",
     "f = data.qfrc_applied",
@@ -188,7 +188,7 @@ INNOCENT = [
     "address = body.qpos",
     "speeds = data.qvel[handle.dofs].copy()",
     "data.ctrl[0] = 1",
-    "class Site:\n    def reset(self):\n        self.data.qpos[0] = 1",
+    "class PhysicsWorld:\n    def reset(self):\n        self.data.qpos[0] = 1",
     "class Drive:\n    qpos: int",
     "Drive(qpos=int(joint.qposadr[0]))",
 ]
@@ -196,12 +196,12 @@ INNOCENT = [
 
 @pytest.mark.parametrize("source", PLANTED)
 def test_the_check_catches_a_planted_violation(source):
-    assert violations(source, {"Site.reset"})
+    assert violations(source, {"PhysicsWorld.reset"})
 
 
 @pytest.mark.parametrize("source", INNOCENT)
 def test_the_check_lets_reading_pass(source):
-    assert not violations(source, {"Site.reset"})
+    assert not violations(source, {"PhysicsWorld.reset"})
 
 
 def test_only_reset_and_restore_write_positions_and_velocities():
@@ -223,5 +223,5 @@ def test_the_allowed_writers_exist():
     package = Path(craftsim.__file__).parent
     source = (package / "models" / "world.py").read_text(encoding="utf-8")
     assert violations(source, set())
-    assert violations(source, {"Site.reset"})
-    assert violations(source, {"Site.restore"})
+    assert violations(source, {"PhysicsWorld.reset"})
+    assert violations(source, {"PhysicsWorld.restore"})

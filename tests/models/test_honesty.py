@@ -14,7 +14,7 @@ from drawn import draw
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Kind
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 PARTS = ("ground", "block", "flag", "wall", "slope", "smartcar")
 ALL_KINDS = draw(
@@ -30,15 +30,15 @@ ALL_KINDS = draw(
 def compiled(name: str) -> mujoco.MjModel:
     """Return a part alone, or the demo's scene."""
     if name == "all kinds":
-        return Site(ALL_KINDS).model
+        return PhysicsWorld(ALL_KINDS).model
     if name == "all kinds, reduced":
-        return Site(ALL_KINDS, machines=replace(NOMINAL, drive="reduced")).model
+        return PhysicsWorld(ALL_KINDS, machines=replace(NOMINAL, drive="reduced")).model
     if name != "demo":
         with as_file(files("craftsim.mjcf")) as folder:
             return mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
     with as_file(files("craftsim.data")) as data:
         drawing = read_blueprint(data / "blueprints" / "simple_two_story.yaml")
-    return Site(drawing.grid(np.random.default_rng(0))).model
+    return PhysicsWorld(drawing.grid(np.random.default_rng(0))).model
 
 
 @pytest.mark.parametrize("name", [*PARTS, "demo", "smartcar_reduced", "all kinds, reduced"])

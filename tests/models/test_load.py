@@ -17,7 +17,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import incline_under
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.skill import Terrain
 
@@ -31,32 +31,32 @@ STOPPED_M = PLAY_M + 1e-4
 GRAVITY = 9.81
 
 
-def place(site: Site) -> NDArray[np.float64]:
+def place(physics: PhysicsWorld) -> NDArray[np.float64]:
     """Return the first block's place in the first car's frame, shape (3,), in metres."""
-    car, quaternion = site.free_body_state(site.cars[0].base)
-    block, _ = site.free_body_state(site.blocks[0])
+    car, quaternion = physics.free_body_state(physics.cars[0].base)
+    block, _ = physics.free_body_state(physics.blocks[0])
     return np.array(body_axes(*quaternion.tolist())) @ (block - car)
 
 
-def set_board_friction(site: Site, mu: float) -> None:
+def set_board_friction(physics: PhysicsWorld, mu: float) -> None:
     """Give both sides of the contact, board with boss and the load, one coefficient."""
-    for geom in range(site.model.ngeom):
-        name = site.model.geom(geom).name
+    for geom in range(physics.model.ngeom):
+        name = physics.model.geom(geom).name
         if name in ("car0/plate", "car0/boss") or name.startswith("block0/"):
-            site.model.geom_friction[geom, 0] = mu
+            physics.model.geom_friction[geom, 0] = mu
 
 
-def take_boss_away(site: Site) -> None:
+def take_boss_away(physics: PhysicsWorld) -> None:
     """Let nothing but friction hold the load."""
-    boss = site.model.geom("car0/boss").id
-    site.model.geom_contype[boss] = site.model.geom_conaffinity[boss] = 0
+    boss = physics.model.geom("car0/boss").id
+    physics.model.geom_contype[boss] = physics.model.geom_conaffinity[boss] = 0
 
 
-def ride(site: Site, grid: Grid, after: Grid) -> NDArray[np.float64]:
+def ride(physics: PhysicsWorld, grid: Grid, after: Grid) -> NDArray[np.float64]:
     """Drive uphill by one cell; return the load's place (n, 3) at every control period."""
     places: list[NDArray[np.float64]] = []
     ground = Terrain(incline_under(grid, grid.cars[0]), incline_under(grid, after.cars[0]))
-    executor = Executor(site, observer=lambda site: places.append(place(site)))
+    executor = Executor(physics, observer=lambda physics: places.append(place(physics)))
     outcome = executor.run({0: Action.MOVE_LEFT}, {0: ground})[0]
     assert outcome.succeeded, str(outcome)
     return np.array(places)
@@ -65,21 +65,21 @@ def ride(site: Site, grid: Grid, after: Grid) -> NDArray[np.float64]:
 def test_a_load_rides_up_the_incline_without_slipping(ramp):
     """From the lower half to the upper: 0.34 m at 16 degrees; friction is 0.8 where tan(16 deg) = 0.287 would do."""
     grid = ramp(1, Kind.BLOCK)
-    site = Site(grid)
-    take_boss_away(site)
-    start = place(site)
-    places = ride(site, grid, ramp(2, Kind.BLOCK))
+    physics = PhysicsWorld(grid)
+    take_boss_away(physics)
+    start = place(physics)
+    places = ride(physics, grid, ramp(2, Kind.BLOCK))
     assert np.abs(places - start)[:, :2].max() < STILL_M
-    assert site.free_body_state(site.cars[0].base)[0][2] > 0.13
+    assert physics.free_body_state(physics.cars[0].base)[0][2] > 0.13
 
 
 def test_a_load_does_not_slip_when_the_car_sets_off_on_the_flat(ramp):
     """Up to the edge of the flap, which the front wheels reach 0.1 m before the cell's border."""
     grid = ramp(0, Kind.BLOCK)
-    site = Site(grid)
-    take_boss_away(site)
-    start, x = place(site), []
-    executor = Executor(site, observer=lambda s: x.append((s.data.qpos[s.cars[0].base.qpos], *place(s))))
+    physics = PhysicsWorld(grid)
+    take_boss_away(physics)
+    start, x = place(physics), []
+    executor = Executor(physics, observer=lambda s: x.append((s.data.qpos[s.cars[0].base.qpos], *place(s))))
     executor.run({0: Action.MOVE_LEFT}, {0: Terrain(0.0, INCLINE_RAD)})
     track = np.array(x)
     edge = 4 * CELL_PITCH_M + SMARTCAR.wheel_x_m + 0.02
@@ -91,13 +91,13 @@ def test_a_load_does_not_slip_when_the_car_sets_off_on_the_flat(ramp):
 def test_the_boss_holds_a_load_over_the_bends(ramp):
     """Where the ground bends the board tips under the load while the car drives, and the load shifts, to the boss."""
     stages = [ramp(state, Kind.BLOCK) for state in range(4)]
-    site = Site(stages[0])
-    start = place(site)
-    places = [ride(site, *pair) for pair in pairwise(stages)]
+    physics = PhysicsWorld(stages[0])
+    start = place(physics)
+    places = [ride(physics, *pair) for pair in pairwise(stages)]
     moved = np.abs(np.concatenate(places) - start)
     assert moved[:, 0].max() < STOPPED_M
     assert moved[:, 1].max() < STILL_M
-    assert site.free_body_state(site.cars[0].base)[0][2] == pytest.approx(0.185, abs=1e-3)
+    assert physics.free_body_state(physics.cars[0].base)[0][2] == pytest.approx(0.185, abs=1e-3)
 
 
 def test_on_a_smoother_board_than_statics_asks_the_load_slips_to_the_boss(ramp):
@@ -106,12 +106,12 @@ def test_on_a_smoother_board_than_statics_asks_the_load_slips_to_the_boss(ramp):
     And there it stays while the car climbs on.
     """
     grid = ramp(1, Kind.BLOCK)
-    site = Site(grid, SimulationConfig(sleep=False))
-    set_board_friction(site, 0.25)
+    physics = PhysicsWorld(grid, SimulationConfig(sleep=False))
+    set_board_friction(physics, 0.25)
     for _ in range(50):
-        site.advance()
-    assert -STOPPED_M < place(site)[0] < -0.8 * PLAY_M
-    places = ride(site, grid, ramp(2, Kind.BLOCK))
+        physics.advance()
+    assert -STOPPED_M < place(physics)[0] < -0.8 * PLAY_M
+    places = ride(physics, grid, ramp(2, Kind.BLOCK))
     assert np.abs(places[:, 0]).max() < STOPPED_M
     assert places[-1, 0] < -0.8 * PLAY_M
 
@@ -125,19 +125,19 @@ def test_without_the_boss_a_load_slides_at_the_friction_angle(threshold, mu):
     """
     grid = Grid.empty((3, 3, 2), 1)
     grid.cars[0] = 1, 1, 1, 0, Kind.BLOCK, 0, 0
-    site = Site(grid, SimulationConfig(sleep=False))
-    set_board_friction(site, mu)
-    take_boss_away(site)
-    site.model.dof_frictionloss[site.cars[0].wheel_dofs] = 50.0
-    start = site.save()
-    before = place(site)
+    physics = PhysicsWorld(grid, SimulationConfig(sleep=False))
+    set_board_friction(physics, mu)
+    take_boss_away(physics)
+    physics.model.dof_frictionloss[physics.cars[0].wheel_dofs] = 50.0
+    start = physics.save()
+    before = place(physics)
 
     def slides(angle: float) -> bool:
-        site.restore(start)
-        site.model.opt.gravity[:] = -GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)
+        physics.restore(start)
+        physics.model.opt.gravity[:] = -GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)
         for _ in range(50):
-            site.advance()
-        return (place(site) - before)[0] < -0.005
+            physics.advance()
+        return (place(physics) - before)[0] < -0.005
 
     assert threshold(slides, 0.1, 0.6) == pytest.approx(math.atan(mu), rel=0.02)
 
@@ -148,10 +148,10 @@ def test_the_boss_centres_a_load(offset_mm):
     grid = Grid.empty((3, 3, 2), 1)
     grid.cars[0] = 1, 1, 1, 0, Kind.AIR, 0, 0
     grid.kind[1, 1, 1] = Kind.BLOCK
-    site = Site(grid)
-    address = site.blocks[0].qpos
-    site.data.qpos[address : address + 2] += 1e-3 * np.array(offset_mm)
-    outcome = Executor(site).run({0: Action.LIFT})[0]
+    physics = PhysicsWorld(grid)
+    address = physics.blocks[0].qpos
+    physics.data.qpos[address : address + 2] += 1e-3 * np.array(offset_mm)
+    outcome = Executor(physics).run({0: Action.LIFT})[0]
     assert outcome.succeeded
-    assert np.abs(place(site)[:2]).max() < STOPPED_M
-    assert place(site)[2] > 0.03
+    assert np.abs(place(physics)[:2]).max() < STOPPED_M
+    assert place(physics)[2] > 0.03

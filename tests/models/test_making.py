@@ -11,7 +11,7 @@ from craftsim.mjcf.parameters import NOMINAL, Drive
 from craftsim.models import randomization
 from craftsim.models.imperfection import Making
 from craftsim.models.randomization import NONE, randomize
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 DRIVES: tuple[Drive, ...] = ("rollers", "reduced")
 
@@ -29,55 +29,57 @@ def largest(monkeypatch):
     monkeypatch.setattr(randomization, "by_name", lambda rng: lambda machine, figure: Largest())
 
 
-def _site(drive: Drive, cell: tuple[int, int] = (0, 1), kind: Kind = Kind.AIR, load: Kind = Kind.AIR) -> Site:
+def _physics(
+    drive: Drive, cell: tuple[int, int] = (0, 1), kind: Kind = Kind.AIR, load: Kind = Kind.AIR
+) -> PhysicsWorld:
     grid = Grid.empty((5, 3, 2), 1)
     grid.cars[0, :6] = 0, 1, 1, 0, load, 0
     if kind != Kind.AIR:
         grid.kind[*cell, 1] = kind
     grid.derive_marks()
-    return Site(grid, machines=replace(NOMINAL, drive=drive), reset=False)
+    return PhysicsWorld(grid, machines=replace(NOMINAL, drive=drive), reset=False)
 
 
-def _drawn(world: Site, seed: int, **making: float) -> Site:
+def _drawn(world: PhysicsWorld, seed: int, **making: float) -> PhysicsWorld:
     randomize(world, replace(NONE, making=Making(**making)), np.random.default_rng(seed))
     return world
 
 
-def _pose(site: Site, body) -> np.ndarray:
-    return site.free_body_state(body)[0]
+def _pose(physics: PhysicsWorld, body) -> np.ndarray:
+    return physics.free_body_state(body)[0]
 
 
-def _heading(site: Site) -> float:
-    _, (w, _, _, z) = site.free_body_state(site.cars[0].base)
+def _heading(physics: PhysicsWorld) -> float:
+    _, (w, _, _, z) = physics.free_body_state(physics.cars[0].base)
     return float(2 * np.arctan2(z, w))
 
 
-def _radii(site: Site) -> np.ndarray:
+def _radii(physics: PhysicsWorld) -> np.ndarray:
     """Return (4,): the radius of each wheel, as its shape in the model has it."""
-    model = site.model
-    if site.machines.drive == "reduced":
+    model = physics.model
+    if physics.machines.drive == "reduced":
         return np.array([model.geom(f"car0/wheel_{w}").size[0] for w in ("fl", "fr", "rl", "rr")])
-    bodies = [model.dof_bodyid[dof] for dof in site.cars[0].wheel_dofs]
+    bodies = [model.dof_bodyid[dof] for dof in physics.cars[0].wheel_dofs]
     rollers = [np.flatnonzero(model.body_parentid == body) for body in bodies]
-    thick = site.cars[0].parameters.roller_radius_m
+    thick = physics.cars[0].parameters.roller_radius_m
     return np.array([np.linalg.norm(model.body_pos[r], axis=1).mean() + thick for r in rollers])
 
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_a_car_with_larger_wheels_stands_higher_and_gets_further(drive, largest):
     """All four larger by 1 mm, 2.0 % of their radius: 2.0 % further."""
-    world, ways, heights = _site(drive), [], []
+    world, ways, heights = _physics(drive), [], []
     for more in (0.0, 0.001):
         randomize(
             world, replace(NONE, making=Making(wheel_radius_m=max(more, 1e-12))), np.random.default_rng()
         )
-        site = world
-        start = _pose(site, site.cars[0].base)
-        site.drive(0, [8.0] * 4)
+        physics = world
+        start = _pose(physics, physics.cars[0].base)
+        physics.drive(0, [8.0] * 4)
         places = []
         for _ in range(80):
-            site.advance()
-            places.append(_pose(site, site.cars[0].base)[0])
+            physics.advance()
+            places.append(_pose(physics, physics.cars[0].base)[0])
         ways.append(places[-1] - places[40])
         heights.append(start[2])
     assert ways[1] / ways[0] == pytest.approx(1 + 0.001 / NOMINAL.cars[0].wheel_radius_m, abs=0.003)
@@ -86,33 +88,33 @@ def test_a_car_with_larger_wheels_stands_higher_and_gets_further(drive, largest)
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_unequal_wheels_turn_a_car(drive):
-    world = _site(drive)
+    world = _physics(drive)
     headings = []
     for tolerance in (1e-12, 0.0002):
-        site = _drawn(world, 0, wheel_radius_m=tolerance)
-        assert abs(_radii(site) - NOMINAL.cars[0].wheel_radius_m).max() <= tolerance
-        assert len(np.unique(_radii(site))) == 4
-        site.drive(0, [8.0] * 4)
+        physics = _drawn(world, 0, wheel_radius_m=tolerance)
+        assert abs(_radii(physics) - NOMINAL.cars[0].wheel_radius_m).max() <= tolerance
+        assert len(np.unique(_radii(physics))) == 4
+        physics.drive(0, [8.0] * 4)
         for _ in range(100):
-            site.advance()
-        headings.append(abs(_heading(site)))
+            physics.advance()
+        headings.append(abs(_heading(physics)))
     assert headings[1] > max(0.002, 2 * headings[0])
 
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_a_car_with_a_longer_wheelbase_and_track_turns_less(drive):
-    world, turned, levers = _site(drive), [], []
+    world, turned, levers = _physics(drive), [], []
     for seed in range(3):
-        site = _drawn(world, seed, wheel_place_m=0.008)
-        site.drive(0, [-6.0, 6.0, -6.0, 6.0])
+        physics = _drawn(world, seed, wheel_place_m=0.008)
+        physics.drive(0, [-6.0, 6.0, -6.0, 6.0])
         for _ in range(50):
-            site.advance()
-        turned.append(_heading(site))
-        model = site.model
+            physics.advance()
+        turned.append(_heading(physics))
+        model = physics.model
         if drive == "reduced":
             places = np.array([model.geom(f"car0/wheel_{wheel}").pos for wheel in ("fl", "fr", "rl", "rr")])
         else:
-            places = model.body_pos[model.dof_bodyid[site.cars[0].wheel_dofs]]
+            places = model.body_pos[model.dof_bodyid[physics.cars[0].wheel_dofs]]
         levers.append(np.abs(places[:, :2]).sum(axis=1).mean())
     assert np.ptp(levers) > 0.001
     assert (np.argsort(levers) == np.argsort(turned)[::-1]).all()
@@ -120,7 +122,7 @@ def test_a_car_with_a_longer_wheelbase_and_track_turns_less(drive):
 
 
 def test_a_board_that_is_too_high_carries_its_load_higher(largest):
-    world, heights = _site("reduced", load=Kind.BLOCK), []
+    world, heights = _physics("reduced", load=Kind.BLOCK), []
     for more in (1e-12, 0.002):
         randomize(world, replace(NONE, making=Making(board_m=more)), np.random.default_rng())
         heights.append(_pose(world, world.blocks[0])[2])
@@ -128,13 +130,13 @@ def test_a_board_that_is_too_high_carries_its_load_higher(largest):
 
 
 def test_a_block_with_uneven_feet_leans():
-    world = _site("reduced", (2, 1), Kind.BLOCK)
+    world = _physics("reduced", (2, 1), Kind.BLOCK)
     leans = []
     for seed in range(4):
-        site = _drawn(world, seed, foot_m=0.002)
-        _, (_, x, y, _) = site.free_body_state(site.blocks[0])
+        physics = _drawn(world, seed, foot_m=0.002)
+        _, (_, x, y, _) = physics.free_body_state(physics.blocks[0])
         leans.append(2 * np.hypot(x, y))
-        feet = [site.model.geom(f"block0/foot_{corner}").pos[2] for corner in ("fl", "fr", "rl", "rr")]
+        feet = [physics.model.geom(f"block0/foot_{corner}").pos[2] for corner in ("fl", "fr", "rl", "rr")]
         assert abs(np.array(feet) - NOMINAL.block.foot_radius_m).max() <= 0.002
     # Two diagonal feet of 0.44 m, each off by up to 2 mm, lean it by up to 9 mrad.
     assert 1e-3 < max(leans) < 0.01
@@ -142,7 +144,7 @@ def test_a_block_with_uneven_feet_leans():
 
 def test_a_load_with_a_higher_pocket_rides_lower(largest):
     """By up to the 1 mm that a boss leaves below the deck."""
-    world, heights = _site("reduced", load=Kind.BLOCK), []
+    world, heights = _physics("reduced", load=Kind.BLOCK), []
     for more in (1e-12, 0.0008):
         randomize(world, replace(NONE, making=Making(underside_m=more)), np.random.default_rng())
         heights.append(_pose(world, world.blocks[0])[2])
@@ -152,12 +154,12 @@ def test_a_load_with_a_higher_pocket_rides_lower(largest):
 def test_a_load_sits_off_its_car_by_as_much_as_its_pocket_is_off(largest):
     """Within the play of 0.1 mm to each side, and of board and boss alike."""
     for making, sign in ((Making(pocket_m=0.003), -1), (Making(board_place_m=0.003), 1)):
-        world = _site("reduced", load=Kind.BLOCK)
+        world = _physics("reduced", load=Kind.BLOCK)
         randomize(world, replace(NONE, making=making), np.random.default_rng())
-        site = world
+        physics = world
         for _ in range(50):
-            site.advance()
-        off = _pose(site, site.blocks[0])[:2] - _pose(site, site.cars[0].base)[:2]
+            physics.advance()
+        off = _pose(physics, physics.blocks[0])[:2] - _pose(physics, physics.cars[0].base)[:2]
         assert off == pytest.approx(2 * [sign * 0.003], abs=0.3e-3)
 
 
@@ -168,7 +170,7 @@ def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(name, d
     grid.cars[0, :3] = 0, 1, 1
     grid.kind[2, 1, 1], grid.kind[3, 1, 1], grid.kind[4, 1, 1] = Kind.BLOCK, Kind.FSLOPE, Kind.GEAR
     grid.derive_marks()
-    world = Site(grid, machines=replace(NOMINAL, drive=drive), reset=False)
+    world = PhysicsWorld(grid, machines=replace(NOMINAL, drive=drive), reset=False)
     world.reset_compiled()
     model = world.model
     before = {
@@ -186,7 +188,7 @@ def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(name, d
 
 def test_no_shape_that_is_drawn_shares_its_frame_with_its_body():
     """MuJoCo takes the body's frame for such a shape's, whatever its place."""
-    world = _site("reduced", (2, 1), Kind.BLOCK)
+    world = _physics("reduced", (2, 1), Kind.BLOCK)
     model = world.model
     same = mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT
     for name in ("car0/wheel_fl", "block0/foot_fl", "block0/frame_front", "block0/frame_left"):

@@ -11,25 +11,25 @@ from craftsim.errors import InputError
 from craftsim.models.measuring import write_reading
 from craftsim.models.randomization import load_noise
 from craftsim.models.sensing import EXACT, NOISY, SensorNoise, Sensors, measure
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 PERIOD_S = 0.02
 N = 1500
 
 
 @pytest.fixture(scope="module")
-def site() -> Site:
+def physics() -> PhysicsWorld:
     grid = Grid.empty((2, 1, 1), 2)
     grid.cars[1, 0] = 1
-    return Site(grid)
+    return PhysicsWorld(grid)
 
 
 class Moving:
     """Makes exact readings of the first car functions of the number of the period."""
 
-    def __init__(self, site, monkeypatch):
+    def __init__(self, physics, monkeypatch):
         self.period = 0
-        still = measure(site, 0)
+        still = measure(physics, 0)
 
         def moving(_, __, out):
             t = self.period * PERIOD_S
@@ -40,8 +40,8 @@ class Moving:
         monkeypatch.setattr("craftsim.models.sensing.read_cars", moving)
 
 
-def _readings(site, noise, seed, n=N, car=0) -> np.ndarray:
-    sensors = Sensors(site, noise, np.random.default_rng(seed))
+def _readings(physics, noise, seed, n=N, car=0) -> np.ndarray:
+    sensors = Sensors(physics, noise, np.random.default_rng(seed))
     rows = []
     for _ in range(n):
         sensors.observe()
@@ -50,9 +50,9 @@ def _readings(site, noise, seed, n=N, car=0) -> np.ndarray:
     return np.array(rows)
 
 
-def test_the_deviations_of_a_parked_cars_readings_are_as_declared_and_centred_on_the_truth(site):
-    true = measure(site, 0)
-    errors = _readings(site, NOISY, 3) - (true.x, true.y, true.z, true.heading)
+def test_the_deviations_of_a_parked_cars_readings_are_as_declared_and_centred_on_the_truth(physics):
+    true = measure(physics, 0)
+    errors = _readings(physics, NOISY, 3) - (true.x, true.y, true.z, true.heading)
     declared = np.array([NOISY.position_m] * 3 + [NOISY.heading_rad])
     # Of N white readings the deviation is known to 1 / sqrt(2 N) = 2 %, the mean to 1 / sqrt(N) = 3 % of it.
     np.testing.assert_allclose(errors.std(axis=0), declared, rtol=4 / math.sqrt(2 * N))
@@ -68,12 +68,12 @@ JOINTS = ("pitch", "roll", "board_m", "board_force_n", "hinge_rad")
 
 
 @pytest.fixture(scope="module")
-def docked() -> Site:
+def docked() -> PhysicsWorld:
     grid = Grid.empty((2, 1, 2), 1)
     grid.cars[0, :4] = 0, 0, 1, 0
     grid.kind[0, 0, 1], grid.yaw[0, 0, 1] = Kind.FSLOPE, 0
     grid.derive_marks()
-    return Site(grid)
+    return PhysicsWorld(grid)
 
 
 def test_tilt_board_and_hinge_are_as_noisy_as_declared_and_centred_on_the_truth(docked):
@@ -139,19 +139,19 @@ def test_a_bias_is_as_long_as_declared_on_every_seed_and_points_anywhere(docked)
     assert (abs((np.array(ways) > 0).mean(axis=0) - 0.5) < 4 * 0.5 / math.sqrt(200)).all()
 
 
-def test_a_bias_drifts_as_far_as_declared_and_as_a_random_walk(site):
+def test_a_bias_drifts_as_far_as_declared_and_as_a_random_walk(physics):
     noise = SensorNoise(position_drift_m=0.001, heading_drift_rad=0.002)
-    seconds = _readings(site, noise, 1, 60 * 50)[::50]
+    seconds = _readings(physics, noise, 1, 60 * 50)[::50]
     steps = np.diff(seconds[:, [0, 1, 3]], axis=0) / (0.001, 0.001, 0.002)
     np.testing.assert_allclose(steps.std(axis=0), 1.0, rtol=4 / math.sqrt(2 * len(steps)))
     assert (abs((steps[1:] * steps[:-1]).mean(axis=0)) < 4 / math.sqrt(len(steps))).all()
     assert not np.diff(seconds[:, 2]).any()
 
 
-def _ages(site, monkeypatch, noise, n=600, seed=0) -> tuple[np.ndarray, np.ndarray]:
+def _ages(physics, monkeypatch, noise, n=600, seed=0) -> tuple[np.ndarray, np.ndarray]:
     """Return the ages in seconds of what a car that drives at 1 m/s reads of x, and whether each is fresh."""
-    moving = Moving(site, monkeypatch)
-    sensors = Sensors(site, noise, np.random.default_rng(seed))
+    moving = Moving(physics, monkeypatch)
+    sensors = Sensors(physics, noise, np.random.default_rng(seed))
     seen = []
     for moving.period in range(1, n + 1):
         sensors.observe()
@@ -162,35 +162,37 @@ def _ages(site, monkeypatch, noise, n=600, seed=0) -> tuple[np.ndarray, np.ndarr
     return ages, fresh > 0
 
 
-def test_the_age_of_single_localisations_jitters_as_declared_and_none_is_of_the_future(site, monkeypatch):
-    ages, fresh = _ages(site, monkeypatch, SensorNoise(min_delay_s=0.1, max_delay_s=0.1, jitter_s=0.01))
+def test_the_age_of_single_localisations_jitters_as_declared_and_none_is_of_the_future(physics, monkeypatch):
+    ages, fresh = _ages(physics, monkeypatch, SensorNoise(min_delay_s=0.1, max_delay_s=0.1, jitter_s=0.01))
     assert fresh.all()
     late = ages[20:]
     assert late.mean() == pytest.approx(0.1, abs=4 * 0.01 / math.sqrt(len(late)))
     assert late.std() == pytest.approx(0.01, rel=4 / math.sqrt(2 * len(late)))
-    assert _ages(site, monkeypatch, SensorNoise(jitter_s=0.01))[0].min() >= -1e-12
+    assert _ages(physics, monkeypatch, SensorNoise(jitter_s=0.01))[0].min() >= -1e-12
 
 
 @pytest.mark.parametrize("period_s", [1 / 30, 0.05, 0.01])
-def test_between_two_localisations_a_car_reads_the_last_one(site, monkeypatch, period_s):
+def test_between_two_localisations_a_car_reads_the_last_one(physics, monkeypatch, period_s):
     noise = SensorNoise(min_delay_s=0.03, max_delay_s=0.03, localisation_period_s=period_s)
-    ages, fresh = _ages(site, monkeypatch, noise)
+    ages, fresh = _ages(physics, monkeypatch, noise)
     # One that arrives between two control periods waits for the next.
     assert 0.03 - 1e-9 <= ages[fresh][5:].min() <= ages[fresh][5:].max() < 0.03 + min(PERIOD_S, period_s)
     assert fresh.sum() == pytest.approx(600 * min(PERIOD_S / period_s, 1.0), abs=2)
     np.testing.assert_allclose(np.diff(ages)[~fresh[1:]], PERIOD_S, atol=1e-9)
 
 
-def test_of_the_localisations_the_declared_share_is_lost_and_the_car_reads_the_one_before(site, monkeypatch):
-    ages, fresh = _ages(site, monkeypatch, SensorNoise(lost_share=0.2), N)
+def test_of_the_localisations_the_declared_share_is_lost_and_the_car_reads_the_one_before(
+    physics, monkeypatch
+):
+    ages, fresh = _ages(physics, monkeypatch, SensorNoise(lost_share=0.2), N)
     assert (~fresh).mean() == pytest.approx(0.2, abs=4 * math.sqrt(0.2 * 0.8 / N))
     np.testing.assert_allclose(ages[fresh], 0.0, atol=1e-9)
     np.testing.assert_allclose(np.diff(ages)[~fresh[1:]], PERIOD_S, atol=1e-9)
 
 
-def test_of_the_localisations_the_declared_share_is_off_by_the_declared_length(site):
-    true = measure(site, 0)
-    errors = _readings(site, SensorNoise(outlier_share=0.1, outlier_m=0.3), 2)[:, :2] - (true.x, true.y)
+def test_of_the_localisations_the_declared_share_is_off_by_the_declared_length(physics):
+    true = measure(physics, 0)
+    errors = _readings(physics, SensorNoise(outlier_share=0.1, outlier_m=0.3), 2)[:, :2] - (true.x, true.y)
     off = np.hypot(*errors.T)
     wrong = off > 1e-9
     np.testing.assert_allclose(off[wrong], 0.3, rtol=1e-9)
@@ -198,9 +200,9 @@ def test_of_the_localisations_the_declared_share_is_off_by_the_declared_length(s
     assert (abs(errors[wrong].mean(axis=0)) < 4 * 0.3 / math.sqrt(2 * wrong.sum())).all()
 
 
-def test_a_new_figure_changes_no_reading_that_it_does_not_concern(site):
+def test_a_new_figure_changes_no_reading_that_it_does_not_concern(physics):
     more = replace(NOISY, outlier_share=0.1, lost_share=0.1, jitter_s=0.01, board_bias_m=0.001)
-    both = [Sensors(site, noise, np.random.default_rng(4)) for noise in (NOISY, more)]
+    both = [Sensors(physics, noise, np.random.default_rng(4)) for noise in (NOISY, more)]
     for _ in range(20):
         for sensors in both:
             sensors.observe()
@@ -208,24 +210,24 @@ def test_a_new_figure_changes_no_reading_that_it_does_not_concern(site):
         assert (old.pitch, old.roll, old.board_force_n) == (new.pitch, new.roll, new.board_force_n)
 
 
-def test_two_cars_have_noise_of_their_own(site):
-    sensors = Sensors(site, NOISY, np.random.default_rng(0))
-    offsets = [sensors.measure(car).y - measure(site, car).y for car in (0, 1)]
+def test_two_cars_have_noise_of_their_own(physics):
+    sensors = Sensors(physics, NOISY, np.random.default_rng(0))
+    offsets = [sensors.measure(car).y - measure(physics, car).y for car in (0, 1)]
     assert offsets[0] != offsets[1]
 
 
-def test_equal_seeds_give_equal_readings_and_others_do_not(site):
-    first, again, other = (_readings(site, NOISY, seed, 20) for seed in (5, 5, 6))
+def test_equal_seeds_give_equal_readings_and_others_do_not(physics):
+    first, again, other = (_readings(physics, NOISY, seed, 20) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first, again)
     assert (first != other).all()
 
 
-def test_silent_sensors_are_exact_and_need_no_generator(site):
+def test_silent_sensors_are_exact_and_need_no_generator(physics):
     assert EXACT.silent
     assert SensorNoise(motor_lag_s=0.02).silent
-    sensors = Sensors(site)
+    sensors = Sensors(physics)
     sensors.observe()
-    now, true = sensors.measure(1), measure(site, 1)
+    now, true = sensors.measure(1), measure(physics, 1)
     for name in ("x", "y", "z", "heading", "pitch", "roll", "board_m", "board_force_n"):
         assert getattr(now, name) == getattr(true, name)
     np.testing.assert_array_equal(now.wheel_speeds, true.wheel_speeds)
@@ -233,22 +235,22 @@ def test_silent_sensors_are_exact_and_need_no_generator(site):
     assert now.fresh
 
 
-def test_noisy_sensors_without_a_generator_are_refused(site):
+def test_noisy_sensors_without_a_generator_are_refused(physics):
     with pytest.raises(ValueError, match="random generator"):
-        Sensors(site, NOISY)
+        Sensors(physics, NOISY)
 
 
-def test_asking_twice_in_one_period_gives_one_answer(site):
-    sensors = Sensors(site, NOISY, np.random.default_rng(0))
+def test_asking_twice_in_one_period_gives_one_answer(physics):
+    sensors = Sensors(physics, NOISY, np.random.default_rng(0))
     assert sensors.measure(0) == sensors.measure(0)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.02, 0.03, 0.037])
-def test_a_localisation_is_as_old_as_declared(site, monkeypatch, delay_s):
-    moving = Moving(site, monkeypatch)
+def test_a_localisation_is_as_old_as_declared(physics, monkeypatch, delay_s):
+    moving = Moving(physics, monkeypatch)
     # Almost no noise, so that the delay shows alone; none at all and no delay would be silent.
     noise = SensorNoise(position_m=1e-12, min_delay_s=delay_s, max_delay_s=delay_s)
-    sensors = Sensors(site, noise, np.random.default_rng(0))
+    sensors = Sensors(physics, noise, np.random.default_rng(0))
     for moving.period in range(1, 60):
         sensors.observe()
     now = sensors.measure(0)
@@ -258,11 +260,11 @@ def test_a_localisation_is_as_old_as_declared(site, monkeypatch, delay_s):
     assert now.heading == pytest.approx(math.remainder(3.0 + 0.5 * t, math.tau), abs=1e-9)
 
 
-def test_delays_are_drawn_between_their_bounds(site, monkeypatch):
+def test_delays_are_drawn_between_their_bounds(physics, monkeypatch):
     ages = []
     for seed in range(40):
-        moving = Moving(site, monkeypatch)
-        sensors = Sensors(site, replace(NOISY, position_m=0.0), np.random.default_rng(seed))
+        moving = Moving(physics, monkeypatch)
+        sensors = Sensors(physics, replace(NOISY, position_m=0.0), np.random.default_rng(seed))
         for moving.period in range(1, 8):
             sensors.observe()
         ages.append(moving.period * PERIOD_S - sensors.measure(0).x)
@@ -271,9 +273,9 @@ def test_delays_are_drawn_between_their_bounds(site, monkeypatch):
     assert max(ages) - min(ages) > 0.7 * (NOISY.max_delay_s - NOISY.min_delay_s)
 
 
-def test_wheel_speeds_follow_a_jump_with_the_declared_time_constant(site, monkeypatch):
-    moving = Moving(site, monkeypatch)
-    sensors = Sensors(site, SensorNoise(encoder_lag_s=0.05), np.random.default_rng(0))
+def test_wheel_speeds_follow_a_jump_with_the_declared_time_constant(physics, monkeypatch):
+    moving = Moving(physics, monkeypatch)
+    sensors = Sensors(physics, SensorNoise(encoder_lag_s=0.05), np.random.default_rng(0))
     for moving.period in range(1, 11):
         sensors.observe()
         expected = 5.0 * (1 - math.exp(-moving.period * PERIOD_S / 0.05))

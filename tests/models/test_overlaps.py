@@ -10,7 +10,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.audit.trial import Trial, try_it
 
@@ -20,10 +20,10 @@ BESIDE = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(0, 1, 1, 0, Kind.BLOCK
 
 
 def test_a_start_names_what_stands_in_what_and_how_deep():
-    (overlap,) = Site(IN_THE_GEAR).overlaps
+    (overlap,) = PhysicsWorld(IN_THE_GEAR).overlaps
     assert (overlap.first, overlap.second) == ("block 0", "slope 0")
     assert overlap.depth_m == pytest.approx(0.016, abs=0.001)
-    assert Site(BESIDE).overlaps == ()
+    assert PhysicsWorld(BESIDE).overlaps == ()
 
 
 def test_no_judge_takes_such_a_world(tmp_path):
@@ -32,7 +32,7 @@ def test_no_judge_takes_such_a_world(tmp_path):
     ):
         set_up(IN_THE_GEAR, Setup())
     with pytest.raises(StartError):
-        craftsim.perform(Site(IN_THE_GEAR), 0, "DROP")
+        craftsim.perform(PhysicsWorld(IN_THE_GEAR), 0, "DROP")
     world = tmp_path / "world.yaml"
     world.write_text(blueprint_text(IN_THE_GEAR), encoding="utf-8")
     (tmp_path / "its.actions").write_text("0 DROP\n", encoding="utf-8")

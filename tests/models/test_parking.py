@@ -7,16 +7,16 @@ import pytest
 
 from craftsim.discrete.grid import Kind
 from craftsim.models.config import SimulationConfig
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 
 def creep_m_s(grid, **settings) -> float:
     """Return the speed of the car on the slope over 4 s, after 2 s in which it comes to rest, with sleep off."""
-    site = Site(grid, SimulationConfig(sleep=False, settle_s=2.0, **settings))
-    start, _ = site.free_body_state(site.cars[0].base)
+    physics = PhysicsWorld(grid, SimulationConfig(sleep=False, settle_s=2.0, **settings))
+    start, _ = physics.free_body_state(physics.cars[0].base)
     for _ in range(200):
-        site.advance()
-    end, _ = site.free_body_state(site.cars[0].base)
+        physics.advance()
+    end, _ = physics.free_body_state(physics.cars[0].base)
     return float(np.linalg.norm(end - start)) / 4.0
 
 

@@ -9,17 +9,17 @@ import pytest
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 SMARTCAR = NOMINAL.cars[0]
 
 PARTS = ("ground", "block", "flag", "wall", "slope", "smartcar")
 
 
-def demo_site() -> Site:
+def demo_site() -> PhysicsWorld:
     with as_file(files("craftsim.data")) as data:
         drawing = read_blueprint(data / "blueprints" / "simple_two_story.yaml")
-    return Site(drawing.grid(np.random.default_rng(0)), goals=[(2, 3, 1)])
+    return PhysicsWorld(drawing.grid(np.random.default_rng(0)), goals=[(2, 3, 1)])
 
 
 def control_randomly(model: mujoco.MjModel, data: mujoco.MjData, seed: int) -> None:
@@ -48,10 +48,10 @@ def test_each_part_opens_alone_and_survives_random_control(open_part, warned, na
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_demo_scene_survives_random_control(warned, seed):
-    site = demo_site()
-    control_randomly(site.model, site.data, seed)
-    assert_healthy(site.data, warned)
-    assert np.abs(site.data.qvel).max() < 1e3
+    physics = demo_site()
+    control_randomly(physics.model, physics.data, seed)
+    assert_healthy(physics.data, warned)
+    assert np.abs(physics.data.qvel).max() < 1e3
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -107,8 +107,9 @@ def test_only_rollers_carry_the_car(open_part):
 def test_goal_markers_have_no_contact():
     """A goal is a site, which MuJoCo draws and never collides: the model has no geom and no body more than without."""
     worlds = (
-        Site(Grid.empty((4, 4, 2), 1), goals=goals, reset=False) for goals in ([], [(1, 1, 1), (2, 1, 2)])
+        PhysicsWorld(Grid.empty((4, 4, 2), 1), goals=goals, reset=False)
+        for goals in ([], [(1, 1, 1), (2, 1, 2)])
     )
-    bare, marked = (site.world_spec.model(visual=True) for site in worlds)
+    bare, marked = (physics.world_spec.model(visual=True) for physics in worlds)
     assert marked.nsite == bare.nsite + 2
     assert (marked.ngeom, marked.nbody) == (bare.ngeom, bare.nbody)

@@ -13,7 +13,7 @@ from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Drive
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization, _vary_bodies, by_name, randomize
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 RANDOMIZED = DomainRandomization()
 NONE = DomainRandomization(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -37,11 +37,11 @@ def _figures(model) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture
-def varied() -> Site:
-    return Site(_grid())
+def varied() -> PhysicsWorld:
+    return PhysicsWorld(_grid())
 
 
-def _ratios(varied: Site, name: str, seeds=range(12), randomization=RANDOMIZED) -> np.ndarray:
+def _ratios(varied: PhysicsWorld, name: str, seeds=range(12), randomization=RANDOMIZED) -> np.ndarray:
     """Return (seeds, ...): the drawn figures over the nominal ones, where those are not 0."""
     nominal = getattr(varied.model, name).copy()
     drawn = []
@@ -133,17 +133,17 @@ def test_randomization_of_zero_width_is_the_nominal_physics(varied):
 
 
 def test_restoring_gives_back_every_figure_of_the_model_exactly(varied):
-    site = varied
-    before, state = _figures(site.model), site.data.qpos.copy()
+    physics = varied
+    before, state = _figures(physics.model), physics.data.qpos.copy()
     randomize(varied, RANDOMIZED, np.random.default_rng(0))
     changed = {
-        name for name, value in _figures(site.model).items() if not np.array_equal(value, before[name])
+        name for name, value in _figures(physics.model).items() if not np.array_equal(value, before[name])
     }
     assert {"body_mass", "geom_friction", "opt.gravity", "dof_damping", "body_subtreemass"} <= changed
     varied.reset_compiled()
-    for name, value in _figures(site.model).items():
+    for name, value in _figures(physics.model).items():
         np.testing.assert_array_equal(value, before[name], err_msg=name)
-    np.testing.assert_array_equal(site.data.qpos, state)
+    np.testing.assert_array_equal(physics.data.qpos, state)
 
 
 def test_draws_do_not_add_up(varied):
@@ -157,15 +157,15 @@ def test_draws_do_not_add_up(varied):
 
 
 def _after_a_second(seed) -> np.ndarray:
-    varied = Site(_grid())
-    site, model, data = varied, varied.model, varied.data
+    varied = PhysicsWorld(_grid())
+    physics, model, data = varied, varied.model, varied.data
     randomize(varied, RANDOMIZED, np.random.default_rng(seed))
-    assert site.model is model
-    assert site.data is data
-    site.drive(0, [3.0, 3.0, 3.0, 3.0])
-    site.drive(1, [-2.0, 2.0, -2.0, 2.0])
+    assert physics.model is model
+    assert physics.data is data
+    physics.drive(0, [3.0, 3.0, 3.0, 3.0])
+    physics.drive(1, [-2.0, 2.0, -2.0, 2.0])
     for _ in range(50):
-        site.advance()
+        physics.advance()
     assert not data.warning.number[: mujoco.mjtWarning.mjNWARNING].any()
     return np.concatenate([data.qpos, data.qvel, data.act])
 
@@ -177,19 +177,19 @@ def test_equal_seeds_are_equal_bit_for_bit_after_a_second_and_other_seeds_are_no
 
 
 def test_after_a_draw_everything_stands_where_it_was(varied):
-    site = varied
-    nominal = site.data.qpos.copy()
+    physics = varied
+    nominal = physics.data.qpos.copy()
     for seed in range(4):
         randomize(varied, RANDOMIZED, np.random.default_rng(seed))
-        assert site.time_s == pytest.approx(site.config.settle_s)
+        assert physics.time_s == pytest.approx(physics.config.settle_s)
         for body in (
-            *(car.base for car in site.cars),
-            *site.blocks,
-            *site.flags,
-            *(s.base for s in site.slopes),
+            *(car.base for car in physics.cars),
+            *physics.blocks,
+            *physics.flags,
+            *(s.base for s in physics.slopes),
         ):
             at = slice(body.qpos, body.qpos + 3)
-            assert np.linalg.norm(site.data.qpos[at] - nominal[at]) < 1e-3
+            assert np.linalg.norm(physics.data.qpos[at] - nominal[at]) < 1e-3
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(DomainRandomization)])
@@ -201,28 +201,30 @@ def test_a_width_that_cannot_be_is_refused_by_its_name(name, value):
 
 def _drawn(grid: Grid, drive: Drive = "rollers", seed: int = 5) -> dict[str, np.ndarray]:
     """Return factors by machine: of mass, of friction by coefficient, of motors and joints by their names."""
-    site = Site(grid, SimulationConfig(settle_s=0), machines=replace(NOMINAL, drive=drive))
-    model, nominal = site.model, site.compiled
-    randomize(site, RANDOMIZED, np.random.default_rng(seed))
+    physics = PhysicsWorld(grid, SimulationConfig(settle_s=0), machines=replace(NOMINAL, drive=drive))
+    model, nominal = physics.model, physics.compiled
+    randomize(physics, RANDOMIZED, np.random.default_rng(seed))
     drawn = {}
     for name, geom in ((model.geom(i).name, i) for i in range(model.ngeom)):
         machine, coefficient = name.partition("/")[0], nominal.geom_friction[geom, 0]
-        drawn[f"{machine} {coefficient}"] = site.baseline.geom_friction[geom, 0] / coefficient
+        drawn[f"{machine} {coefficient}"] = physics.baseline.geom_friction[geom, 0] / coefficient
     for name, body in ((model.body(i).name, i) for i in range(model.nbody)):
         if nominal.body_mass[body] > 0:
-            drawn[f"{name.partition('/')[0]} mass"] = site.baseline.body_mass[body] / nominal.body_mass[body]
+            drawn[f"{name.partition('/')[0]} mass"] = (
+                physics.baseline.body_mass[body] / nominal.body_mass[body]
+            )
     for name, motor in ((model.actuator(i).name, i) for i in range(model.nu)):
         if "/gear_" not in name:
-            drawn[name] = site.baseline.actuator_gainprm[motor, 0] / nominal.actuator_gainprm[motor, 0]
+            drawn[name] = physics.baseline.actuator_gainprm[motor, 0] / nominal.actuator_gainprm[motor, 0]
         else:
             wheel = name.replace("gear", "wheel")
             drawn[f"{wheel} rubs"] = (
-                site.baseline.actuator_biasprm[motor, 3] / nominal.actuator_biasprm[motor, 3]
+                physics.baseline.actuator_biasprm[motor, 3] / nominal.actuator_biasprm[motor, 3]
             )
     for name, dof in ((model.joint(model.dof_jntid[i]).name, i) for i in range(model.nv)):
         if nominal.dof_frictionloss[dof]:
-            drawn[f"{name} rubs"] = site.baseline.dof_frictionloss[dof] / nominal.dof_frictionloss[dof]
-    return {name: float(factor) for name, factor in drawn.items()} | {"g": site.baseline.gravity[0]}
+            drawn[f"{name} rubs"] = physics.baseline.dof_frictionloss[dof] / nominal.dof_frictionloss[dof]
+    return {name: float(factor) for name, factor in drawn.items()} | {"g": physics.baseline.gravity[0]}
 
 
 def test_both_drives_draw_the_same_from_one_seed():
@@ -270,25 +272,25 @@ def test_a_geom_less_changes_nothing_of_what_is_drawn():
 def test_what_is_drawn_has_the_declared_distributions():
     """Kolmogorov and Smirnov's test of 400 seeds each: right ones would fail for one choice of seeds in 100."""
     reduced = replace(NOMINAL, drive="reduced")
-    site = Site(Grid.empty((2, 1, 1), 1), SimulationConfig(settle_s=0), machines=reduced)
-    car, board = site.cars[0].base, site.cars[0].board
-    wheel, gear = site.model.geom("car0/wheel_fl").id, site.model.actuator("car0/gear_fl").id
+    physics = PhysicsWorld(Grid.empty((2, 1, 1), 1), SimulationConfig(settle_s=0), machines=reduced)
+    car, board = physics.cars[0].base, physics.cars[0].board
+    wheel, gear = physics.model.geom("car0/wheel_fl").id, physics.model.actuator("car0/gear_fl").id
     figures = (
         ("body_mass", car.body, RANDOMIZED.mass),
         ("geom_friction", (wheel, 0), RANDOMIZED.friction),
-        ("geom_friction", (site.model.geom("ground").id, 0), RANDOMIZED.friction),
+        ("geom_friction", (physics.model.geom("ground").id, 0), RANDOMIZED.friction),
         ("actuator_gainprm", (board.actuator, 0), RANDOMIZED.motor),
         ("dof_frictionloss", board.dof, RANDOMIZED.joint_friction),
         ("actuator_biasprm", (gear, 3), RANDOMIZED.joint_friction),
     )
     rows = []
     for seed in range(400):
-        randomize(site, RANDOMIZED, np.random.default_rng(seed))
+        randomize(physics, RANDOMIZED, np.random.default_rng(seed))
         off = [
-            (getattr(site.baseline, name)[at] / getattr(site.compiled, name)[at] - 1) / width
+            (getattr(physics.baseline, name)[at] / getattr(physics.compiled, name)[at] - 1) / width
             for name, at, width in figures
         ]
-        across = site.baseline.gravity[:2] / np.linalg.norm(site.baseline.gravity)
+        across = physics.baseline.gravity[:2] / np.linalg.norm(physics.baseline.gravity)
         tilt = 2 * (math.asin(np.hypot(*across)) / RANDOMIZED.tilt_rad) ** 2 - 1
         rows.append([*off, tilt, math.atan2(across[1], across[0]) / math.pi])
     drawn = np.array(rows)

@@ -14,7 +14,7 @@ from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization, randomize
 from craftsim.models.sensing import measure
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.mecanum import Mecanum
 
 GRAVITY = 9.81
@@ -27,11 +27,11 @@ class Car:
     """One car on a wide floor that tilts: gravity turns instead, which is the same."""
 
     def __init__(self) -> None:
-        self.site = Site(Grid.empty((12, 12, 1), 1), AWAKE, machines=REDUCED)
-        self.model, self.data = self.site.model, self.site.data
-        self.baseline = self.site.baseline.copy()
+        self.physics = PhysicsWorld(Grid.empty((12, 12, 1), 1), AWAKE, machines=REDUCED)
+        self.model, self.data = self.physics.model, self.physics.data
+        self.baseline = self.physics.baseline.copy()
         """Of the site, once it has come to rest; for tests to change."""
-        self.motors = self.site.cars[0].wheel_actuators
+        self.motors = self.physics.cars[0].wheel_actuators
         self.wheels = [self.model.geom(f"car0/wheel_{w}").id for w in ("fl", "fr", "rl", "rr")]
 
     def tilt(self, angle: float, downhill: float = math.pi) -> None:
@@ -39,13 +39,13 @@ class Car:
         self.model.opt.gravity[:] = s * math.cos(downhill), s * math.sin(downhill), -c
 
     def rest(self) -> None:
-        self.site.set_baseline(self.baseline)
-        self.site.reset()
+        self.physics.set_baseline(self.baseline)
+        self.physics.reset()
 
     def run(self, seconds: float, speeds: object = (0, 0, 0, 0)) -> None:
-        self.site.drive(0, speeds)
-        for _ in range(round(seconds / self.site.config.control_period_s)):
-            self.site.advance()
+        self.physics.drive(0, speeds)
+        for _ in range(round(seconds / self.physics.config.control_period_s)):
+            self.physics.advance()
 
     def unpower(self, brake_nm: float = 0.0) -> None:
         """Take the motors away, and give the gears another dry friction."""
@@ -89,7 +89,7 @@ def test_the_car_reaches_97_percent_of_the_commanded_speed(car, name):
     assert 0.97 <= twist[axis] / ideal[axis] <= 1.0
     others = [i for i in range(3) if i != axis]
     assert np.abs(twist[others]).max() < 1e-3 * abs(twist[axis])
-    measured = Mecanum(CAR).body_twist(measure(car.site, 0).wheel_speeds)
+    measured = Mecanum(CAR).body_twist(measure(car.physics, 0).wheel_speeds)
     assert measured[axis] == pytest.approx(twist[axis], rel=1e-3)
 
 
@@ -176,35 +176,35 @@ def test_wheels_in_the_air_push_nothing(car):
 @pytest.mark.parametrize("state", [1, 2])
 @pytest.mark.parametrize("load", [Kind.AIR, Kind.BLOCK, Kind.FSLOPE])
 def test_a_parked_car_creeps_less_than_two_millimetres_a_minute(ramp, state, load):
-    site = Site(ramp(state, load), SimulationConfig(sleep=False, settle_s=2.0), machines=REDUCED)
-    start, _ = site.free_body_state(site.cars[0].base)
+    physics = PhysicsWorld(ramp(state, load), SimulationConfig(sleep=False, settle_s=2.0), machines=REDUCED)
+    start, _ = physics.free_body_state(physics.cars[0].base)
     for _ in range(200):
-        site.advance()
-    end, _ = site.free_body_state(site.cars[0].base)
+        physics.advance()
+    end, _ = physics.free_body_state(physics.cars[0].base)
     assert np.linalg.norm(end - start) / 4.0 < 3e-5
 
 
 def test_a_restored_state_goes_on_bit_by_bit(ramp):
-    site = Site(ramp(0, Kind.BLOCK), machines=REDUCED)
+    physics = PhysicsWorld(ramp(0, Kind.BLOCK), machines=REDUCED)
 
     def go_on() -> bytes:
         for i in range(40):
-            site.drive(0, [min(i, 15)] * 4)
-            site.advance()
-        return site.data.qpos.tobytes()
+            physics.drive(0, [min(i, 15)] * 4)
+            physics.advance()
+        return physics.data.qpos.tobytes()
 
-    site.drive(0, [5.0] * 4)
-    site.advance()
-    state = site.save()
+    physics.drive(0, [5.0] * 4)
+    physics.advance()
+    state = physics.save()
     first = go_on()
-    site.restore(state)
+    physics.restore(state)
     assert go_on() == first
 
 
 def test_a_reset_forgets_the_limits_of_the_grip(car):
     car.run(0.2, [20.0] * 4)
     assert (np.abs(car.model.actuator_forcerange[car.motors]) < CAR.wheel_torque_nm).any()
-    car.site.reset()
+    car.physics.reset()
     assert (np.abs(car.model.actuator_forcerange[car.motors]) == CAR.wheel_torque_nm).all()
 
 
@@ -215,22 +215,24 @@ def test_a_car_is_one_body_and_a_board(car):
 
 
 def test_randomization_draws_the_friction_of_gears_and_of_the_grip():
-    site = Site(Grid.empty((12, 12, 1), 1), machines=REDUCED)
-    gears = site.model.actuator_biastype == mujoco.mjtBias.mjBIAS_DCMOTOR
-    before = site.model.actuator_biasprm[gears].copy()
+    physics = PhysicsWorld(Grid.empty((12, 12, 1), 1), machines=REDUCED)
+    gears = physics.model.actuator_biastype == mujoco.mjtBias.mjBIAS_DCMOTOR
+    before = physics.model.actuator_biasprm[gears].copy()
 
     def steepest_push(friction: float) -> float:
         randomize(
-            site, DomainRandomization(friction=friction, mass=0, motor=0, joint_friction=0, tilt_rad=0), rng
+            physics,
+            DomainRandomization(friction=friction, mass=0, motor=0, joint_friction=0, tilt_rad=0),
+            rng,
         )
-        site.drive(0, [20.0] * 4)
+        physics.drive(0, [20.0] * 4)
         for _ in range(10):
-            site.advance()
-        return float(site.data.qacc[site.cars[0].base.dof])
+            physics.advance()
+        return float(physics.data.qacc[physics.cars[0].base.dof])
 
     rng = np.random.default_rng(1)
-    randomize(site, DomainRandomization(), rng)
-    after = site.model.actuator_biasprm[gears]
+    randomize(physics, DomainRandomization(), rng)
+    after = physics.model.actuator_biasprm[gears]
     ratios = after[:, 3] / before[:, 3]
     assert len(set(ratios.tolist())) == 4
     assert (np.abs(ratios - 1) <= 0.5).all()
@@ -245,24 +247,24 @@ def test_motors_turned_with_the_car_push_as_those_of_its_own_frame():
     """The stepped model's motors act on the free joint; MJCF's on a site of the car. MuJoCo itself is the reference."""
     grid = Grid.empty((3, 3, 1), n_cars=2)
     grid.cars[1, :2] = 2, 2
-    site = Site(grid, AWAKE, machines=REDUCED)
-    model, rng = site.world_spec.model(visual=False), np.random.default_rng(0)
+    physics = PhysicsWorld(grid, AWAKE, machines=REDUCED)
+    model, rng = physics.world_spec.model(visual=False), np.random.default_rng(0)
     assert mujoco.mjtTrn.mjTRN_SITE in model.actuator_trntype
-    assert mujoco.mjtTrn.mjTRN_SITE not in site.model.actuator_trntype
-    model.actuator_forcerange[:] = site.model.actuator_forcerange
+    assert mujoco.mjtTrn.mjTRN_SITE not in physics.model.actuator_trntype
+    model.actuator_forcerange[:] = physics.model.actuator_forcerange
     data = mujoco.MjData(model)
-    for car in site.cars:
+    for car in physics.cars:
         turn = rng.normal(size=4)
-        site.data.qpos[car.base.qpos + 3 : car.base.qpos + 7] = turn / np.linalg.norm(turn)
-        site.data.qvel[car.base.dof : car.base.dof + 6] = rng.normal(size=6)
-    site.data.ctrl[:] = rng.normal(size=model.nu)
+        physics.data.qpos[car.base.qpos + 3 : car.base.qpos + 7] = turn / np.linalg.norm(turn)
+        physics.data.qvel[car.base.dof : car.base.dof + 6] = rng.normal(size=6)
+    physics.data.ctrl[:] = rng.normal(size=model.nu)
     for name in ("qpos", "qvel", "ctrl", "act"):
-        getattr(data, name)[:] = getattr(site.data, name)
-    for effect in site.effects:
+        getattr(data, name)[:] = getattr(physics.data, name)
+    for effect in physics.effects:
         if effect.each_step:
-            effect.after_step(site)
+            effect.after_step(physics)
     mujoco.mj_forward(model, data)
-    mujoco.mj_forward(site.model, site.data)
+    mujoco.mj_forward(physics.model, physics.data)
     assert np.abs(data.qfrc_actuator).max() > 1.0
-    np.testing.assert_allclose(site.data.actuator_velocity, data.actuator_velocity, atol=1e-9)
-    np.testing.assert_allclose(site.data.qfrc_actuator, data.qfrc_actuator, atol=1e-9)
+    np.testing.assert_allclose(physics.data.actuator_velocity, data.actuator_velocity, atol=1e-9)
+    np.testing.assert_allclose(physics.data.qfrc_actuator, data.qfrc_actuator, atol=1e-9)

@@ -1,4 +1,4 @@
-"""A Site stands where its Grid says: what is drawn, by hand or at random, is read back from the poses."""
+"""A PhysicsWorld stands where its Grid says: what is drawn, by hand or at random, is read back from the poses."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, beside
 from craftsim.discrete.readback import read_grid
 from craftsim.models.measuring import read_poses
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 AIR, BLOCK, FLAG, WALL, FSLOPE, BODY = (Kind[n] for n in ("AIR", "BLOCK", "FLAG", "WALL", "FSLOPE", "BODY"))
 Cell = tuple[int, int, int]
@@ -185,24 +185,24 @@ class Builder:
         return self.grid.kind[cell] == AIR and not near
 
 
-def everything(site: Site) -> NDArray[np.float64]:
-    poses = read_poses(site)
+def everything(physics: PhysicsWorld) -> NDArray[np.float64]:
+    poses = read_poses(physics)
     return np.concatenate([poses.car_positions, poses.positions])
 
 
 def assert_round_trip(grid: Grid) -> None:
     """Compose, settle and read: the same Grid, within 1 mm; a second later nothing has moved by more than 0.2 mm."""
-    site = Site(grid)
+    physics = PhysicsWorld(grid)
     for _ in range(2):
-        reading = read_grid(read_poses(site), site.size, site.walls)
+        reading = read_grid(read_poses(physics), physics.size, physics.walls)
         assert reading.problems == ()
         assert reading.grid.same_visible(grid)
         assert reading.grid.same_marks(grid)
         assert all(placed.offset_m < 1e-3 for placed in (*reading.cars, *reading.objects))
-        before = everything(site)
+        before = everything(physics)
         for _ in range(50):
-            site.advance()
-        moved = np.linalg.norm(everything(site) - before, axis=1)
+            physics.advance()
+        moved = np.linalg.norm(everything(physics) - before, axis=1)
         assert moved.max(initial=0.0) < 2e-4
 
 

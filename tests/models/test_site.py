@@ -1,4 +1,4 @@
-"""A Site can be saved, restored and reset to the bit; its parts sleep and wake; its settings are checked."""
+"""A PhysicsWorld can be saved, restored and reset to the bit; its parts sleep and wake; its settings are checked."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError, StartError
 from craftsim.models.config import SimulationConfig
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 BLOCK, FSLOPE, BODY = Kind.BLOCK, Kind.FSLOPE, Kind.BODY
 
@@ -21,32 +21,34 @@ def busy_world() -> Grid:
     )
 
 
-def drive_randomly(site: Site, seed: int, periods: int) -> list[NDArray[np.float64]]:
+def drive_randomly(physics: PhysicsWorld, seed: int, periods: int) -> list[NDArray[np.float64]]:
     """Command now one machine, now another, some of them asleep by then; return the state after every period."""
     rng, states = np.random.default_rng(seed), []
     for i in range(periods):
         if i % 20 == 0:
-            for car in range(len(site.cars)):
-                site.drive(car, rng.uniform(-3, 3, 4) * rng.integers(2))
-                site.move_board(car, 0.05 * rng.integers(-1, 2))
-            for slope in range(len(site.slopes)):
-                site.turn_hinge(slope, 0.3 * rng.integers(-1, 2))
-        site.advance()
-        states.append(np.concatenate([site.data.qpos, site.data.qvel, site.data.act, [site.time_s]]))
+            for car in range(len(physics.cars)):
+                physics.drive(car, rng.uniform(-3, 3, 4) * rng.integers(2))
+                physics.move_board(car, 0.05 * rng.integers(-1, 2))
+            for slope in range(len(physics.slopes)):
+                physics.turn_hinge(slope, 0.3 * rng.integers(-1, 2))
+        physics.advance()
+        states.append(
+            np.concatenate([physics.data.qpos, physics.data.qvel, physics.data.act, [physics.time_s]])
+        )
     return states
 
 
 @pytest.mark.parametrize("sleep", [True, False])
 def test_a_restored_site_goes_on_to_the_bit(sleep):
-    """In the same Site after a detour, and in another one of an equal grid."""
+    """In the same PhysicsWorld after a detour, and in another one of an equal grid."""
     config = SimulationConfig(sleep=sleep)
-    site, other = Site(busy_world(), config), Site(busy_world(), config)
-    drive_randomly(site, 1, 100)
-    saved = site.save()
-    first = drive_randomly(site, 2, 100)
-    drive_randomly(site, 3, 50)
-    site.restore(saved)
-    second = drive_randomly(site, 2, 100)
+    physics, other = PhysicsWorld(busy_world(), config), PhysicsWorld(busy_world(), config)
+    drive_randomly(physics, 1, 100)
+    saved = physics.save()
+    first = drive_randomly(physics, 2, 100)
+    drive_randomly(physics, 3, 50)
+    physics.restore(saved)
+    second = drive_randomly(physics, 2, 100)
     drive_randomly(other, 4, 30)
     other.restore(saved)
     third = drive_randomly(other, 2, 100)
@@ -55,64 +57,64 @@ def test_a_restored_site_goes_on_to_the_bit(sleep):
 
 
 def test_a_reset_site_starts_over_to_the_bit():
-    site = Site(busy_world())
-    first = drive_randomly(site, 5, 60)
-    site.reset()
-    assert [s.tobytes() for s in drive_randomly(site, 5, 60)] == [s.tobytes() for s in first]
+    physics = PhysicsWorld(busy_world())
+    first = drive_randomly(physics, 5, 60)
+    physics.reset()
+    assert [s.tobytes() for s in drive_randomly(physics, 5, 60)] == [s.tobytes() for s in first]
 
 
 def test_a_saved_state_does_not_change_while_the_site_goes_on():
-    site = Site(busy_world())
-    saved = site.save()
+    physics = PhysicsWorld(busy_world())
+    saved = physics.save()
     before = saved.data.qpos.tobytes()
-    drive_randomly(site, 6, 20)
+    drive_randomly(physics, 6, 20)
     assert saved.data.qpos.tobytes() == before
 
 
 def test_a_state_of_another_world_is_refused():
-    saved = Site(draw((3, 3, 1), [(BLOCK, (1, 1, 1), 0)])).save()
+    saved = PhysicsWorld(draw((3, 3, 1), [(BLOCK, (1, 1, 1), 0)])).save()
     with pytest.raises(InputError, match="other parts"):
-        Site(draw((3, 3, 1))).restore(saved)
+        PhysicsWorld(draw((3, 3, 1))).restore(saved)
 
 
-def sleeper(**settings: float) -> Site:
+def sleeper(**settings: float) -> PhysicsWorld:
     """Return a car that has rested for 2 s beside a block."""
-    site = Site(
+    physics = PhysicsWorld(
         draw((4, 4, 1), [(BLOCK, (3, 3, 1), 0)], [(1, 1, 1, 0, 0, 0, 0)]), SimulationConfig(**settings)
     )
     for _ in range(100):
-        site.advance()
-    return site
+        physics.advance()
+    return physics
 
 
-def asleep(site: Site) -> bool:
-    return bool(site.data.tree_asleep[site.cars[0].base.tree] >= 0)
+def asleep(physics: PhysicsWorld) -> bool:
+    return bool(physics.data.tree_asleep[physics.cars[0].base.tree] >= 0)
 
 
 @pytest.mark.parametrize(
     "command", [lambda s: s.drive(0, [5.0] * 4), lambda s: s.move_board(0, 0.05)], ids=["wheels", "board"]
 )
 def test_a_command_wakes_a_sleeping_car(command):
-    site = sleeper()
-    assert asleep(site)
-    before = site.data.qpos.copy()
-    command(site)
-    site.advance()
-    assert not asleep(site)
+    physics = sleeper()
+    assert asleep(physics)
+    before = physics.data.qpos.copy()
+    command(physics)
+    physics.advance()
+    assert not asleep(physics)
     for _ in range(24):
-        site.advance()
-    assert np.abs(site.data.qpos - before).max() > 0.01
+        physics.advance()
+    assert np.abs(physics.data.qpos - before).max() > 0.01
 
 
 def test_a_woken_car_drives_as_one_that_never_slept():
     """Half a second at 5 rad/s: within 0.1 mm of the same drive with sleep off."""
     ends = []
     for sleep in (True, False):
-        site = sleeper(sleep=sleep)
-        site.drive(0, [5.0] * 4)
+        physics = sleeper(sleep=sleep)
+        physics.drive(0, [5.0] * 4)
         for _ in range(25):
-            site.advance()
-        ends.append(site.free_body_state(site.cars[0].base)[0])
+            physics.advance()
+        ends.append(physics.free_body_state(physics.cars[0].base)[0])
     assert np.linalg.norm(ends[0] - ends[1]) < 1e-4
 
 
@@ -121,14 +123,14 @@ def test_without_sleep_nothing_sleeps():
 
 
 def test_a_sleeping_slopes_hinge_wakes_on_command():
-    site = Site(draw((5, 5, 2), [(FSLOPE, (2, 2, 1), 0)]))
+    physics = PhysicsWorld(draw((5, 5, 2), [(FSLOPE, (2, 2, 1), 0)]))
     for _ in range(100):
-        site.advance()
-    assert site.data.tree_asleep[site.slopes[0].base.tree] >= 0
-    site.turn_hinge(0, -0.3)
+        physics.advance()
+    assert physics.data.tree_asleep[physics.slopes[0].base.tree] >= 0
+    physics.turn_hinge(0, -0.3)
     for _ in range(50):
-        site.advance()
-    assert site.data.qpos[site.slopes[0].hinge.qpos] < np.pi - 0.2
+        physics.advance()
+    assert physics.data.qpos[physics.slopes[0].hinge.qpos] < np.pi - 0.2
 
 
 @pytest.mark.parametrize(
@@ -160,7 +162,7 @@ def test_a_setting_that_cannot_work_is_refused_by_name(field, value):
 
 
 def test_the_default_settings_are_the_mjcfs_own(open_part):
-    """A part opened in the viewer obeys the physics of a Site."""
+    """A part opened in the viewer obeys the physics of a PhysicsWorld."""
     option, config = open_part("smartcar").opt, SimulationConfig()
     assert option.timestep == config.timestep_s
     assert option.impratio == config.friction_impedance_ratio
@@ -177,30 +179,30 @@ def test_a_world_that_is_too_large_for_physics_is_refused_at_once(size, n_cars, 
     grid = Grid.empty(size, n_cars)
     grid.cars[:, 0], grid.cars[:, 1], grid.cars[:, 2] = np.arange(n_cars) % 6, np.arange(n_cars) // 6, 1
     with pytest.raises(InputError, match=message):
-        Site(grid)
+        PhysicsWorld(grid)
 
 
 def test_a_load_counts_as_a_part():
     grid = Grid.empty((16, 14, 1), 2)
     grid.cars[:, :3] = [[0, 0, 1], [1, 0, 1]]
     grid.kind.reshape(-1, 2)[28 : 28 + 190, 1] = Kind.WALL
-    Site(grid, reset=False)
+    PhysicsWorld(grid, reset=False)
     grid.cars[0, 4] = Kind.BLOCK
     with pytest.raises(InputError, match="a world of 193 parts"):
-        Site(grid)
+        PhysicsWorld(grid)
 
 
 def test_two_cars_in_one_cell_are_refused_before_they_are_compiled():
     grid = Grid.empty((3, 1, 1), 2)
     grid.cars[:, :3] = [1, 0, 1]
     with pytest.raises(StartError, match=r"2 cars are in one cell, \(1, 0, 1\)"):
-        Site(grid)
+        PhysicsWorld(grid)
 
 
 def test_warnings_of_mujoco_are_counted_but_leave_no_log_in_the_working_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    site = Site(Grid.empty((1, 1, 1), n_cars=1))
-    site.data.qpos[0] = np.nan
-    site.advance()
-    assert site.diverged
+    physics = PhysicsWorld(Grid.empty((1, 1, 1), n_cars=1))
+    physics.data.qpos[0] = np.nan
+    physics.advance()
+    assert physics.diverged
     assert list(tmp_path.iterdir()) == []

@@ -7,7 +7,7 @@ from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 BLOCK = NOMINAL.block
 
@@ -18,12 +18,12 @@ AWAKE = SimulationConfig(sleep=False)
 def test_a_block_rests_on_one_point_a_foot_that_bear_its_weight():
     grid = Grid.empty((1, 1, 2), 0)
     grid.kind[0, 0, 1] = Kind.BLOCK
-    site = Site(grid, AWAKE)
-    contact = site.data.contact
-    names = {site.model.geom(geom).name for geom in contact.geom.ravel()}
+    physics = PhysicsWorld(grid, AWAKE)
+    contact = physics.data.contact
+    names = {physics.model.geom(geom).name for geom in contact.geom.ravel()}
     assert names == {"ground", *(f"block0/foot_{corner}" for corner in ("fl", "fr", "rl", "rr"))}
-    assert site.data.ncon == 4
-    borne = site.data.efc_force[contact.efc_address].sum()
+    assert physics.data.ncon == 4
+    borne = physics.data.efc_force[contact.efc_address].sum()
     assert borne == pytest.approx(BLOCK.mass_kg * GRAVITY, rel=0.01)
 
 
@@ -33,8 +33,8 @@ def test_a_tower_of_two_under_a_loaded_car_sinks_by_less_than_a_fifth_of_a_milli
     grid.kind[0, 0, 1:3] = Kind.BLOCK
     grid.cars[0] = 0, 0, 3, 0, Kind.BLOCK, 0, 0
     grid.derive_marks()
-    site = Site(grid, AWAKE)
+    physics = PhysicsWorld(grid, AWAKE)
     for _ in range(50):
-        site.advance()
-    heights = sorted(float(site.free_body_state(block)[0][2]) for block in site.blocks)
+        physics.advance()
+    heights = sorted(float(physics.free_body_state(block)[0][2]) for block in physics.blocks)
     assert np.abs(np.array(heights[:2]) - (0.0, LEVEL_HEIGHT_M)).max() < 2e-4

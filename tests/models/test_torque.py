@@ -7,7 +7,7 @@ import pytest
 
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 SLOPE, SMARTCAR = NOMINAL.slope, NOMINAL.cars[0]
 
@@ -42,17 +42,17 @@ def test_below_the_statics_limit_a_car_cannot_climb(lone_car, threshold, forward
 
 def test_below_the_statics_limit_a_car_cannot_climb_the_real_slope(ramp, threshold):
     """The same on the compiled slope, from the middle of the flap. Band: 2 %."""
-    site = Site(ramp(1))
-    start = site.save()
-    here = site.free_body_state(site.cars[0].base)[0][0]
+    physics = PhysicsWorld(ramp(1))
+    start = physics.save()
+    here = physics.free_body_state(physics.cars[0].base)[0][0]
 
     def climbs(torque: float) -> bool:
-        site.restore(start)
-        site.model.actuator_forcerange[site.cars[0].wheel_actuators] = [-torque, torque]
-        site.drive(0, [10.0] * 4)
+        physics.restore(start)
+        physics.model.actuator_forcerange[physics.cars[0].wheel_actuators] = [-torque, torque]
+        physics.drive(0, [10.0] * 4)
         for _ in range(50):
-            site.advance()
-        return here - site.free_body_state(site.cars[0].base)[0][0] > START_M
+            physics.advance()
+        return here - physics.free_body_state(physics.cars[0].base)[0][0] > START_M
 
     assert threshold(climbs, 0.3, 2.0) == pytest.approx(CLIMB_NM, rel=0.02)
 

@@ -17,9 +17,9 @@ def run() -> Trajectory:
     grid = Grid.empty((3, 2, 1), n_cars=1)
     grid.kind[2, 0, 1] = Kind.BLOCK
     recipe = Recipe(blueprint_text(grid), tuple(Step.single(n, 0, act) for n, act in enumerate(ACTIONS)))
-    checked, recorder = start(recipe), Recorder()
-    recorder.begin(checked)
-    attempts = [attempt for step in recipe.steps for attempt in do(checked, step)]
+    judge, recorder = start(recipe), Recorder()
+    recorder.begin(judge)
+    attempts = [attempt for step in recipe.steps for attempt in do(judge, step)]
     return recorder.trajectory("a <turn> and a *move*", recipe, attempts)
 
 

@@ -14,7 +14,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.framing import MARGIN, box_corners, overview, top
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import make_view, reached_m
 from craftsim.rendering.painting import label_strip_m
 from craftsim.rendering.playback import SeenWorld
@@ -30,9 +30,9 @@ def turning() -> Trajectory:
     recipe = Recipe(
         blueprint_text(grid), (Step.single(0, 0, Action.ROTATE_LEFT), Step.single(0, 0, Action.MOVE_LEFT))
     )
-    recorder, checked = Recorder(), start(recipe)
-    recorder.begin(checked)
-    attempts = [attempt for step in recipe.steps for attempt in do(checked, step)]
+    recorder, judge = Recorder(), start(recipe)
+    recorder.begin(judge)
+    attempts = [attempt for step in recipe.steps for attempt in do(judge, step)]
     return recorder.trajectory("a turn", recipe, attempts)
 
 
@@ -73,7 +73,7 @@ def test_overview_shows_no_sky(aspect):
 
 
 def test_a_projection_is_that_of_mujocos_camera(turning):
-    seen = SeenWorld(Site(Grid.empty((3, 5, 2), n_cars=1)))
+    seen = SeenWorld(PhysicsWorld(Grid.empty((3, 5, 2), n_cars=1)))
     model, shown = seen.model, seen.at(seen.model.qpos0)
     for name, fit in (("overview", overview), ("top", top)):
         aim, number = fit((3, 5), 2 * LEVEL_HEIGHT_M, 4 / 3), model.camera(name).id
@@ -124,7 +124,7 @@ def test_a_height_that_is_reached_counts_the_swing_of_a_flap(turning):
 
 
 def test_a_car_is_seen_from_where_nothing_hides_it(turning):
-    view, car = make_view("closeup:0", turning, 16 / 9), turning.site.cars[0].base.body
+    view, car = make_view("closeup:0", turning, 16 / 9), turning.physics.cars[0].base.body
     model, data, hit = turning.model, mujoco.MjData(turning.model), np.zeros(1, np.int32)
     for sample in (0, len(turning) - 1):
         data.qpos[:] = turning.qpos[sample]

@@ -37,11 +37,11 @@ def trajectory() -> Trajectory:
         Step.single(tick, 0, action) for tick, action in enumerate((Action.MOVE_RIGHT, Action.LIFT))
     )
     recipe, recorder = Recipe(blueprint_text(grid), steps), Recorder()
-    checked = start(recipe)
-    recorder.begin(checked)
-    attempts = [attempt for step in steps for attempt in do(checked, step)]
+    judge = start(recipe)
+    recorder.begin(judge)
+    attempts = [attempt for step in steps for attempt in do(judge, step)]
     for _ in range(100):
-        checked.executor.advance()
+        judge.executor.advance()
     return recorder.trajectory("lifting", recipe, attempts)
 
 
@@ -114,9 +114,9 @@ def test_the_prediction_follows_each_car_where_cars_act_at_once() -> None:
     joint = [(0, Action.ROTATE_LEFT), (1, Action.MOVE_RIGHT)]
     step, recorder = Step.joint(0, joint), Recorder()
     recipe = Recipe(blueprint_text(grid), (step,))
-    checked = start(recipe)
-    recorder.begin(checked)
-    attempts = do(checked, step)
+    judge = start(recipe)
+    recorder.begin(judge)
+    attempts = do(judge, step)
     prediction = Prediction(recorder.trajectory("at once", recipe, attempts))
     ends = [attempt.start_s + attempt.duration_s for attempt in attempts]
     assert ends[0] != ends[1]

@@ -30,9 +30,9 @@ def recorded() -> Trajectory:
     grid.kind[2, 1, 1], grid.kind[3, 1, 1] = Kind.FSLOPE, Kind.GEAR
     grid.derive_marks()
     recipe = Recipe(blueprint_text(grid), (Step.single(0, 0, Action.MOVE_RIGHT),))
-    checked, recorder = start(recipe), Recorder()
-    recorder.begin(checked)
-    (attempt,) = do(checked, recipe.steps[0])
+    judge, recorder = start(recipe), Recorder()
+    recorder.begin(judge)
+    (attempt,) = do(judge, recipe.steps[0])
     failed = replace(attempt, result="unsafe", reason="it fell on <b>$x_1$</b>")
     trajectory = recorder.trajectory("a move", recipe, [failed])
     return replace(trajectory, story=replace(trajectory.story, design=(GoalCell("block", (3, 0, 1), -1),)))

@@ -60,7 +60,7 @@ def _ghosts(scene: mujoco.MjvScene) -> list[mujoco.MjvGeom]:
 
 @pytest.mark.parametrize("quality", ["draft", "paper"])
 def test_a_stage_moves_as_the_physics_and_adds_nothing_that_touches(quality, standing):
-    model, physics = Stage(standing, quality).model, standing.site.model
+    model, physics = Stage(standing, quality).model, standing.physics.model
     data, own = mujoco.MjData(model), mujoco.MjData(physics)
     own.qpos[:] = data.qpos[:] = standing.qpos[-1]
     mujoco.mj_forward(model, data)
@@ -86,7 +86,7 @@ def test_the_ghost_shows_what_the_design_still_wants(standing):
     # One block stands in its place, as does the base of the slope; its flap is still folded.
     assert [ghost.dataid for ghost in found] == [meshes["block"], meshes["flap"]]
     unfolded = rest.copy()
-    unfolded[standing.site.slopes[0].hinge.qpos] = 0.0
+    unfolded[standing.physics.slopes[0].hinge.qpos] = 0.0
     assert [ghost.dataid for ghost in _ghosts(_scene(stage, standing, unfolded))] == [meshes["block"]]
     assert not _ghosts(_scene(stage, standing, rest, ghost=False))
 
@@ -94,9 +94,9 @@ def test_the_ghost_shows_what_the_design_still_wants(standing):
 def test_a_ghost_is_where_the_real_thing_will_be(standing):
     stage = Stage(standing, "draft")
     unfolded = standing.qpos[-1].copy()
-    unfolded[standing.site.slopes[0].hinge.qpos] = 0.0
+    unfolded[standing.physics.slopes[0].hinge.qpos] = 0.0
     away = unfolded.copy()
-    away[standing.site.slopes[0].base.qpos] += 1.0
+    away[standing.physics.slopes[0].base.qpos] += 1.0
     real = {}
     for geom in _drawn(_scene(stage, standing, unfolded)):
         if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
@@ -142,10 +142,10 @@ def test_paper_shows_shadows_on_a_light_floor_and_no_sky(rendering, standing):
 
 
 def test_a_playback_shows_what_was_and_leaves_the_world_alone(standing):
-    before = standing.site.data.qpos.copy()
+    before = standing.physics.data.qpos.copy()
     data = Playback(standing.model, standing).at(0)
     assert np.array_equal(data.qpos, standing.qpos[0])
     assert data.time == standing.time[0]
-    body = standing.site.cars[1].base.body
+    body = standing.physics.cars[1].base.body
     assert data.xpos[body] == pytest.approx(standing.pose("car 1")[0, :3])
-    assert np.array_equal(standing.site.data.qpos, before)
+    assert np.array_equal(standing.physics.data.qpos, before)

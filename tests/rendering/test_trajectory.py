@@ -28,9 +28,9 @@ def _recipe() -> Recipe:
 @pytest.fixture(scope="module")
 def recorded() -> Trajectory:
     recipe, recorder = _recipe(), Recorder()
-    checked = start(recipe)
-    recorder.begin(checked)
-    attempts = do(checked, recipe.steps[0])
+    judge = start(recipe)
+    recorder.begin(judge)
+    attempts = do(judge, recipe.steps[0])
     return recorder.trajectory("a move", recipe, attempts)
 
 
@@ -52,10 +52,10 @@ def _retold(file: Path, **keys: object) -> Path:
 
 
 def test_samples_are_the_physics_bit_for_bit(recorded: Trajectory) -> None:
-    checked = start(_recipe())
-    seen = [checked.site.data.qpos.copy()]
-    checked.executor.observers.append(lambda site: seen.append(site.data.qpos.copy()))
-    do(checked, _recipe().steps[0])
+    judge = start(_recipe())
+    seen = [judge.physics.data.qpos.copy()]
+    judge.executor.observers.append(lambda physics: seen.append(physics.data.qpos.copy()))
+    do(judge, _recipe().steps[0])
     assert np.array_equal(recorded.qpos, np.array(seen))
 
 
@@ -86,9 +86,9 @@ def test_the_largest_contact_force_is_what_the_judge_found(recorded: Trajectory)
 def test_a_recording_is_no_larger_than_a_reader_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("craftsim.rendering.recorder.MOST_BYTES", 10_000)
     recipe, recorder = _recipe(), Recorder()
-    checked = start(recipe)
-    recorder.begin(checked)
-    kept = recorder.trajectory("cut", recipe, do(checked, recipe.steps[0]))
+    judge = start(recipe)
+    recorder.begin(judge)
+    kept = recorder.trajectory("cut", recipe, do(judge, recipe.steps[0]))
     assert 5 < len(kept) < 40
     assert kept.qpos.nbytes <= 10_000
 
@@ -97,11 +97,11 @@ def test_recording_changes_nothing() -> None:
     recipe = replace(_recipe(), setup=setup_of("mild", "physical"))
     ends = []
     for recorder in (None, Recorder()):
-        checked = start(recipe)
+        judge = start(recipe)
         if recorder is not None:
-            recorder.begin(checked)
-        attempts = do(checked, recipe.steps[0])
-        data = checked.site.data
+            recorder.begin(judge)
+        attempts = do(judge, recipe.steps[0])
+        data = judge.physics.data
         ends.append((attempts, data.time, data.qpos.tobytes(), data.qvel.tobytes()))
     assert ends[0] == ends[1]
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import craftsim
-from craftsim import Action, Executor, Grid, LiveView, Site, Trajectory, parallel_env, view
+from craftsim import Action, Executor, Grid, LiveView, PhysicsWorld, Trajectory, parallel_env, view
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M
@@ -88,10 +88,10 @@ def test_a_recorded_moment_has_the_action_the_poses_the_forces_and_the_verdict(r
 
 def test_a_live_moment_is_what_the_recorder_writes_down():
     recipe = Recipe(blueprint_text(Grid.empty((3, 1, 1), n_cars=1)), (Step.single(0, 0, Action.MOVE_RIGHT),))
-    checked, recorder, seen = start(recipe), Recorder(), []
-    checked.executor.observers.append(lambda site: seen.append(live(site, checked)))
-    recorder.begin(checked)
-    attempts = do(checked, recipe.steps[0])
+    judge, recorder, seen = start(recipe), Recorder(), []
+    judge.executor.observers.append(lambda physics: seen.append(live(physics, judge)))
+    recorder.begin(judge)
+    attempts = do(judge, recipe.steps[0])
     whole = recorder.trajectory("", recipe, attempts)
     now, then = seen[19], recorded(whole, 20)
     assert (now.time_s, now.cars[0].pose) == (then.time_s, then.cars[0].pose)
@@ -181,8 +181,8 @@ def test_the_floor_shows_the_area_and_a_strip_with_its_coordinates():
 
 
 def test_reduced_cars_have_tyres():
-    site = Site(Grid.empty((1, 1, 1), n_cars=1), machines=Machines(drive="reduced"))
-    model = SeenWorld(site).model
+    physics = PhysicsWorld(Grid.empty((1, 1, 1), n_cars=1), machines=Machines(drive="reduced"))
+    model = SeenWorld(physics).model
     (body,) = (shape for shape in shapes_of(model) if model.body(shape.body).name == "car0/smartcar")
     assert body.mesh.bounds[0, 2] == pytest.approx(0.0, abs=3e-3), "down to the floor"
 
@@ -245,9 +245,9 @@ def test_a_run_that_cannot_be_read_leaves_the_one_before(run: Trajectory, opened
 def test_looking_on_changes_nothing(opened: LiveView):
     ends = []
     for observer in (None, opened):
-        site = Site(Grid.empty((2, 1, 1), n_cars=1))
-        Executor(site, observer=observer).run({0: Action.ROTATE_LEFT})
-        ends.append(site.data.qpos.copy())
+        physics = PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1))
+        Executor(physics, observer=observer).run({0: Action.ROTATE_LEFT})
+        ends.append(physics.data.qpos.copy())
     assert np.array_equal(*ends)
     assert opened.page.scene is not None
 
@@ -271,9 +271,9 @@ def test_each_form_of_the_environment_can_be_viewed():
 
 
 def test_a_pause_holds_what_runs_until_somebody_lets_it_go_on(opened: LiveView):
-    site = Site(Grid.empty((2, 1, 1), n_cars=1))
+    physics = PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1))
     opened.page.ask(opened.toggle)
-    thread = threading.Thread(target=opened, args=(site,))
+    thread = threading.Thread(target=opened, args=(physics,))
     thread.start()
     thread.join(0.5)
     assert thread.is_alive()
@@ -300,7 +300,7 @@ def test_the_example_of_the_page_runs(capsys):
 
 
 def test_no_contacts_are_not_a_number_to_be_shown():
-    site = Site(Grid.empty((2, 1, 1), n_cars=1))
-    moment = live(site)
+    physics = PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1))
+    moment = live(physics)
     assert math.isnan(moment.contact_n)
     assert "contact" not in car_html(moment, 0)

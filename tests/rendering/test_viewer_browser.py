@@ -37,9 +37,9 @@ def _run() -> Trajectory:
     grid = Grid.empty((3, 1, 1), n_cars=2)
     grid.cars[1, CarField.X] = 2
     recipe = Recipe(blueprint_text(grid), (Step.single(0, 0, Action.MOVE_RIGHT),))
-    checked, recorder = start(recipe), Recorder()
-    recorder.begin(checked)
-    return recorder.trajectory("a move", recipe, do(checked, recipe.steps[0]))
+    judge, recorder = start(recipe), Recorder()
+    recorder.begin(judge)
+    return recorder.trajectory("a move", recipe, do(judge, recipe.steps[0]))
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import InvalidStatus
 from websockets.sync import client as websocket
 
-from craftsim import Grid, LiveView, Site, Trajectory, cli
+from craftsim import Grid, LiveView, PhysicsWorld, Trajectory, cli
 from craftsim.errors import InputError
 from craftsim.storage.limits import PAGE_CONNECTIONS
 
@@ -144,8 +144,8 @@ CHOICES = ["no such", "", 5, True, None, ["1 x"], {"1 x": 1}, math.nan, math.inf
 
 def test_a_page_sets_what_can_be_set_and_nothing_else(capfd):
     with LiveView(port=0) as view:
-        site = Site(Grid.empty((3, 1, 1), n_cars=1))
-        view(site)
+        physics = PhysicsWorld(Grid.empty((3, 1, 1), n_cars=1))
+        view(physics)
         view.page.offer(("one", "two"), (0.0, 1.0))
         view.page.play.on_click(pressed := Mock())
         parts = {name: getattr(view.page, name) for name in ("speed", "run", "slider", "_cars", "play")}

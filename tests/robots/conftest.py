@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from drawn import draw
 
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import judge_on, set_up, setup_of
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.robots.channel import Channel, Network
 from craftsim.robots.link import Link
 from craftsim.robots.mirror import Mirror
@@ -42,12 +42,12 @@ class Caller:
 class Robots:
     """Simulated robots, a link to them, and the judge."""
 
-    site: Site
+    physics: PhysicsWorld
     """Their own world."""
     service: Service
     link: Link
     driver: Caller
-    checked: CheckedSite
+    judge: Judge
 
     def pass_time(self, duration_s: float) -> None:
         """Let their time pass, whatever anybody answers."""
@@ -64,23 +64,23 @@ def make_robots():
     def make(size, cars, objects=(), network: Network | None = None, seed: int = 0) -> Robots:
         grid, setup = draw(size, objects, cars), setup_of(drive="reduced")
         fleet = set_up(grid, setup, watch_contacts=False).executor.fleet
-        site, made, callers = fleet.site, [], {}
+        physics, made, callers = fleet.physics, [], {}
         up, down = (
             Channel(network or Network(), np.random.default_rng(s))
             for s in np.random.SeedSequence(seed).spawn(2)
         )
-        station = Station(simulated_robots(fleet), len(site.slopes), 0.02, referee=True, waits=True)
+        station = Station(simulated_robots(fleet), len(physics.slopes), 0.02, referee=True, waits=True)
         service = Service(
             *(station, SimulatedClock(fleet), up, down),
             lambda receiver, data: callers[receiver].inbox.append(data),
-            SimulatedReferee(site),
+            SimulatedReferee(physics),
         )
         made.append(service)
         for name in (b"driver", b"judge"):
             callers[name] = Caller(name, made)
         link = Link(callers[b"driver"], len(cars), setup.machines)
-        seen = Site(grid, setup.simulation, reset=False, machines=setup.machines)
+        seen = PhysicsWorld(grid, setup.simulation, reset=False, machines=setup.machines)
         link.let_judge(Mirror(seen, callers[b"judge"]))
-        return Robots(site, service, link, callers[b"driver"], judge_on(seen, setup, None, False, link))
+        return Robots(physics, service, link, callers[b"driver"], judge_on(seen, setup, None, False, link))
 
     return make

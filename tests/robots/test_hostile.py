@@ -107,13 +107,13 @@ def clock_shows(time_s):
 )
 def test_robots_that_say_what_cannot_be_are_lost_in_words(make_robots, clock, lie, why):
     robots = make_robots(SIZE, CARS)
-    robots.checked.executor.begin(0, Action.MOVE_RIGHT)
-    robots.checked.executor.advance()
+    robots.judge.executor.begin(0, Action.MOVE_RIGHT)
+    robots.judge.executor.advance()
     robots.link._surroundings = Surroundings(SIZE)
     robots.link._transport = Lying(robots.driver, lie, clock)
     ended = {}
     for _ in range(3000):
-        if ended := robots.checked.executor.advance():
+        if ended := robots.judge.executor.advance():
             break
     assert ended[0].reason is Reason.DISCONNECTED
     assert re.search(why, str(ended[0])), str(ended[0])
@@ -177,16 +177,16 @@ POSE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 )
 def test_a_referee_that_says_what_cannot_be_is_lost_in_words(make_robots, clock, lie, why):
     robots = make_robots(SIZE, CARS)
-    robots.checked.executor.begin(0, Action.MOVE_RIGHT)
+    robots.judge.executor.begin(0, Action.MOVE_RIGHT)
     mirror = robots.link._judge
     mirror._referee = Lying(mirror._referee, lie, clock)
     ended = {}
     for _ in range(100):
-        if ended := robots.checked.executor.advance():
+        if ended := robots.judge.executor.advance():
             break
     assert ended[0].reason is Reason.DISCONNECTED
     assert re.search(why, str(ended[0])), str(ended[0])
-    assert np.isfinite(robots.checked.site.data.qpos).all()
+    assert np.isfinite(robots.judge.physics.data.qpos).all()
 
 
 class Wire:
@@ -222,7 +222,7 @@ def serve(waits: bool, patience_s: float = 60.0):
     wire, told = Wire(), []
     up, down = (Channel(Network(), np.random.default_rng(0)) for _ in range(2))
     service = Service(
-        *(station, SimulatedClock(fleet), up, down, wire.send, SimulatedReferee(fleet.site), told.append)
+        *(station, SimulatedClock(fleet), up, down, wire.send, SimulatedReferee(fleet.physics), told.append)
     )
     return Server(service, wire, 1.0, patience_s, wire.now), service, wire, told
 

@@ -31,26 +31,26 @@ def perform(executor: Executor) -> list:
 
 
 def attempts(robots):
-    return [robots.checked.perform_tick(tuple(joint.items())) for joint in ACTIONS]
+    return [robots.judge.perform_tick(tuple(joint.items())) for joint in ACTIONS]
 
 
 @pytest.fixture(scope="module")
 def on_site():
-    checked = set_up(draw(SIZE, OBJECTS, CARS), setup_of(drive="reduced"))
-    return perform(checked.executor), checked.site.data.qpos.copy()
+    judge = set_up(draw(SIZE, OBJECTS, CARS), setup_of(drive="reduced"))
+    return perform(judge.executor), judge.physics.data.qpos.copy()
 
 
 def test_robots_of_ones_own_class_do_what_a_sites_cars_do(on_site):
     setup = setup_of(drive="reduced")
     fleet = set_up(draw(SIZE, OBJECTS, CARS), setup, watch_contacts=False).executor.fleet
-    site, robots = fleet.site, RobotFleet(simulated_robots(fleet), SimulatedClock(fleet))
-    assert perform(Executor(site, setup.gains, assumed=setup.assumed, fleet=robots)) == on_site[0]
-    np.testing.assert_array_equal(site.data.qpos, on_site[1])
+    physics, robots = fleet.physics, RobotFleet(simulated_robots(fleet), SimulatedClock(fleet))
+    assert perform(Executor(physics, setup.gains, assumed=setup.assumed, fleet=robots)) == on_site[0]
+    np.testing.assert_array_equal(physics.data.qpos, on_site[1])
 
 
 def test_a_network_that_takes_no_time_changes_nothing(make_robots, on_site):
     robots = make_robots(SIZE, CARS, OBJECTS)
-    outcomes = perform(robots.checked.executor)
+    outcomes = perform(robots.judge.executor)
     assert outcomes[0] == on_site[0][0]  # what follows begins a control period later
     assert all(outcome.succeeded for outcome in outcomes[1].values())
     assert robots.link.late_periods == 1
@@ -61,7 +61,7 @@ def test_actions_agree_through_delay_jitter_and_loss_and_are_the_same_again(make
     done = attempts(first)
     assert [attempt.reason for tick in done for attempt in tick] == [""] * 4
     assert attempts(second) == done
-    np.testing.assert_array_equal(second.site.data.qpos, first.site.data.qpos)
+    np.testing.assert_array_equal(second.physics.data.qpos, first.physics.data.qpos)
 
 
 def test_the_skills_see_nothing_of_what_the_referee_says(make_robots):
@@ -75,22 +75,24 @@ def test_the_skills_see_nothing_of_what_the_referee_says(make_robots):
         take(pack(TruePoses(poses.number, poses.time_s, cars, poses.things, poses.hinges)))
 
     mirror._take = lie
-    attempt = robots.checked.perform(0, Action.MOVE_RIGHT)
+    attempt = robots.judge.perform(0, Action.MOVE_RIGHT)
     assert attempt.skill == "succeeded"
     assert not attempt.agrees
     assert attempt.car_error_m == pytest.approx(0.05, abs=0.001)
 
 
 def fastest_m_s(robots) -> float:
-    return max(float(np.linalg.norm(robots.site.data.qvel[car.base.dof :][:3])) for car in robots.site.cars)
+    return max(
+        float(np.linalg.norm(robots.physics.data.qvel[car.base.dof :][:3])) for car in robots.physics.cars
+    )
 
 
 def test_robots_that_hear_nothing_stop_by_themselves(make_robots):
     robots = make_robots(SIZE, CARS, OBJECTS, BUSY)
     for car, action in ACTIONS[0].items():
-        robots.checked.executor.begin(car, action)
+        robots.judge.executor.begin(car, action)
     for _ in range(24):
-        robots.checked.executor.advance()
+        robots.judge.executor.advance()
     assert fastest_m_s(robots) > 0.3
     robots.driver.cut = True
     robots.pass_time(0.06)
@@ -98,7 +100,7 @@ def test_robots_that_hear_nothing_stop_by_themselves(make_robots):
     robots.pass_time(heard_s + 0.15 - robots.service.now_s)
     (stopped_s,) = robots.service.station.stopped_at_s
     assert 0.1 <= stopped_s - heard_s < 0.12 + 1e-6
-    motors = robots.site.data.ctrl[np.concatenate([car.wheel_actuators for car in robots.site.cars])]
+    motors = robots.physics.data.ctrl[np.concatenate([car.wheel_actuators for car in robots.physics.cars])]
     assert not motors.any()
     robots.pass_time(0.2)  # a car that brakes from 0.8 m/s needs that long with this drive
     assert fastest_m_s(robots) < 0.01
@@ -106,18 +108,18 @@ def test_robots_that_hear_nothing_stop_by_themselves(make_robots):
 
 def test_a_lost_connection_is_an_outcome_at_once(make_robots):
     robots = make_robots(SIZE, CARS, OBJECTS)
-    robots.checked.executor.begin(0, Action.MOVE_RIGHT)
-    robots.checked.executor.advance()
+    robots.judge.executor.begin(0, Action.MOVE_RIGHT)
+    robots.judge.executor.advance()
     robots.driver.cut = True
-    outcome = robots.checked.executor.advance()[0]
+    outcome = robots.judge.executor.advance()[0]
     assert outcome.reason is Reason.DISCONNECTED
     assert str(outcome) == "disconnected: nothing has come from the robots for 1 s"
-    assert robots.checked.executor.run({1: Action.ROTATE_LEFT})[1].reason is Reason.DISCONNECTED
+    assert robots.judge.executor.run({1: Action.ROTATE_LEFT})[1].reason is Reason.DISCONNECTED
 
 
 def test_who_is_away_too_long_finds_the_robots_stopped_and_may_go_on(make_robots):
     robots = make_robots(SIZE, CARS, OBJECTS)
-    executor = robots.checked.executor
+    executor = robots.judge.executor
     executor.begin(0, Action.MOVE_RIGHT)
     for _ in range(5):
         executor.advance()
@@ -133,16 +135,14 @@ def test_who_is_away_too_long_finds_the_robots_stopped_and_may_go_on(make_robots
 
 def test_robots_that_end_say_so(make_robots):
     robots = make_robots(SIZE, CARS, OBJECTS)
-    robots.checked.executor.begin(0, Action.MOVE_RIGHT)
+    robots.judge.executor.begin(0, Action.MOVE_RIGHT)
     robots.driver.inbox.append(pack(Bye("they were told to")))
-    assert (
-        str(robots.checked.executor.advance()[0]) == "disconnected: the robots have ended: they were told to"
-    )
+    assert str(robots.judge.executor.advance()[0]) == "disconnected: the robots have ended: they were told to"
 
 
 def test_a_slope_folds_and_is_held_through_a_network(make_robots):
     robots = make_robots((3, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)], BUSY)
-    assert robots.checked.perform(0, Action.UNFOLD).reason == ""
+    assert robots.judge.perform(0, Action.UNFOLD).reason == ""
 
 
 def test_robots_refuse_whom_they_do_not_fit_and_obey_one_at_a_time(make_robots):

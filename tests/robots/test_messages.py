@@ -160,4 +160,4 @@ def test_noise_is_refused_and_nothing_else_happens(make_robots):
     robots.service.arrive(b"stranger", pack(Commands(99, 0.0, (Command((9.0,) * 4),))), robots.service.now_s)
     assert robots.service.malformed == 5
     assert [line[:18] for line in told] == ["dropped a message:"] * 5
-    assert robots.checked.perform(0, Action.MOVE_RIGHT).agrees
+    assert robots.judge.perform(0, Action.MOVE_RIGHT).agrees

@@ -18,10 +18,10 @@ MOVES = [RIGHT, LEFT, FORWARD, BACK]
 LOADS = [Kind.BLOCK, Kind.FLAG, Kind.FSLOPE]
 
 
-def _perform(checked, actions, car=0):
+def _perform(judge, actions, car=0):
     """Perform actions one by one and hold each against the bands."""
     for action in actions:
-        attempt = checked.perform(car, action)
+        attempt = judge.perform(car, action)
         what = f"{action.name}: {attempt}"
         assert attempt.legal, what
         assert attempt.skill == "succeeded", what
@@ -48,24 +48,24 @@ def test_moves_in_all_directions_at_each_heading(make_checked, yaw):
 @pytest.mark.parametrize("load", LOADS)
 @pytest.mark.parametrize("yaw", [0, 1])
 def test_carries_a_load_in_all_directions_and_sets_it_down_in_place(make_checked, yaw, load):
-    checked = make_checked((5, 5, 2), [_loaded((2, 2, 1), yaw, load)])
-    _perform(checked, [RIGHT, LEFT, LEFT, RIGHT, FORWARD, BACK, BACK, FORWARD, DROP])
+    judge = make_checked((5, 5, 2), [_loaded((2, 2, 1), yaw, load)])
+    _perform(judge, [RIGHT, LEFT, LEFT, RIGHT, FORWARD, BACK, BACK, FORWARD, DROP])
 
 
 @pytest.mark.parametrize("kind", [Kind.BLOCK, Kind.FLAG])
 @pytest.mark.parametrize("yaw", range(4))
 def test_drives_in_and_out_under_a_table_forward_and_backward(make_checked, yaw, kind):
-    checked = make_checked((3, 3, 2), [(*beside((1, 1, 1), yaw + 2), yaw)], [(kind, (1, 1, 1))])
+    judge = make_checked((3, 3, 2), [(*beside((1, 1, 1), yaw + 2), yaw)], [(kind, (1, 1, 1))])
     ahead, behind = MOVE[yaw], MOVE[(yaw + 2) % 4]
-    _perform(checked, [ahead, ahead, behind, behind])
+    _perform(judge, [ahead, ahead, behind, behind])
 
 
 @pytest.mark.parametrize("yaw", range(4))
 @pytest.mark.parametrize("kind", [Kind.FSLOPE, Kind.BODY])
 def test_backs_in_under_a_slope_from_its_high_side_and_leaves_forward(make_checked, yaw, kind):
     heading = (yaw + 2) % 4
-    checked = make_checked((5, 5, 2), [(*beside((2, 2, 1), heading), heading)], [(kind, (2, 2, 1), yaw)])
-    _perform(checked, [MOVE[yaw], MOVE[heading]])
+    judge = make_checked((5, 5, 2), [(*beside((2, 2, 1), heading), heading)], [(kind, (2, 2, 1), yaw)])
+    _perform(judge, [MOVE[yaw], MOVE[heading]])
 
 
 @pytest.mark.parametrize("yaw", range(4))
@@ -80,30 +80,30 @@ def test_turns_under_a_table(make_checked, kind):
 
 @pytest.mark.parametrize("load", LOADS)
 def test_turns_with_a_load_and_sets_it_down_in_place(make_checked, load):
-    checked = make_checked((5, 5, 2), [_loaded((2, 2, 1), 0, load)])
-    _perform(checked, [*TURNS, TURNS[1], TURNS[1], DROP])
+    judge = make_checked((5, 5, 2), [_loaded((2, 2, 1), 0, load)])
+    _perform(judge, [*TURNS, TURNS[1], TURNS[1], DROP])
 
 
 @pytest.mark.parametrize("load", [Kind.BLOCK, Kind.FLAG])
 def test_takes_up_and_sets_down_time_and_again(make_checked, load):
-    checked = make_checked((2, 1, 2), [(0, 0, 1, 0)], [(load, (0, 0, 1))])
-    _perform(checked, [LIFT, DROP, LIFT, DROP])
+    judge = make_checked((2, 1, 2), [(0, 0, 1, 0)], [(load, (0, 0, 1))])
+    _perform(judge, [LIFT, DROP, LIFT, DROP])
 
 
 def test_takes_up_and_sets_down_a_folded_slope_time_and_again(make_checked):
-    checked = make_checked((3, 1, 2), [(1, 0, 1, 0)], [(Kind.FSLOPE, (1, 0, 1), 2)])
-    _perform(checked, [LIFT, DROP, LIFT, DROP])
+    judge = make_checked((3, 1, 2), [(1, 0, 1, 0)], [(Kind.FSLOPE, (1, 0, 1), 2)])
+    _perform(judge, [LIFT, DROP, LIFT, DROP])
 
 
 @pytest.mark.parametrize("yaw", [0, 3])
 def test_unfolds_and_folds_the_slope_above(make_checked, yaw):
-    checked = make_checked((3, 3, 2), [(1, 1, 1, (yaw + 2) % 4)], [(Kind.FSLOPE, (1, 1, 1), yaw)])
-    _perform(checked, [UNFOLD, FOLD])
+    judge = make_checked((3, 3, 2), [(1, 1, 1, (yaw + 2) % 4)], [(Kind.FSLOPE, (1, 1, 1), yaw)])
+    _perform(judge, [UNFOLD, FOLD])
 
 
 def test_unfolds_a_slope_that_it_has_brought(make_checked):
-    checked = make_checked((5, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)])
-    _perform(checked, [LIFT, RIGHT, DROP, UNFOLD, RIGHT])
+    judge = make_checked((5, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)])
+    _perform(judge, [LIFT, RIGHT, DROP, UNFOLD, RIGHT])
 
 
 def _ramp(direction):
@@ -123,8 +123,8 @@ def _ramp(direction):
 def test_climbs_a_ramp_drives_and_turns_on_top_and_comes_back_down(make_checked, direction):
     size, cells, objects = _ramp(direction)
     up, down = MOVE[direction], MOVE[(direction + 2) % 4]
-    checked = make_checked(size, [(*cells[0], direction)], objects)
-    _perform(checked, [up] * 6 + [TURNS[0], TURNS[0]] + [down] * 6)
+    judge = make_checked(size, [(*cells[0], direction)], objects)
+    _perform(judge, [up] * 6 + [TURNS[0], TURNS[0]] + [down] * 6)
 
 
 @pytest.mark.parametrize("load", LOADS)
@@ -132,26 +132,26 @@ def test_climbs_a_ramp_drives_and_turns_on_top_and_comes_back_down(make_checked,
 def test_carries_a_load_up_a_ramp_and_back_down(make_checked, direction, load):
     size, cells, objects = _ramp(direction)
     up, down = MOVE[direction], MOVE[(direction + 2) % 4]
-    checked = make_checked(size, [_loaded(cells[1], direction, load)], objects)
-    _perform(checked, [up] * 4 + [TURNS[1], TURNS[1]] + [down] * 5 + [DROP])
+    judge = make_checked(size, [_loaded(cells[1], direction, load)], objects)
+    _perform(judge, [up] * 4 + [TURNS[1], TURNS[1]] + [down] * 5 + [DROP])
 
 
 @pytest.mark.parametrize("load", LOADS)
 @pytest.mark.parametrize("direction", [1, 2])
 def test_sets_a_load_down_on_the_second_level(make_checked, direction, load):
     size, cells, objects = _ramp(direction)
-    checked = make_checked(size, [_loaded(cells[1], direction, load)], objects)
-    _perform(checked, [MOVE[direction]] * 4 + [DROP])
+    judge = make_checked(size, [_loaded(cells[1], direction, load)], objects)
+    _perform(judge, [MOVE[direction]] * 4 + [DROP])
 
 
 def test_stays_where_it_is_when_told_to_stop(make_checked):
-    checked = make_checked((1, 1, 1), [(0, 0, 1, 0)])
-    _perform(checked, [STOP, STOP])
+    judge = make_checked((1, 1, 1), [(0, 0, 1, 0)])
+    _perform(judge, [STOP, STOP])
 
 
 def test_works_beside_neighbours_without_touching_them(make_checked):
     ring = [(x, y) for x in range(3) for y in range(3) if (x, y) != (1, 1) and (x, y) != (2, 1)]
-    checked = make_checked(
+    judge = make_checked(
         (4, 3, 2), [(1, 1, 1, 0)], [(Kind.BLOCK, (1, 1, 1))] + [(Kind.BLOCK, (x, y, 1)) for x, y in ring]
     )
-    _perform(checked, [LIFT, RIGHT, LEFT, DROP])
+    _perform(judge, [LIFT, RIGHT, LEFT, DROP])

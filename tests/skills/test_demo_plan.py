@@ -35,15 +35,15 @@ def _build(config: SimulationConfig) -> Build:
         drawing = read_blueprint(data / "blueprints" / f"{NAME}.yaml")
         design = read_design(data / "blueprints" / f"{NAME}_goal.yaml")
         plan = read_plan(data / "plans" / f"{NAME}.plan", drawing.n_cars)
-    checked = set_up(drawing.grid(np.random.default_rng(0)), Setup(simulation=config))
-    site = checked.site
-    history, attempts = [read_poses(site)], []
+    judge = set_up(drawing.grid(np.random.default_rng(0)), Setup(simulation=config))
+    physics = judge.physics
+    history, attempts = [read_poses(physics)], []
     for tick, joint in enumerate(plan.ticks):
         for car, action in joint:
-            attempts.append(checked.perform(car, action, tick=tick))
-            history.append(read_poses(site))
-    warnings = int(sum(w.number for w in site.data.warning))
-    return Build(tuple(attempts), checked.reading, site.time_s, design, tuple(history), warnings)
+            attempts.append(judge.perform(car, action, tick=tick))
+            history.append(read_poses(physics))
+    warnings = int(sum(w.number for w in physics.data.warning))
+    return Build(tuple(attempts), judge.reading, physics.time_s, design, tuple(history), warnings)
 
 
 built = cache(_build)

@@ -29,37 +29,37 @@ CALM = CarMeasurement(0.0, 0.16125, 0.16125, 0.0, 0.0, 0.0, 0.0, np.zeros(4), 0.
 """At rest in the middle of cell (0, 0), under a half-open slope."""
 
 
-def _run(site, action, terrain=None, observer=None, gains=None) -> Outcome:
+def _run(physics, action, terrain=None, observer=None, gains=None) -> Outcome:
     ground = {0: terrain} if terrain else None
-    return Executor(site, gains or FAST, observer).run({0: action}, ground)[0]
+    return Executor(physics, gains or FAST, observer).run({0: action}, ground)[0]
 
 
 def _skill(action):
     return LawSkill(SkillSetup(NOMINAL.cars[0], NOMINAL, load_gains(), PERIOD_S), begin_of(action))
 
 
-def _limit_force(site, actuator, newtons):
-    site.model.actuator_forcerange[actuator] = [-newtons, newtons]
+def _limit_force(physics, actuator, newtons):
+    physics.model.actuator_forcerange[actuator] = [-newtons, newtons]
 
 
-def _weaken_wheels(site, newton_metres):
+def _weaken_wheels(physics, newton_metres):
     """Give the wheels so little torque that they stall before they lose their grip."""
-    for actuator in site.cars[0].wheel_actuators:
-        _limit_force(site, actuator, newton_metres)
+    for actuator in physics.cars[0].wheel_actuators:
+        _limit_force(physics, actuator, newton_metres)
 
 
 def test_a_load_that_meets_a_wall_blocks_the_car(make_site):
-    site = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)], [(Kind.WALL, (1, 0, 1))])
-    _weaken_wheels(site, 0.7)
-    outcome = _run(site, RIGHT)
+    physics = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)], [(Kind.WALL, (1, 0, 1))])
+    _weaken_wheels(physics, 0.7)
+    outcome = _run(physics, RIGHT)
     assert outcome.reason is Reason.BLOCKED
     assert "behind the path" in outcome.detail
 
 
 def test_a_parked_car_blocks_another(make_site):
-    site = make_site((2, 1, 1), [(0, 0, 1, 0), (1, 0, 1, 0)])
-    _weaken_wheels(site, 0.7)
-    assert _run(site, RIGHT).reason is Reason.BLOCKED
+    physics = make_site((2, 1, 1), [(0, 0, 1, 0), (1, 0, 1, 0)])
+    _weaken_wheels(physics, 0.7)
+    assert _run(physics, RIGHT).reason is Reason.BLOCKED
 
 
 @pytest.mark.parametrize(
@@ -77,9 +77,9 @@ def test_a_car_that_is_strong_enough_to_spin_its_wheels_at_an_obstacle_is_blocke
     """Wheels that spin at 1 m/s chatter, so that by chance the car reports slipping, in 2 of 24 starts as these."""
     outcomes = []
     for shift in np.linspace(-0.5e-3, 0.5e-3, 6):
-        site = make_site((3, 2, 2), cars, objects)
-        site.data.qpos[site.cars[0].base.qpos] += shift
-        outcomes.append(_run(site, action))
+        physics = make_site((3, 2, 2), cars, objects)
+        physics.data.qpos[physics.cars[0].base.qpos] += shift
+        outcomes.append(_run(physics, action))
     assert {outcome.reason for outcome in outcomes} <= {Reason.BLOCKED, Reason.SLIPPED}
     assert sum(outcome.reason is Reason.BLOCKED for outcome in outcomes) >= 4
     assert max(outcome.duration_s for outcome in outcomes) < 1.0
@@ -92,12 +92,12 @@ def test_a_car_that_is_strong_enough_to_spin_its_wheels_at_an_obstacle_is_blocke
 )
 @pytest.mark.parametrize("grip", [0.02, 0.1])
 def test_rollers_without_grip_slip(make_site, objects, terrain, grip):
-    site = make_site((4, 1, 2), [(0, 0, 1, 0)], objects)
-    for geom in range(site.model.ngeom):
-        if "/roller" in site.model.geom(geom).name or site.model.geom_contype[geom] == 2:
-            site.model.geom_friction[geom, 0] = grip
-            site.model.geom_priority[geom] = 1
-    assert _run(site, RIGHT, terrain).reason is Reason.SLIPPED
+    physics = make_site((4, 1, 2), [(0, 0, 1, 0)], objects)
+    for geom in range(physics.model.ngeom):
+        if "/roller" in physics.model.geom(geom).name or physics.model.geom_contype[geom] == 2:
+            physics.model.geom_friction[geom, 0] = grip
+            physics.model.geom_priority[geom] = 1
+    assert _run(physics, RIGHT, terrain).reason is Reason.SLIPPED
 
 
 def test_a_car_that_lifts_nothing_feels_no_load(make_site):
@@ -107,19 +107,19 @@ def test_a_car_that_lifts_nothing_feels_no_load(make_site):
 
 
 def test_a_car_notices_that_its_load_is_taken_away(make_site):
-    site = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
+    physics = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
 
-    def hand(site):
+    def hand(physics):
         # A declared disturbance: somebody lifts the block off with half again its weight.
-        site.data.xfrc_applied[site.blocks[0].body, 2] = 1.5 * 0.504 * 9.81
+        physics.data.xfrc_applied[physics.blocks[0].body, 2] = 1.5 * 0.504 * 9.81
 
-    assert _run(site, RIGHT, observer=hand).reason is Reason.LOAD_LOST
+    assert _run(physics, RIGHT, observer=hand).reason is Reason.LOAD_LOST
 
 
 @pytest.mark.parametrize("action", [Action.FOLD, Action.UNFOLD])
 def test_a_hinge_needs_a_slope_above_the_car(make_site, action):
-    site = make_site((3, 1, 2), [(0, 0, 1, 0)], [(Kind.FSLOPE, (1, 0, 1), 0)])
-    outcome = _run(site, action)
+    physics = make_site((3, 1, 2), [(0, 0, 1, 0)], [(Kind.FSLOPE, (1, 0, 1), 0)])
+    outcome = _run(physics, action)
     assert outcome.reason is Reason.MISALIGNED
     assert outcome.duration_s <= FAST.hinge.undocked + 2 * PERIOD_S
 
@@ -132,15 +132,15 @@ def test_a_car_that_rests_off_its_target_is_misaligned(make_site):
 
 
 def test_a_board_without_force_times_out(make_site):
-    site = make_site((1, 1, 2), [(0, 0, 1, 0)], [(Kind.BLOCK, (0, 0, 1))])
-    _limit_force(site, site.cars[0].board.actuator, 0.0)
-    assert _run(site, Action.LIFT).reason is Reason.TIMEOUT
+    physics = make_site((1, 1, 2), [(0, 0, 1, 0)], [(Kind.BLOCK, (0, 0, 1))])
+    _limit_force(physics, physics.cars[0].board.actuator, 0.0)
+    assert _run(physics, Action.LIFT).reason is Reason.TIMEOUT
 
 
 def test_a_hinge_without_torque_times_out(make_site):
-    site = make_site((3, 1, 2), [(1, 0, 1, 0)], [(Kind.BODY, (1, 0, 1), 2)])
-    _limit_force(site, site.slopes[0].hinge.actuator, 0.0)
-    assert _run(site, Action.FOLD).reason is Reason.TIMEOUT
+    physics = make_site((3, 1, 2), [(1, 0, 1, 0)], [(Kind.BODY, (1, 0, 1), 2)])
+    _limit_force(physics, physics.slopes[0].hinge.actuator, 0.0)
+    assert _run(physics, Action.FOLD).reason is Reason.TIMEOUT
 
 
 def test_wheels_that_cannot_brake_time_out_a_stop():
@@ -172,9 +172,9 @@ def test_a_car_that_is_close_enough_brakes_while_two_wheels_slip_on_the_spot():
 
 
 def test_a_car_without_wheel_torque_cannot_keep_to_its_path(make_site):
-    site = make_site((2, 1, 1), [(0, 0, 1, 0)])
-    _weaken_wheels(site, 0.0)
-    assert _run(site, RIGHT).reason is Reason.BLOCKED
+    physics = make_site((2, 1, 1), [(0, 0, 1, 0)])
+    _weaken_wheels(physics, 0.0)
+    assert _run(physics, RIGHT).reason is Reason.BLOCKED
 
 
 @pytest.mark.parametrize("action", PERFORMED)
@@ -252,12 +252,12 @@ def test_no_skill_performs_a_diagonal_move(action):
         _skill(action)
 
 
-def _apply(site, command):
-    site.drive(0, command.wheels)
-    site.move_board(0, command.board)
-    slope = measure(site, 0).slope
+def _apply(physics, command):
+    physics.drive(0, command.wheels)
+    physics.move_board(0, command.board)
+    slope = measure(physics, 0).slope
     if slope is not None:
-        site.turn_hinge(slope, command.hinge)
+        physics.turn_hinge(slope, command.hinge)
 
 
 @pytest.mark.parametrize(
@@ -271,21 +271,21 @@ def _apply(site, command):
     ids=["move", "turn", "lift", "unfold"],
 )
 def test_a_skill_that_is_interrupted_goes_on_and_succeeds(make_site, action, objects):
-    site = make_site((3, 3, 2), [(1, 1, 1, 0)], objects)
+    physics = make_site((3, 3, 2), [(1, 1, 1, 0)], objects)
     skill = _skill(action)
-    skill.start(measure(site, 0))
+    skill.start(measure(physics, 0))
     periods = 0
     while skill.outcome is None:
-        _apply(site, skill.step(measure(site, 0)))
-        site.advance()
+        _apply(physics, skill.step(measure(physics, 0)))
+        physics.advance()
         periods += 1
         if periods in (15, 30):
             for _ in range(50):
-                _apply(site, Command())
-                site.advance()
+                _apply(physics, Command())
+                physics.advance()
     assert skill.outcome.succeeded, str(skill.outcome)
     assert skill.outcome.duration_s == pytest.approx(periods * PERIOD_S, abs=PERIOD_S * 1.01)
-    assert not np.any(site.data.warning.number[mujoco.mjtWarning.mjWARN_BADQACC])
+    assert not np.any(physics.data.warning.number[mujoco.mjtWarning.mjWARN_BADQACC])
 
 
 def test_an_outcome_reads_as_a_sentence():
@@ -308,16 +308,16 @@ def _break_plug(monkeypatch, executor, broken):
 
 
 def test_a_slope_that_loses_its_car_stops(make_site, monkeypatch):
-    site = make_site((3, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)])
-    executor = Executor(site, FAST)
+    physics = make_site((3, 3, 2), [(1, 1, 1, 0)], [(Kind.FSLOPE, (1, 1, 1), 2)])
+    executor = Executor(physics, FAST)
     executor.begin(0, Action.UNFOLD)
     for _ in range(20):
         executor.advance()
-    hinge = site.slopes[0].hinge.actuator
-    assert site.data.ctrl[hinge] < 0
+    hinge = physics.slopes[0].hinge.actuator
+    assert physics.data.ctrl[hinge] < 0
     _break_plug(monkeypatch, executor, lambda: True)
     ended = executor.advance()
-    assert site.data.ctrl[hinge] == 0
+    assert physics.data.ctrl[hinge] == 0
     while not ended:
         ended = executor.advance()
     assert ended[0].reason is Reason.MISALIGNED

@@ -77,9 +77,9 @@ def _checked(randomization, gains):
 def _durations(randomization, gains):
     """Return whether the floor is felt to be uneven, and how long a tight move takes, and all of it."""
     executor = _checked(randomization, gains).executor
-    begun = executor.site.time_s
+    begun = executor.physics.time_s
     outcome = executor.run({0: Action.MOVE_RIGHT}, {0: Terrain(tight=True)})[0]
-    return executor.floor_is_uneven, outcome.duration_s, executor.site.time_s - begun
+    return executor.floor_is_uneven, outcome.duration_s, executor.physics.time_s - begun
 
 
 def test_on_a_flat_floor_robust_gains_take_not_a_period_longer_than_fast_ones():

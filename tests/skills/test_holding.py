@@ -5,22 +5,22 @@ import pytest
 from drawn import draw
 
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 
 
 def _moved_m(grid: Grid, gear_friction: float, held: bool = True) -> float:
     """Return how far the first car moves in 10 s with its gears' friction scaled, with or without an executor."""
-    site = Site(grid, reset=False)
-    smooth = site.baseline.copy()
-    smooth.dof_frictionloss[site.cars[0].wheel_dofs] *= gear_friction
-    site.set_baseline(smooth)
-    site.reset()
-    start, _ = site.free_body_state(site.cars[0].base)
-    advance = Executor(site).advance if held else site.advance
+    physics = PhysicsWorld(grid, reset=False)
+    smooth = physics.baseline.copy()
+    smooth.dof_frictionloss[physics.cars[0].wheel_dofs] *= gear_friction
+    physics.set_baseline(smooth)
+    physics.reset()
+    start, _ = physics.free_body_state(physics.cars[0].base)
+    advance = Executor(physics).advance if held else physics.advance
     for _ in range(500):
         advance()
-    end, _ = site.free_body_state(site.cars[0].base)
+    end, _ = physics.free_body_state(physics.cars[0].base)
     return float(np.linalg.norm(end - start))
 
 
@@ -34,14 +34,14 @@ def test_a_loaded_car_with_smooth_gears_is_held_on_the_slope(place):
 def _pushed_m(way_m: float) -> list[float]:
     """Push a car on the slope by so much to its side, and return how far it is away in the 4 s after that."""
     grid = draw((3, 1, 2), [(Kind.BODY, (1, 0, 1), 0)], [(1, 0, 2, 0)])
-    site = Site(grid)
-    executor, base = Executor(site), site.cars[0].base
-    start, _ = site.free_body_state(base)
-    site.data.qpos[base.qpos + 1] += way_m
+    physics = PhysicsWorld(grid)
+    executor, base = Executor(physics), physics.cars[0].base
+    start, _ = physics.free_body_state(base)
+    physics.data.qpos[base.qpos + 1] += way_m
     away = []
     for _ in range(200):
         executor.advance()
-        away.append(float(np.linalg.norm(site.free_body_state(base)[0] - start)))
+        away.append(float(np.linalg.norm(physics.free_body_state(base)[0] - start)))
     return away
 
 
@@ -57,8 +57,8 @@ def test_a_car_that_crept_by_less_than_it_can_be_sure_of_stays():
 
 
 def test_a_car_on_the_flat_is_left_alone():
-    site = Site(draw((1, 1, 2), cars=[(0, 0, 1, 0, Kind.BLOCK)]))
-    executor = Executor(site)
+    physics = PhysicsWorld(draw((1, 1, 2), cars=[(0, 0, 1, 0, Kind.BLOCK)]))
+    executor = Executor(physics)
     for _ in range(50):
         executor.advance()
-        assert not site.data.ctrl.any()
+        assert not physics.data.ctrl.any()

@@ -9,7 +9,7 @@ from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import SensorNoise
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.estimator import likeliest_delay
 from craftsim.skills.executor import Executor
 from craftsim.skills.laws import LAG_STEP_S, compensate_lag
@@ -19,7 +19,7 @@ PERIOD_S = 0.02
 
 def _car():
     """Return the record of a car that has not moved."""
-    return Executor(Site(Grid.empty((1, 1, 1), 1)))._cars[0]
+    return Executor(PhysicsWorld(Grid.empty((1, 1, 1), 1)))._cars[0]
 
 
 def _sent(car, wanted, turning, level=True):

@@ -23,7 +23,7 @@ from craftsim.models.sensing import (
     measure,
     measurement_of,
 )
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.estimator import PoseEstimator
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
@@ -171,20 +171,20 @@ def _yard() -> Grid:
 
 
 def test_with_exact_sensors_the_executor_takes_measurements_as_they_are():
-    site = Site(_yard())
-    executor = Executor(site)
+    physics = PhysicsWorld(_yard())
+    executor = Executor(physics)
     executor.begin(0, Action.MOVE_RIGHT)
     for _ in range(10):
         executor.advance()
-        view, true = measurement_of(executor.readings()[0]), measure(site, 0)
+        view, true = measurement_of(executor.readings()[0]), measure(physics, 0)
         assert (view.x, view.y, view.heading) == (true.x, true.y, true.heading)
         assert view.position_std_m == view.heading_std_rad == 0.0
 
 
 def test_with_noisy_sensors_skills_see_the_estimate_and_not_the_truth():
-    site = Site(_yard())
-    executor = Executor(site, sensors=Sensors(site, NOISY, np.random.default_rng(0)), assumed=NOISY)
-    view, true = measurement_of(executor.readings()[0]), measure(site, 0)
+    physics = PhysicsWorld(_yard())
+    executor = Executor(physics, sensors=Sensors(physics, NOISY, np.random.default_rng(0)), assumed=NOISY)
+    view, true = measurement_of(executor.readings()[0]), measure(physics, 0)
     assert view.x != true.x
     assert view.position_std_m > 0.0
 
@@ -221,10 +221,10 @@ def test_cars_that_take_each_pose_as_it_is_fail_with_late_ones_and_those_that_fi
 @pytest.mark.parametrize("delay_s", [0.0, 0.03, 0.1, 0.17])
 def test_a_car_that_has_moved_knows_how_late_its_localisations_are(delay_s):
     world = SensorNoise(0.001, 0.003, min_delay_s=delay_s, max_delay_s=delay_s)
-    checked = set_up(_yard(), setup_of("none", noise=world))
-    estimate = checked.executor._estimator._estimates[0]
+    judge = set_up(_yard(), setup_of("none", noise=world))
+    estimate = judge.executor._estimator._estimates[0]
     before_s = PERIOD_S * estimate["delay_std"]
-    checked.perform(0, Action.MOVE_RIGHT)
+    judge.perform(0, Action.MOVE_RIGHT)
     assert before_s > 0.04
     # Wheels are read at the end of a period over which the speed is taken to be the same: half of it.
     assert PERIOD_S * estimate["delay"] == pytest.approx(delay_s, abs=0.012)
@@ -261,8 +261,8 @@ BIASED = SensorNoise(position_bias_m=0.005, heading_bias_rad=0.01)
 
 @pytest.mark.parametrize("seed", range(4))
 def test_below_a_block_a_car_learns_the_bias_of_its_localisation_and_keeps_it(seed):
-    checked = set_up(_yard(), setup_of("none", noise=BIASED), Seed((seed,)))
-    first, second = (checked.perform(0, action) for action in (Action.MOVE_RIGHT, Action.MOVE_RIGHT))
+    judge = set_up(_yard(), setup_of("none", noise=BIASED), Seed((seed,)))
+    first, second = (judge.perform(0, action) for action in (Action.MOVE_RIGHT, Action.MOVE_RIGHT))
     assert first.agrees
     assert second.agrees
     # Below the block, and then beside it, where nothing is seen.
@@ -342,20 +342,20 @@ def test_line_sensors_see_where_the_cross_of_a_block_is(yaw):
     grid = Grid.empty((3, 3, 2), 1)
     grid.cars[0, :4], grid.kind[1, 1, 1] = (1, 1, 1, yaw), Kind.BLOCK
     grid.derive_marks()
-    site = Site(grid)
-    np.testing.assert_allclose(measure(site, 0).lines, 0.0, atol=1e-6)
+    physics = PhysicsWorld(grid)
+    np.testing.assert_allclose(measure(physics, 0).lines, 0.0, atol=1e-6)
     # Two millimetres forward, three to the left, and a hundredth of a radian.
-    quarter, at = yaw * math.pi / 2, site.cars[0].base.qpos
+    quarter, at = yaw * math.pi / 2, physics.cars[0].base.qpos
     c, s = math.cos(quarter), math.sin(quarter)
-    site.data.qpos[at : at + 2] += (0.002 * c - 0.003 * s, 0.002 * s + 0.003 * c)
+    physics.data.qpos[at : at + 2] += (0.002 * c - 0.003 * s, 0.002 * s + 0.003 * c)
     half = (quarter + 0.01) / 2
-    site.data.qpos[at + 3 : at + 7] = math.cos(half), 0.0, 0.0, math.sin(half)
+    physics.data.qpos[at + 3 : at + 7] = math.cos(half), 0.0, 0.0, math.sin(half)
     car = NOMINAL.cars[0]
     along, across = 0.01 * car.board_length_m / 2, 0.01 * car.board_width_m / 2
     expected = -0.003 - along, -0.003 + along, -0.002 + across, -0.002 - across
-    np.testing.assert_allclose(measure(site, 0).lines, expected, atol=5e-5)
-    site.data.qpos[at] += 0.05
-    assert math.inf in measure(site, 0).lines
+    np.testing.assert_allclose(measure(physics, 0).lines, expected, atol=5e-5)
+    physics.data.qpos[at] += 0.05
+    assert math.inf in measure(physics, 0).lines
 
 
 PLANS = (
@@ -367,9 +367,9 @@ PLANS = (
 
 @pytest.mark.parametrize("seed", range(12))
 def test_under_noise_and_randomised_physics_actions_succeed_within_three_deviations(seed):
-    checked = set_up(_yard(), setup_of("strong"), Seed((seed,)))
+    judge = set_up(_yard(), setup_of("strong"), Seed((seed,)))
     for action in PLANS[seed % 3]:
-        attempt = checked.perform(0, action)
+        attempt = judge.perform(0, action)
         assert attempt.agrees, attempt
         assert attempt.car_error_m < 3e-3
         assert attempt.heading_error_rad < 9e-3

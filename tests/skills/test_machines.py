@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drawn import draw
 
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -14,7 +14,7 @@ from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 
@@ -35,9 +35,9 @@ DOCKED = (5, 5, 2), [(Kind.FSLOPE, (1, 2, 1), 0)], [(1, 2, 1, 2)]
 
 
 def _durations(machines: Machines, gains, actions: list[Action]) -> list[float]:
-    checked_site = Site(draw(*DOCKED), machines=machines)
-    checked = CheckedSite(Executor(checked_site, gains), Rules("physical"))
-    attempts = [checked.perform(0, action) for action in actions]
+    checked_site = PhysicsWorld(draw(*DOCKED), machines=machines)
+    judge = Judge(Executor(checked_site, gains), Rules("physical"))
+    attempts = [judge.perform(0, action) for action in actions]
     for attempt in attempts:
         assert attempt.agrees, attempt
     return [attempt.duration_s for attempt in attempts]
@@ -57,19 +57,19 @@ def test_machines_and_gains_of_one_file_lift_carry_and_unfold_faster(tmp_path):
 def test_two_cars_of_different_machines_drive_in_one_world():
     grid = draw((3, 4, 2), cars=[(0, 0, 1, 0), (0, 2, 1, 0)])
     machines = Machines(cars=(SmartcarParameters(), HEAVY))
-    site = Site(grid, machines=machines)
-    light, heavy = site.cars
+    physics = PhysicsWorld(grid, machines=machines)
+    light, heavy = physics.cars
     assert (light.parameters, heavy.parameters) == machines.cars
-    model = site.model
-    found = [model.body_subtreemass[car.base.body] for car in site.cars]
+    model = physics.model
+    found = [model.body_subtreemass[car.base.body] for car in physics.cars]
     assert found == pytest.approx([car.mass_kg for car in machines.cars], abs=1e-5)
     assert model.actuator_forcerange[heavy.wheel_actuators, 1] == pytest.approx([3.5] * 4)
     assert model.actuator_forcerange[light.wheel_actuators, 1] == pytest.approx([2.5] * 4)
-    executor = Executor(site)
+    executor = Executor(physics)
     for action in (Action.MOVE_FORWARD, Action.ROTATE_LEFT, Action.ROTATE_RIGHT, Action.MOVE_RIGHT):
         outcomes = executor.run({0: action, 1: action})
         assert all(outcome.succeeded for outcome in outcomes.values()), outcomes
-    ends = [site.free_body_state(car.base)[0][:2] for car in site.cars]
+    ends = [physics.free_body_state(car.base)[0][:2] for car in physics.cars]
     np.testing.assert_allclose(ends, 0.3225 * np.array([[1.5, 1.5], [1.5, 3.5]]), atol=1e-3)
 
 
@@ -77,7 +77,9 @@ def test_a_car_with_weak_motors_drives_slower_and_arrives():
     """At 10 rad/s and 1.4 Nm the nominal path of 0.84 m/s is out of reach; it is laid within what the motors give."""
     weak = Machines(cars=(SmartcarParameters(wheel_speed_rad_s=10.0, wheel_torque_nm=1.4),))
     outcomes = [
-        Executor(Site(draw((2, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)).run({0: Action.MOVE_RIGHT})[0]
+        Executor(PhysicsWorld(draw((2, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)).run(
+            {0: Action.MOVE_RIGHT}
+        )[0]
         for machines in (weak, NOMINAL)
     ]
     assert all(outcome.succeeded for outcome in outcomes), outcomes
@@ -87,7 +89,7 @@ def test_a_car_with_weak_motors_drives_slower_and_arrives():
 def test_figures_for_another_number_of_cars_are_refused():
     machines = Machines(cars=(SmartcarParameters(), HEAVY, HEAVY))
     with pytest.raises(InputError, match="figures of 3 cars are given for a world with 1"):
-        Site(draw((1, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)
+        PhysicsWorld(draw((1, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)
 
 
 def test_a_scene_of_other_machines_is_written_with_its_meshes_in_one_file(tmp_path):
@@ -98,5 +100,5 @@ def test_a_scene_of_other_machines_is_written_with_its_meshes_in_one_file(tmp_pa
     path = write_mjcf(tmp_path / "site.xml", WorldSpec(grid, SimulationConfig(), machines).spec())
     assert list(tmp_path.iterdir()) == [path]
     model = mujoco.MjModel.from_xml_path(str(path))
-    assert model.nbody == Site(grid).model.nbody
+    assert model.nbody == PhysicsWorld(grid).model.nbody
     assert {model.mesh(i).name for i in range(model.nmesh)} >= {"car0/chassis", "car1/chassis", "block"}

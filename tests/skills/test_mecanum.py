@@ -61,10 +61,10 @@ def test_a_car_feels_by_its_motors_what_pushes_against_it_and_what_it_carries(ma
     free = measure(make_site((1, 1, 1), [(0, 0, 1, 0)]), 0)
     felt = CAR.felt_forces(free, (0.0, 0.0, 0.0, 0.0))
     np.testing.assert_allclose([*felt.wheels_n, *felt.wrench, felt.board_n], 0.0, atol=0.05)
-    site = make_site((1, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
+    physics = make_site((1, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
     for _ in range(50):
-        site.advance()
-    carried_n = CAR.felt_forces(measure(site, 0), (0.0,) * 4).board_n
+        physics.advance()
+    carried_n = CAR.felt_forces(measure(physics, 0), (0.0,) * 4).board_n
     # The screw's friction takes its share of the weight.
     assert abs(carried_n - NOMINAL.block.mass_kg * 9.81) < SMARTCAR.screw_friction_n
     # Held at a wall, while its wheels are commanded to turn: as much as the motors give, less what gears take.

@@ -111,9 +111,9 @@ ACTIONS = {
 @pytest.mark.parametrize(("action", "own", "objects"), ACTIONS.values(), ids=ACTIONS)
 def test_a_skill_that_is_stepped_in_python_does_what_the_compiled_loop_does(make_site, action, own, objects):
     def run(skills):
-        site = make_site((3, 3, 2), [(1, 1, 1, 0)], objects)
-        outcome = Executor(site, skills=skills).run({0: action})[0]
-        return outcome, site.data.qpos.copy()
+        physics = make_site((3, 3, 2), [(1, 1, 1, 0)], objects)
+        outcome = Executor(physics, skills=skills).run({0: action})[0]
+        return outcome, physics.data.qpos.copy()
 
     outcome, qpos = run(None)
     own_outcome, own_qpos = run({action: own})
@@ -123,17 +123,17 @@ def test_a_skill_that_is_stepped_in_python_does_what_the_compiled_loop_does(make
 
 
 def test_a_skill_of_ones_own_runs_beside_compiled_ones(make_site):
-    site = make_site((3, 2, 1), [(0, 0, 1, 0), (0, 1, 1, 0)])
-    outcomes = Executor(site, FAST, skills=CHOICE).run({0: Action.LIFT, 1: Action.MOVE_RIGHT})
+    physics = make_site((3, 2, 1), [(0, 0, 1, 0), (0, 1, 1, 0)])
+    outcomes = Executor(physics, FAST, skills=CHOICE).run({0: Action.LIFT, 1: Action.MOVE_RIGHT})
     assert (outcomes[0].reason, outcomes[0].detail) == (Reason.BLOCKED, "enough")
     assert outcomes[0].duration_s == pytest.approx(0.22)
     assert outcomes[1].succeeded
-    assert 0.003 < measure(site, 0).board_m < 0.005
+    assert 0.003 < measure(physics, 0).board_m < 0.005
 
 
 def test_one_car_may_have_another_skill_than_the_others(make_site):
-    site = make_site((2, 2, 1), [(0, 0, 1, 0), (0, 1, 1, 0), (1, 0, 1, 0)])
-    executor = Executor(site, FAST, skills={Action.LIFT: Endless, 1: CHOICE})
+    physics = make_site((2, 2, 1), [(0, 0, 1, 0), (0, 1, 1, 0), (1, 0, 1, 0)])
+    executor = Executor(physics, FAST, skills={Action.LIFT: Endless, 1: CHOICE})
     outcomes = executor.run(dict.fromkeys(range(3), Action.LIFT))
     assert [outcomes[car].reason for car in range(3)] == [Reason.TIMEOUT, Reason.BLOCKED, Reason.TIMEOUT]
 
@@ -163,11 +163,11 @@ def test_a_skill_of_ones_own_is_stopped_on_nonsense(make_site, monkeypatch):
     [(Endless, Reason.TIMEOUT, "within 0.3 s"), (Nonsense, Reason.DIVERGED, "not finite")],
 )
 def test_a_skill_that_never_ends_or_commands_nan_has_failed(make_site, kind, reason, says):
-    site = make_site((1, 1, 1), [(0, 0, 1, 0)])
-    outcome = Executor(site, FAST, skills={Action.LIFT: kind}).run({0: Action.LIFT})[0]
+    physics = make_site((1, 1, 1), [(0, 0, 1, 0)])
+    outcome = Executor(physics, FAST, skills={Action.LIFT: kind}).run({0: Action.LIFT})[0]
     assert outcome.reason is reason
     assert says in outcome.detail
-    assert np.isfinite(site.data.ctrl).all()
+    assert np.isfinite(physics.data.ctrl).all()
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_the_public_names_are_there():
 def test_an_environment_and_the_judge_take_skills_of_ones_own():
     env = craftsim.parallel_env("strip", backend="physics", skills=CHOICE)
     env.reset(seed=0)
-    assert env.unwrapped.core.backend.checked.executor._performers[0][Action.LIFT] is Nod
+    assert env.unwrapped.core.backend.judge.executor._performers[0][Action.LIFT] is Nod
     with pytest.raises(InputError, match="grid backend"):
         craftsim.parallel_env("strip", backend="grid", skills=CHOICE)
     with pytest.raises(InputError, match="no car 5"):
@@ -241,7 +241,7 @@ def test_an_environment_and_the_judge_take_skills_of_ones_own():
     grid = craftsim.Grid.empty((1, 1, 2), 1)
     grid.kind[0, 0, 1] = Kind.BLOCK
     grid.derive_marks()
-    attempt = craftsim.perform(craftsim.Site(grid), 0, Action.LIFT, gains=FAST, skills=CHOICE)
+    attempt = craftsim.perform(craftsim.PhysicsWorld(grid), 0, Action.LIFT, gains=FAST, skills=CHOICE)
     assert not attempt.agrees
     assert "enough" in attempt.reason
 

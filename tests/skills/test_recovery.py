@@ -24,23 +24,23 @@ TWICE = replace(FAST, uneven=CAREFUL, recovery=RecoveryGains(2.0))
 GONE_M = 20.0
 
 
-def _weaken_wheels(site):
-    for actuator in site.cars[0].wheel_actuators:
-        site.model.actuator_forcerange[actuator] = [-1.2, 1.2]
+def _weaken_wheels(physics):
+    for actuator in physics.cars[0].wheel_actuators:
+        physics.model.actuator_forcerange[actuator] = [-1.2, 1.2]
 
 
 @pytest.fixture
 def blocked(make_site):
     """Two cars, the second in the first one's way."""
-    site = make_site((2, 1, 1), [(0, 0, 1, 0), (1, 0, 1, 0)])
-    _weaken_wheels(site)
-    return site
+    physics = make_site((2, 1, 1), [(0, 0, 1, 0), (1, 0, 1, 0)])
+    _weaken_wheels(physics)
+    return physics
 
 
 def _leaves_at(time_s):
-    def hand(site):
-        if site.time_s > time_s:
-            site.data.qpos[site.cars[1].base.qpos] = GONE_M
+    def hand(physics):
+        if physics.time_s > time_s:
+            physics.data.qpos[physics.cars[1].base.qpos] = GONE_M
 
     return hand
 
@@ -60,7 +60,7 @@ def test_a_car_that_fails_again_says_why_and_how_often_it_tried(blocked):
 
 def test_a_car_goes_back_to_where_it_began_before_it_tries_again(blocked):
     executor, ways = Executor(blocked, TWICE), []
-    executor.observers.append(lambda site: ways.append(measure(site, 0).x - 0.5 * CELL_PITCH_M))
+    executor.observers.append(lambda physics: ways.append(measure(physics, 0).x - 0.5 * CELL_PITCH_M))
     executor.run({0: Action.MOVE_RIGHT})
     forth = next(i for i, way in enumerate(ways) if way > 0.05)
     back = next(i for i in range(forth, len(ways)) if ways[i] < 0.002)
@@ -73,8 +73,8 @@ def test_a_single_try_is_all_that_fast_gains_give(blocked):
 
 
 def test_lifting_nothing_is_tried_again_with_the_board_lowered_in_between(make_site):
-    site, heights = make_site((1, 1, 2), [(0, 0, 1, 0)]), []
-    executor = Executor(site, TWICE, lambda site: heights.append(measure(site, 0).board_m))
+    physics, heights = make_site((1, 1, 2), [(0, 0, 1, 0)]), []
+    executor = Executor(physics, TWICE, lambda physics: heights.append(measure(physics, 0).board_m))
     outcome = executor.run({0: Action.LIFT})[0]
     assert (outcome.reason, outcome.tries) == (Reason.LOAD_LOST, 2)
     up = [height > 0.04 for height in heights]
@@ -83,12 +83,12 @@ def test_lifting_nothing_is_tried_again_with_the_board_lowered_in_between(make_s
 
 
 def test_a_load_that_is_lost_on_the_way_is_not_tried_again(make_site):
-    site = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
+    physics = make_site((3, 1, 2), [(0, 0, 1, 0, Kind.BLOCK)])
 
-    def hand(site):
-        site.data.qpos[site.blocks[0].qpos] = GONE_M
+    def hand(physics):
+        physics.data.qpos[physics.blocks[0].qpos] = GONE_M
 
-    outcome = Executor(site, TWICE, hand).run({0: Action.MOVE_RIGHT})[0]
+    outcome = Executor(physics, TWICE, hand).run({0: Action.MOVE_RIGHT})[0]
     assert (outcome.reason, outcome.tries) == (Reason.LOAD_LOST, 1)
 
 

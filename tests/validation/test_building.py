@@ -96,9 +96,9 @@ class _Built:
     def __init__(self, building: Building, order="sequential", setup=None, seed=0):
         worlds = []
 
-        def watch(checked):
-            worlds.append(checked)
-            return unwatched(checked)
+        def watch(judge):
+            worlds.append(judge)
+            return unwatched(judge)
 
         self.building = building.run(setup or Setup(), seed, order, watch)
         self.reading = worlds[0].reading
@@ -190,9 +190,9 @@ def test_a_plan_that_does_not_build_the_goal_does_not_reach_it():
 
 def test_a_car_that_fails_is_named_with_the_steps_that_never_ran(monkeypatch):
     class Weak(setup.Executor):
-        def __init__(self, site, *args, **kwargs):
-            super().__init__(site, *args, **kwargs)
-            site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+        def __init__(self, physics, *args, **kwargs):
+            super().__init__(physics, *args, **kwargs)
+            physics.model.actuator_forcerange[physics.cars[0].wheel_actuators] = 0.0
 
     monkeypatch.setattr(setup, "Executor", Weak)
     building = _Built(read("strip"), "concurrent").building

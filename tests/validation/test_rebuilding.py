@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import SEED_0, set_up, setup_of
 from craftsim.cli import main
 from craftsim.discrete.files.blueprint import write_blueprint
@@ -41,30 +41,30 @@ def _task(*cells):
     return replace(STRIP, design=design, success="built")
 
 
-def _disturbed(grid, kind, start_s=0.0) -> CheckedSite:
+def _disturbed(grid, kind, start_s=0.0) -> Judge:
     return set_up(grid, replace(SETUP, disturbance=Disturbance(kind, start_s)))
 
 
 def test_a_shoved_block_is_pushed_over_the_floor_to_the_next_cell_and_left_there():
-    checked = _disturbed(_world([(2, 1, 1)], [(4, 2)], (5, 3, 1)), "shove")
+    judge = _disturbed(_world([(2, 1, 1)], [(4, 2)], (5, 3, 1)), "shove")
     places = []
     for _ in range(150):
-        checked.executor.advance()
-        places.append(checked._poses.read().positions[0].copy())
+        judge.executor.advance()
+        places.append(judge._poses.read().positions[0].copy())
     way = places[-1][:2] - (np.array([2, 1]) + 0.5) * CELL_PITCH_M
     assert np.linalg.norm(way) == pytest.approx(CELL_PITCH_M, abs=0.02)
     # No jump: the fastest of it is what a hand does.
     steps = np.linalg.norm(np.diff(np.array(places), axis=0), axis=1)
     assert 0 < steps.max() < 0.03
-    assert "is shoved from (2, 1, 1)" in checked.executor.fleet.happened
-    assert not checked.site.data.xfrc_applied.any()
+    assert "is shoved from (2, 1, 1)" in judge.executor.fleet.happened
+    assert not judge.physics.data.xfrc_applied.any()
 
 
 def test_a_block_is_not_shoved_while_a_car_is_near():
-    checked = _disturbed(_world([(2, 1, 1)], [(2, 0)]), "shove")
+    judge = _disturbed(_world([(2, 1, 1)], [(2, 0)]), "shove")
     for _ in range(50):
-        checked.executor.advance()
-    assert not checked.executor.fleet.happened
+        judge.executor.advance()
+    assert not judge.executor.fleet.happened
 
 
 def test_after_a_failure_nothing_begins_any_more_if_a_plan_is_followed_until_something_is_wrong():
@@ -81,17 +81,17 @@ def test_after_a_failure_nothing_begins_any_more_if_a_plan_is_followed_until_som
 
 
 def test_cars_out_of_action_are_walls_and_plans_name_the_cars_of_the_real_world():
-    checked = set_up(_world([(1, 1, 1)], [(2, 0), (4, 2)]), SETUP)
-    seen = Without.of(checked, _task((3, 1, 1)), [0])
+    judge = set_up(_world([(1, 1, 1)], [(2, 0), (4, 2)]), SETUP)
+    seen = Without.of(judge, _task((3, 1, 1)), [0])
     assert seen.grid.kind[2, 0, 1] == Kind.WALL
     assert seen.grid.n_cars == 1
     assert seen.in_real_numbers([[(0, Action.LIFT)]]) == [[(1, Action.LIFT)]]
 
 
 def test_what_stands_where_a_car_is_out_of_action_stays_if_the_design_has_it_there():
-    checked = set_up(_world([(2, 0, 1)], [(2, 0), (4, 2)]), SETUP, SEED_0)
-    assert Without.of(checked, _task((2, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.BLOCK
-    assert Without.of(checked, _task((3, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.WALL
+    judge = set_up(_world([(2, 0, 1)], [(2, 0), (4, 2)]), SETUP, SEED_0)
+    assert Without.of(judge, _task((2, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.BLOCK
+    assert Without.of(judge, _task((3, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.WALL
 
 
 def _build(out, start, goal, *words):

@@ -1,10 +1,10 @@
-"""Nothing but mj_step changes a Site between its reset and its end, watched in a campaign of random worlds."""
+"""Nothing but mj_step changes a PhysicsWorld between its reset and its end, watched in a campaign of random worlds."""
 
 import mujoco
 import numpy as np
 
 import craftsim
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 
 
 class Watch:
@@ -25,18 +25,18 @@ class Watch:
 
         monkeypatch.setattr(mujoco, "mj_step", watched)
         for name in ("reset", "restore"):
-            monkeypatch.setattr(Site, name, self._forgetting(getattr(Site, name)))
+            monkeypatch.setattr(PhysicsWorld, name, self._forgetting(getattr(PhysicsWorld, name)))
 
     @staticmethod
     def _state(data) -> np.ndarray:
         return np.concatenate([data.qpos, data.qvel])
 
     def _forgetting(self, write):
-        def wrapped(site, *args):
-            self._left.pop(id(site.data), None)
+        def wrapped(physics, *args):
+            self._left.pop(id(physics.data), None)
             # A reset steps once it has written, before it returns: what it leaves counts from there.
-            write(site, *args)
-            self._left[id(site.data)] = self._state(site.data)
+            write(physics, *args)
+            self._left[id(physics.data)] = self._state(physics.data)
 
         return wrapped
 
@@ -51,9 +51,9 @@ def test_no_campaign_writes_positions_or_velocities_between_steps(monkeypatch):
 
 def test_the_watch_sees_a_write(monkeypatch):
     watch = Watch(monkeypatch)
-    site = Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
-    site.advance()
+    physics = PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+    physics.advance()
     assert watch.changed == 0
-    site.data.qvel[0] += 1e-9
-    site.advance()
+    physics.data.qvel[0] += 1e-9
+    physics.advance()
     assert watch.changed == 1

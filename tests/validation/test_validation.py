@@ -105,9 +105,9 @@ def test_what_the_rules_forbid_is_not_tried_and_named_with_rule_and_cells():
 
 def test_a_failing_car_stops_what_depends_on_it_and_nothing_else(monkeypatch):
     class Weak(setup.Executor):
-        def __init__(self, site, *args, **kwargs):
-            super().__init__(site, *args, **kwargs)
-            site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+        def __init__(self, physics, *args, **kwargs):
+            super().__init__(physics, *args, **kwargs)
+            physics.model.actuator_forcerange[physics.cars[0].wheel_actuators] = 0.0
 
     monkeypatch.setattr(setup, "Executor", Weak)
     result = validate(GRID, plan=MOVES, order="concurrent")
@@ -178,9 +178,9 @@ def test_the_start_is_not_changed():
 
 def test_an_observer_of_ones_own_sees_every_control_period_of_a_plan_and_of_a_policy():
     times: list[float] = []
-    validate("strip", observers=[lambda site: times.append(site.time_s)])
+    validate("strip", observers=[lambda physics: times.append(physics.time_s)])
     assert len(times) > 400
     assert all(later > earlier for earlier, later in pairwise(times))
     times.clear()
-    validate("strip", policy="random", observers=[lambda site: times.append(site.time_s)])
+    validate("strip", policy="random", observers=[lambda physics: times.append(physics.time_s)])
     assert len(times) > 400

@@ -60,12 +60,12 @@ class Signals:
     @classmethod
     def of(cls, trajectory: Trajectory) -> Signals:
         """Return what a trajectory has to show; raises InputError where this version makes another world of it."""
-        site, story = trajectory.site, trajectory.story
+        physics, story = trajectory.physics, trajectory.story
         return cls(
             trajectory,
             trajectory.time,
-            tuple(_car(trajectory, car) for car in range(len(site.cars))),
-            tuple(trajectory.qpos[:, slope.hinge.qpos] for slope in site.slopes),
+            tuple(_car(trajectory, car) for car in range(len(physics.cars))),
+            tuple(trajectory.qpos[:, slope.hinge.qpos] for slope in physics.slopes),
             _finite(trajectory.contact),
             story.recipe.setup.thresholds.force * impact_limit_n(story.recipe.setup.machines),
             trajectory.wanted,
@@ -94,7 +94,7 @@ def end_s(attempt: Attempt) -> float:
 
 
 def _car(trajectory: Trajectory, number: int) -> CarSignals:
-    car = trajectory.site.cars[number]
+    car = trajectory.physics.cars[number]
     forces = _finite(trajectory.force)
     torque, board = forces[:, car.wheel_actuators], forces[:, car.board.actuator]
     # MuJoCo works out no forces of what sleeps; an awake car's are never all exactly zero.

@@ -1,4 +1,4 @@
-"""Viewing what runs: an observer that shows Sites in the browser while they move."""
+"""Viewing what runs: an observer that shows physics worlds in the browser while they move."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from types import TracebackType
 from typing import Self
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.discrete.grid import Cell
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.errors import InputError, suggestion
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
 from craftsim.rendering.viewer.moment import live
 from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Controls, ViewerPage
@@ -21,15 +21,15 @@ from craftsim.rendering.viewer.scene import MARK
 
 
 class LiveView(Controls):
-    """Shows a Site in the browser; an observer, to be called after every control period.
+    """Shows a PhysicsWorld in the browser; an observer, to be called after every control period.
 
     It looks, and changes nothing. People may pause what runs, and slow it down.
 
     Example:
         >>> import craftsim
-        >>> site = craftsim.Site(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> physics = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
         >>> with craftsim.LiveView(port=0) as view:
-        ...     outcome = craftsim.Executor(site, observer=view).run({0: craftsim.Action.ROTATE_LEFT})
+        ...     outcome = craftsim.Executor(physics, observer=view).run({0: craftsim.Action.ROTATE_LEFT})
         >>> view.address.startswith("http://127.0.0.1:")
         True
     """
@@ -59,8 +59,8 @@ class LiveView(Controls):
         """What to type into a browser on this machine."""
         self.page = ViewerPage(server, speed)
         self.page.controls = self
-        self._site: Site | None = None
-        self._checked: CheckedSite | None = None
+        self._physics: PhysicsWorld | None = None
+        self._judge: Judge | None = None
         self._attempts: Callable[[], Sequence[Attempt]] = tuple
         self._running: dict[int, ScheduledAction] = {}
         self._playing = True
@@ -78,49 +78,49 @@ class LiveView(Controls):
 
     def follow(
         self,
-        checked: CheckedSite,
+        judge: Judge,
         title: str = "",
         goals: Sequence[Cell] = (),
         attempts: Callable[[], Sequence[Attempt]] = tuple,
     ) -> None:
-        """Show a judged Site from now on, with what its cars do.
+        """Show a judged PhysicsWorld from now on, with what its cars do.
 
         Args:
-            checked: the judge on the Site; it calls this view from now on.
+            judge: the judge on the PhysicsWorld; it calls this view from now on.
             title: stands above the page.
             goals: cells to mark.
             attempts: returns those that were judged so far.
         """
-        self._checked, self._attempts, self._running = checked, attempts, {}
-        before = checked.on_change
+        self._judge, self._attempts, self._running = judge, attempts, {}
+        before = judge.on_change
 
         def change(running: dict[int, ScheduledAction]) -> None:
             before(running)
             self._running = running
 
-        checked.on_change = change
-        checked.executor.observers.append(self)
-        self._begin(checked.site, title, goals)
-        self._show(checked.site)
+        judge.on_change = change
+        judge.executor.observers.append(self)
+        self._begin(judge.physics, title, goals)
+        self._show(judge.physics)
 
-    def __call__(self, site: Site) -> None:
-        """Show a Site as it is now, if it is time; wait where people want it slower, or paused."""
-        if site is not self._site:
-            self._checked, self._attempts, self._running = None, tuple, {}
-            self._begin(site, "", ())
+    def __call__(self, physics: PhysicsWorld) -> None:
+        """Show a PhysicsWorld as it is now, if it is time; wait where people want it slower, or paused."""
+        if physics is not self._physics:
+            self._judge, self._attempts, self._running = None, tuple, {}
+            self._begin(physics, "", ())
         speed = SPEEDS[self.page.speed.value]
         if time.monotonic() >= self._due_s:
             self._due_s = time.monotonic() + 1 / FRAMES_HZ
             self.page.attend()
-            self._show(site)
+            self._show(physics)
         while not self._playing:
             time.sleep(1 / FRAMES_HZ)
             if self.page.attend():
-                self._show(site)
-            self._pace(site.time_s)
-        if speed != self._speed or site.time_s < self._from_s:
-            self._pace(site.time_s)
-        ahead_s = self._then + (site.time_s - self._from_s) / speed - time.monotonic()
+                self._show(physics)
+            self._pace(physics.time_s)
+        if speed != self._speed or physics.time_s < self._from_s:
+            self._pace(physics.time_s)
+        ahead_s = self._then + (physics.time_s - self._from_s) / speed - time.monotonic()
         if ahead_s > 0:
             time.sleep(ahead_s)
 
@@ -145,16 +145,16 @@ class LiveView(Controls):
     ) -> None:
         self.close()
 
-    def _begin(self, site: Site, title: str, goals: Sequence[Cell]) -> None:
-        if site is not self._site:
-            self._site = site
-            self.page.show_world(title, site, dict.fromkeys(goals, MARK))
+    def _begin(self, physics: PhysicsWorld, title: str, goals: Sequence[Cell]) -> None:
+        if physics is not self._physics:
+            self._physics = physics
+            self.page.show_world(title, physics, dict.fromkeys(goals, MARK))
             self.page.offer((), None)
-        self._pace(site.time_s)
+        self._pace(physics.time_s)
 
-    def _show(self, site: Site) -> None:
-        moment = live(site, self._checked, self._running, self.judged)
-        self.page.show(site.data.qpos, moment, self.judged)
+    def _show(self, physics: PhysicsWorld) -> None:
+        moment = live(physics, self._judge, self._running, self.judged)
+        self.page.show(physics.data.qpos, moment, self.judged)
         self.page.show_playing(self._playing)
 
     def _pace(self, time_s: float) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.discrete.schedule import ScheduledAction
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.trajectory import Trajectory
 
 _SAME_S = 1e-6
@@ -58,7 +58,7 @@ def recorded(trajectory: Trajectory, sample: int) -> Moment:
     """Return what a trajectory knows of one of its samples."""
     time_s = float(trajectory.time[sample])
     cars = []
-    for car in range(len(trajectory.site.cars)):
+    for car in range(len(trajectory.physics.cars)):
         attempt = _last(trajectory.story.attempts, car, time_s)
         runs = attempt is not None and time_s < attempt.start_s + attempt.duration_s - _SAME_S
         x, y, heading = trajectory.measured[sample, car].tolist()
@@ -67,7 +67,7 @@ def recorded(trajectory: Trajectory, sample: int) -> Moment:
                 attempt.action if attempt is not None and runs else "",
                 _position(trajectory.pose(f"car {car}")[sample]),
                 (x, y, heading),
-                _motors(trajectory.site, trajectory.force[sample], car),
+                _motors(trajectory.physics, trajectory.force[sample], car),
                 attempt,
             )
         )
@@ -75,35 +75,35 @@ def recorded(trajectory: Trajectory, sample: int) -> Moment:
 
 
 def live(
-    site: Site,
-    checked: CheckedSite | None = None,
+    physics: PhysicsWorld,
+    judge: Judge | None = None,
     running: dict[int, ScheduledAction] | None = None,
     attempts: Sequence[Attempt] = (),
 ) -> Moment:
-    """Return what is known of a Site now.
+    """Return what is known of a PhysicsWorld now.
 
     Args:
-        site: the world.
-        checked: the judge on it, where there is one.
+        physics: the world.
+        judge: the judge on it, where there is one.
         running: the actions on their way, by car.
         attempts: those that have been judged.
     """
-    readings = None if checked is None else checked.executor.readings()
-    log = None if checked is None else checked.log
+    readings = None if judge is None else judge.executor.readings()
+    log = None if judge is None else judge.log
     cars = []
-    for car, machine in enumerate(site.cars):
+    for car, machine in enumerate(physics.cars):
         step = (running or {}).get(car)
         believed = None if readings is None else _believed(readings[car])
         cars.append(
             CarMoment(
                 "" if step is None else step.action.name,
-                _position(site.free_body_state(machine.base)[0]),
+                _position(physics.free_body_state(machine.base)[0]),
                 believed,
-                _motors(site, site.data.actuator_force, car),
-                _last(attempts, car, site.time_s),
+                _motors(physics, physics.data.actuator_force, car),
+                _last(attempts, car, physics.time_s),
             )
         )
-    return Moment(site.time_s, tuple(cars), np.nan if log is None else log.period_n)
+    return Moment(physics.time_s, tuple(cars), np.nan if log is None else log.period_n)
 
 
 def _last(attempts: Sequence[Attempt], car: int, time_s: float) -> Attempt | None:
@@ -122,8 +122,8 @@ def _position(numbers: NDArray[np.floating]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _motors(site: Site, force: NDArray[np.floating], car: int) -> tuple[Motor, ...]:
-    machine, model = site.cars[car], site.model
+def _motors(physics: PhysicsWorld, force: NDArray[np.floating], car: int) -> tuple[Motor, ...]:
+    machine, model = physics.cars[car], physics.model
     columns = [*machine.wheel_actuators.tolist(), machine.board.actuator]
     names = [model.actuator(column).name.split("/")[-1] for column in columns]
     limits = model.actuator_forcerange[columns, 1].tolist()

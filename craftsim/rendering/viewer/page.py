@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.grid import Cell
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.viewer.moment import Moment
 from craftsim.rendering.viewer.scene import BrowserScene
 from craftsim.rendering.viewer.words import car_html, list_html, title_html
@@ -134,11 +134,13 @@ class ViewerPage:
             self._pending.get()()
         return asked
 
-    def show_world(self, title: str, site: Site, marks: Mapping[Cell, float]) -> None:
+    def show_world(self, title: str, physics: PhysicsWorld, marks: Mapping[Cell, float]) -> None:
         """Show another world; ``marks`` as of :class:`BrowserScene`."""
         self._title.content = title_html(title)
-        self.scene = BrowserScene(self._server, site, marks, lambda car: self.ask(lambda: self.look_at(car)))
-        self._cars.options = tuple(str(car) for car in range(len(site.cars))) or ("0",)
+        self.scene = BrowserScene(
+            self._server, physics, marks, lambda car: self.ask(lambda: self.look_at(car))
+        )
+        self._cars.options = tuple(str(car) for car in range(len(physics.cars))) or ("0",)
         self.look_at(0)
 
     def look_at(self, car: int) -> None:

@@ -76,7 +76,9 @@ class RecordedView(Controls):
         trajectory = self._runs[name]()
         story, times_s = trajectory.story, (float(trajectory.time[0]), float(trajectory.time[-1]))
         marks = {goal.cell: 1.0 if goal.kind in WHOLE else MARK for goal in story.design}
-        self._page.show_world(story.title, trajectory.site, marks or dict.fromkeys(story.recipe.goals, MARK))
+        self._page.show_world(
+            story.title, trajectory.physics, marks or dict.fromkeys(story.recipe.goals, MARK)
+        )
         self._page.offer(tuple(self._runs), times_s)
         self.trajectory = trajectory
         self.playback = Transport.between(*times_s, (attempt.start_s for attempt in story.attempts))

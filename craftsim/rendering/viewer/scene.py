@@ -15,7 +15,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_positi
 from craftsim.discrete.grid import Cell
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.composition import ground_pose_and_size
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.painting import FLOOR_RGB, number_plate
 from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.viewer.shapes import floor_mesh, shapes_of
@@ -47,20 +47,24 @@ def _pick(on_pick: Callable[[int], None], car: int, event: object) -> None:
 
 
 class BrowserScene:
-    """The meshes of a Site in the browsers of a server; it replaces the scene before."""
+    """The meshes of a PhysicsWorld in the browsers of a server; it replaces the scene before."""
 
     def __init__(
-        self, server: ViserServer, site: Site, marks: Mapping[Cell, float], on_pick: Callable[[int], None]
+        self,
+        server: ViserServer,
+        physics: PhysicsWorld,
+        marks: Mapping[Cell, float],
+        on_pick: Callable[[int], None],
     ) -> None:
         """Send the meshes.
 
         Args:
             server: of the page.
-            site: the world, which is looked at alone.
+            physics: the world, which is looked at alone.
             marks: cells to mark, such as those of a building that is to be put up, and how high in levels.
             on_pick: called with the number of a car that is clicked.
         """
-        self._server, self._posed = server, SeenWorld(site)
+        self._server, self._posed = server, SeenWorld(physics)
         self._model = self._posed.model
         self.nodes: dict[int, SceneNodeHandle] = {}
         """What moves, by the number of its body."""
@@ -70,8 +74,8 @@ class BrowserScene:
         with server.atomic():
             scene.reset()
             self._light()
-            self._add_ground(site.size)
-            self._add_machines(site, on_pick)
+            self._add_ground(physics.size)
+            self._add_machines(physics, on_pick)
             self._add_marks(marks)
         self._look_from_overview()
 
@@ -104,8 +108,10 @@ class BrowserScene:
         self._server.scene.add_box("/ground", FLOOR_RGB, extent, position=below, cast_shadow=False)
         self._server.scene.add_mesh_trimesh("/floor", floor_mesh(size), cast_shadow=False)
 
-    def _add_machines(self, site: Site, on_pick: Callable[[int], None]) -> None:
-        car_of = {int(self._model.dof_bodyid[car.base.dof]): number for number, car in enumerate(site.cars)}
+    def _add_machines(self, physics: PhysicsWorld, on_pick: Callable[[int], None]) -> None:
+        car_of = {
+            int(self._model.dof_bodyid[car.base.dof]): number for number, car in enumerate(physics.cars)
+        }
         for shape in shapes_of(self._model):
             name = self._model.body(shape.body).name
             node = self._server.scene.add_mesh_trimesh(f"/machines/{name}", shape.mesh, receive_shadow=False)
@@ -116,7 +122,7 @@ class BrowserScene:
                 continue
             car = car_of[root]
             if name.endswith("/board"):
-                self._add_plate(f"/machines/{name}/plate", car, site.machines.car(car))
+                self._add_plate(f"/machines/{name}/plate", car, physics.machines.car(car))
             node.on_click(partial(_pick, on_pick, car))
             if shape.body == root:
                 self._server.scene.add_label(

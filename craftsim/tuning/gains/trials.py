@@ -17,7 +17,7 @@ from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, StartError
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.tuning.gains.knobs import Subject
 from craftsim.tuning.gains.situations import situations
 from craftsim.validation.campaign import Done, Form
@@ -92,12 +92,12 @@ def _try(job: Job, block: int, number: int) -> TriedAction | None:
     setup = job.setup
     world, grid, action = _world(job.subject, number, job.seed, block, replace(setup, gains=Setup().gains))
     try:
-        checked = set_up(grid, setup, Seed((job.seed, block, number)), reuse=world)
+        judge = set_up(grid, setup, Seed((job.seed, block, number)), reuse=world)
     except StartError:
         return None
-    meter = _Meter(checked.site)
-    checked.executor.observers.append(meter.note)
-    attempt = checked.perform(0, action)
+    meter = _Meter(judge.physics)
+    judge.executor.observers.append(meter.note)
+    attempt = judge.perform(0, action)
     own, all_of_it = shares(attempt, setup.thresholds)
     return TriedAction(
         situations(job.subject)[number].id,
@@ -112,7 +112,9 @@ def _try(job: Job, block: int, number: int) -> TriedAction | None:
 
 
 @lru_cache(maxsize=WORLDS_KEPT)
-def _world(subject: Subject, number: int, seed: int, block: int, setup: Setup) -> tuple[Site, Grid, Action]:
+def _world(
+    subject: Subject, number: int, seed: int, block: int, setup: Setup
+) -> tuple[PhysicsWorld, Grid, Action]:
     """Return the compiled world of a situation, its grid, and the action; gains have no part in it."""
     from craftsim.validation.contexts.survey import make_world
 
@@ -140,16 +142,18 @@ def _worst(measured: Iterable[tuple[float, float]]) -> float:
 
 
 class _Meter:
-    """Adds up the work of the motors of a Site."""
+    """Adds up the work of the motors of a PhysicsWorld."""
 
-    def __init__(self, site: Site) -> None:
-        motors = [int(motor) for car in site.cars for motor in car.wheel_actuators]
-        motors += [car.board.actuator for car in site.cars] + [slope.hinge.actuator for slope in site.slopes]
+    def __init__(self, physics: PhysicsWorld) -> None:
+        motors = [int(motor) for car in physics.cars for motor in car.wheel_actuators]
+        motors += [car.board.actuator for car in physics.cars] + [
+            slope.hinge.actuator for slope in physics.slopes
+        ]
         self._motors = np.array(motors, np.intp)
-        self._period_s = site.config.control_period_s
+        self._period_s = physics.config.control_period_s
         self.work_j = 0.0
 
-    def note(self, site: Site) -> None:
+    def note(self, physics: PhysicsWorld) -> None:
         """Add the work of a control period."""
-        force, speed = site.data.actuator_force[self._motors], site.data.actuator_velocity[self._motors]
+        force, speed = physics.data.actuator_force[self._motors], physics.data.actuator_velocity[self._motors]
         self.work_j += float(np.abs(force * speed).sum()) * self._period_s

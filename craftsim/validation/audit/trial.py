@@ -16,7 +16,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.validation.audit.intended import intended
 from craftsim.validation.audit.rows import Row, Situation, action_in, distribute_trials, world_of
 from craftsim.validation.audit.scenes import Scene
@@ -67,13 +67,13 @@ def try_it(trial: Trial | None) -> Done:
     if problems:
         return Done(agrees=True, extra={"does_not_stand": list(problems)})
     recipe = recipe_of(trial)
-    attempts = do(run_up(recipe, site_of(trial)), recipe.steps[-1])
+    attempts = do(run_up(recipe, physics_of(trial)), recipe.steps[-1])
     return Done(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
 
 
-def site_of(trial: Trial) -> Site:
-    """Return the Site of a trial's situation, which its other trials use again."""
-    return _site(trial.situation, trial.legal, trial.seed, trial.setup)
+def physics_of(trial: Trial) -> PhysicsWorld:
+    """Return the PhysicsWorld of a trial's situation, which its other trials use again."""
+    return _physics(trial.situation, trial.legal, trial.seed, trial.setup)
 
 
 def why_not_standing(trial: Trial) -> tuple[str, ...]:
@@ -100,7 +100,7 @@ def _start(situation: Situation, legal: bool, seed: int, rules: RuleSet) -> tupl
 
 
 @lru_cache(maxsize=1)
-def _site(situation: Situation, legal: bool, seed: int, setup: Setup) -> Site:
+def _physics(situation: Situation, legal: bool, seed: int, setup: Setup) -> PhysicsWorld:
     grid, _ = _world(situation, legal, seed, setup.rules)
     return compile_world(grid, setup)
 
@@ -108,7 +108,7 @@ def _site(situation: Situation, legal: bool, seed: int, setup: Setup) -> Site:
 @lru_cache(maxsize=1)
 def _problems(situation: Situation, legal: bool, seed: int, setup: Setup) -> tuple[str, ...]:
     grid, _ = _world(situation, legal, seed, setup.rules)
-    world = _site(situation, legal, seed, setup)
+    world = _physics(situation, legal, seed, setup)
     try:
         reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
     except StartError as error:

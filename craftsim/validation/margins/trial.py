@@ -13,7 +13,7 @@ from craftsim.checking.setup import Seed, Setup, compile_world, imperfect
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
 from craftsim.models.imperfection import Floor, Making
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.validation.margins.axes import Axis
 from craftsim.validation.margins.scenarios import Scenario
 
@@ -54,17 +54,17 @@ class Rig:
         recipe = self.recipe(number, levels)
         drawn = recipe.setup.randomization
         try:
-            checked = start(recipe, _site(self, drawn.floor, drawn.making))
+            judge = start(recipe, _physics(self, drawn.floor, drawn.making))
         except StartError as error:
             return TrialResult((), str(error))
         for step in recipe.steps:
-            attempts = do(checked, step)
+            attempts = do(judge, step)
         failed = next((attempt for attempt in attempts if not attempt.agrees), None)
         return TrialResult(attempts, "" if failed is None else f"{failed.result}: {failed.reason}")
 
 
 @lru_cache(maxsize=2)
-def _site(rig: Rig, floor: Floor, making: Making) -> Site:
+def _physics(rig: Rig, floor: Floor, making: Making) -> PhysicsWorld:
     """Return the compiled world of a rig, which all trials on the same kind of floor use again."""
     recipe = rig.recipe(0)
     drawn = replace(recipe.setup.randomization, floor=floor, making=making)

@@ -16,12 +16,12 @@ import numpy as np
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, check_recipe, do, run_up
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.errors import InputError
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.report import versions
 from craftsim.skills.library import check_known
 from craftsim.storage import limits
@@ -86,16 +86,16 @@ class Recorded:
 _SCHEMA: Final = Schema(Bundle)
 
 
-def state_of(site: Site) -> Arrays:
-    """Return copies of all that decides how a Site goes on, that MuJoCo's state vector leaves out included."""
+def state_of(physics: PhysicsWorld) -> Arrays:
+    """Return copies of all that decides how a PhysicsWorld goes on, that MuJoCo's state vector leaves out included."""
     names = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "tree_asleep")
-    state = {name: np.array(getattr(site.data, name)) for name in names}
-    return state | {"sleep_policy": site.model.tree_sleep_policy.copy()}
+    state = {name: np.array(getattr(physics.data, name)) for name in names}
+    return state | {"sleep_policy": physics.model.tree_sleep_policy.copy()}
 
 
-def physics_of(site: Site) -> Arrays:
-    """Return copies of the figures of a Site that randomised physics draws."""
-    return {name: array.copy() for name, array in vars(site.baseline).items()}
+def physics_of(physics: PhysicsWorld) -> Arrays:
+    """Return copies of the figures of a PhysicsWorld that randomised physics draws."""
+    return {name: array.copy() for name, array in vars(physics.baseline).items()}
 
 
 def write_bundle(
@@ -114,9 +114,9 @@ def write_bundle(
         InputError: the folder cannot be written.
         ReplayError: the last step came out otherwise.
     """
-    checked = run_up(recipe)
-    before, start_s = state_of(checked.site), checked.site.time_s
-    again = do(checked, recipe.steps[-1])
+    judge = run_up(recipe)
+    before, start_s = state_of(judge.physics), judge.physics.time_s
+    again = do(judge, recipe.steps[-1])
     if attempts is not None and attempts != again:
         raise ReplayError(f"{key} came out otherwise when it was re-run: {again} for {attempts}")
     bundle = Bundle(
@@ -126,11 +126,11 @@ def write_bundle(
         recipe=recipe,
         attempts=again,
         start_s=start_s,
-        end_s=checked.site.time_s,
+        end_s=judge.physics.time_s,
     )
     directory_within(folder.parent, folder.name)
     try:
-        _write(folder, bundle, checked, before)
+        _write(folder, bundle, judge, before)
     except OSError as error:
         raise InputError(f"cannot write the replay bundle {folder}: {error.strerror}") from error
     return bundle
@@ -140,20 +140,20 @@ class ReplayError(RuntimeError):
     """Something came out otherwise when it was re-run, on the same machine and version."""
 
 
-def _write(folder: Path, bundle: Bundle, checked: CheckedSite, before: Arrays) -> None:
+def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
     for name in (TEXT, FILM, TRAJECTORY):
         (folder / name).unlink(missing_ok=True)
     for name, arrays in (
-        (PHYSICS, physics_of(checked.site)),
+        (PHYSICS, physics_of(judge.physics)),
         (BEFORE, before),
-        (AFTER, state_of(checked.site)),
+        (AFTER, state_of(judge.physics)),
     ):
         # In memory first, for a zip archive cannot be closed on a full disk.
         archive = io.BytesIO()
         np.savez_compressed(archive, allow_pickle=False, **arrays)
         write_whole(folder / name, archive.getvalue())
-    assert checked.log is not None
-    checked.log.write(folder / CONTACTS)
+    assert judge.log is not None
+    judge.log.write(folder / CONTACTS)
     recipe = bundle.recipe
     config = recipe.setup.simulation or SimulationConfig.of(recipe.setup.machines.drive)
     world = WorldSpec(recipe.grid, config, recipe.setup.machines, recipe.goals)

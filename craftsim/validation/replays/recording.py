@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.validation.replays.bundle import Recorded
@@ -29,11 +29,11 @@ def record_bundle(recorded: Recorded) -> tuple[Replay, Trajectory]:
     after_s = max(_AFTER * span_s, CLIP_S - span_s)
 
     @contextmanager
-    def watch(checked: CheckedSite) -> Iterator[None]:
-        recorder.begin(checked)
+    def watch(judge: Judge) -> Iterator[None]:
+        recorder.begin(judge)
         yield
-        for _ in range(math.ceil(after_s / checked.site.config.control_period_s)):
-            checked.executor.advance()
+        for _ in range(math.ceil(after_s / judge.physics.config.control_period_s)):
+            judge.executor.advance()
 
     result = replay(recorded, watch)
     return result, recorder.trajectory(recorded.bundle.key, recorded.bundle.recipe, result.attempts)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import do, limit_time, start
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.errors import InputError
 from craftsim.report import versions
 from craftsim.skills.executor import Observer
@@ -35,7 +35,7 @@ POSITION_M: Final = 0.002
 """How far poses may be apart with other versions: what a finer time step changes at most."""
 ANGLE_RAD: Final = 0.01
 
-Watch = Callable[[CheckedSite], AbstractContextManager[Observer | None]]
+Watch = Callable[[Judge], AbstractContextManager[Observer | None]]
 """Opens what watches the last step, on the world that stands before it."""
 
 
@@ -63,7 +63,7 @@ class Replay:
         return self.same_results and self.position_m <= POSITION_M and self.angle_rad <= ANGLE_RAD
 
 
-def unwatched(checked: CheckedSite) -> AbstractContextManager[None]:
+def unwatched(judge: Judge) -> AbstractContextManager[None]:
     """Watch nothing."""
     return nullcontext()
 
@@ -76,30 +76,30 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
     """
     bundle = recorded.bundle
     try:
-        checked = start(bundle.recipe)
+        judge = start(bundle.recipe)
     except InputError as error:
         raise InputError(f"{recorded.folder / TEXT}: {error}") from error
-    site = checked.site
-    physics = physics_of(site)
-    _check_shapes(recorded.folder / PHYSICS, recorded.physics, physics)
+    physics = judge.physics
+    drawn = physics_of(physics)
+    _check_shapes(recorded.folder / PHYSICS, recorded.physics, drawn)
     for file, array in ((BEFORE, recorded.before), (AFTER, recorded.after)):
-        _check_shapes(recorded.folder / file, array, state_of(site))
+        _check_shapes(recorded.folder / file, array, state_of(physics))
     limit_time(
-        checked,
+        judge,
         bundle.most_s,
         f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,",
     )
     for step in bundle.recipe.steps[:-1]:
-        do(checked, step)
-    before = state_of(site)
-    with watch(checked) as observer:
+        do(judge, step)
+    before = state_of(physics)
+    with watch(judge) as observer:
         if observer is not None:
-            checked.executor.observers.append(observer)
-        attempts = do(checked, bundle.recipe.steps[-1])
-        after = state_of(site)  # who watches may let it go on
+            judge.executor.observers.append(observer)
+        attempts = do(judge, bundle.recipe.steps[-1])
+        after = state_of(physics)  # who watches may let it go on
     differing: list[str] = []
     for name, was, now in (
-        (PHYSICS, recorded.physics, physics),
+        (PHYSICS, recorded.physics, drawn),
         (BEFORE, recorded.before, before),
         (AFTER, recorded.after, after),
     ):
@@ -108,7 +108,7 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
         differing.append("start_s and end_s")
     if bundle.attempts != attempts:
         differing.append("the attempts")
-    position_m, angle_rad = _apart(site.model, recorded.after["qpos"], after["qpos"])
+    position_m, angle_rad = _apart(physics.model, recorded.after["qpos"], after["qpos"])
     return Replay(
         changed=_changed(bundle.versions),
         differing=tuple(differing),

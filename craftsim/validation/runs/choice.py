@@ -19,7 +19,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.library import check_cars
 from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable
@@ -113,7 +113,7 @@ def check_starts(subjects: Sequence[Subject], setup: Setup, seed: int) -> None:
             check_cars(setup.skills, subject.n_cars)
         if not isinstance(world, RandomWorlds) and world not in TASK_NAMES:
             start = as_task(world).draw(np.random.default_rng(seed))
-            check_start(Site(start, setup.simulation, machines=setup.machines))
+            check_start(PhysicsWorld(start, setup.simulation, machines=setup.machines))
 
 
 def plan_pilot(plan: Path | Plan, subject: Subject, order: PlanOrder) -> Pilot:

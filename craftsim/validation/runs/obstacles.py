@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kinds import Action
@@ -30,18 +30,18 @@ class Without:
     """The numbers, in the real world, of the cars that act."""
 
     @classmethod
-    def of(cls, checked: CheckedSite, task: Task, out: Iterable[int]) -> Without:
+    def of(cls, judge: Judge, task: Task, out: Iterable[int]) -> Without:
         """Return the world as it was read last without the cars that are out of action.
 
         What stands where one of them is stays if the design has it there: it bears what comes upon it.
         """
-        real, gone = checked.grid, sorted(out)
+        real, gone = judge.grid, sorted(out)
         acting = tuple(car for car in range(real.n_cars) if car not in gone)
         grid = real.copy()
         grid.cars = real.cars[list(acting)]
-        walled = {cell for car in gone for cell in _cells(checked, car)}
+        walled = {cell for car in gone for cell in _cells(judge, car)}
         if task.design is not None:
-            walled -= {target.cell for target, hit in task.design.hits(real) if hit} - _unreadable(checked)
+            walled -= {target.cell for target, hit in task.design.hits(real) if hit} - _unreadable(judge)
         walled |= {cell for one in list(walled) for cell in _other_part(real, one)}
         for cell in walled:
             grid.kind[cell], grid.yaw[cell] = Kind.WALL, 0
@@ -53,31 +53,31 @@ class Without:
         return [[(self.cars[car], action) for car, action in joint] for joint in ticks]
 
 
-def stuck_with(checked: CheckedSite, out: Iterable[int]) -> Iterator[str]:
+def stuck_with(judge: Judge, out: Iterable[int]) -> Iterator[str]:
     """Yield the names of cars out of action, and of what they carry or stand under."""
     for car in out:
         yield f"car {car}"
-        cells = _cells(checked, car)
-        for index, placed in enumerate(checked.reading.objects):
+        cells = _cells(judge, car)
+        for index, placed in enumerate(judge.reading.objects):
             if placed.carrier == car or placed.cell in cells:
-                yield checked.poses.name(index)
+                yield judge.poses.name(index)
 
 
-def _unreadable(checked: CheckedSite) -> set[Cell]:
+def _unreadable(judge: Judge) -> set[Cell]:
     """Return the cells of what stands in them only nearly, such as a slope that is half open."""
-    names = {checked.poses.name(index): placed for index, placed in enumerate(checked.reading.objects)}
+    names = {judge.poses.name(index): placed for index, placed in enumerate(judge.reading.objects)}
     return {
         placed.cell
         for name, placed in names.items()
-        if any(text.startswith(f"{name} ") for text in checked.problems)
+        if any(text.startswith(f"{name} ") for text in judge.problems)
     }
 
 
-def _cells(checked: CheckedSite, car: int) -> set[Cell]:
+def _cells(judge: Judge, car: int) -> set[Cell]:
     """Return the cells that a car reaches into."""
-    grid = checked.grid
+    grid = judge.grid
     length, width, height = grid.size
-    x, y, _ = checked.poses.car_positions[car]
+    x, y, _ = judge.poses.car_positions[car]
     z = min(int(grid.cars[car, CarField.Z]), height)
     sides = [np.floor((at + np.array([-_HALF_M, _HALF_M])) / CELL_PITCH_M).astype(int) for at in (x, y)]
     cells = {(int(i), int(j), z) for i, j in product(*sides)}

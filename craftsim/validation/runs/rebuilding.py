@@ -11,7 +11,7 @@ import numpy as np
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Episode, OnAttempts, Recipe, Step, Watch, do
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, SetUp, Setup
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
@@ -65,7 +65,7 @@ def rebuild(
         asked: how often is planned, and what goes wrong.
         watch: who looks on.
         where: sets up the world.
-        observers: called with the Site after every control period.
+        observers: called with the PhysicsWorld after every control period.
 
     Raises NoPlanError where there is no plan from the start.
     """
@@ -75,11 +75,11 @@ def rebuild(
     if asked.disturb in ("shove", "dead-car"):
         setup = replace(setup, disturbance=Disturbance(asked.disturb, begin_s))
     recipe = Recipe(blueprint_text(grid), (), setup, seeds[0], tuple(task.goal_cells))
-    checked = where(grid, setup, seeds[0], recipe.goals)
-    checked.executor.observers.extend(observers)
-    work = _Work(task, checked, recipe, asked, watch(checked), seeds[1])
+    judge = where(grid, setup, seeds[0], recipe.goals)
+    judge.executor.observers.extend(observers)
+    work = _Work(task, judge, recipe, asked, watch(judge), seeds[1])
     ended, why = work.run(first)
-    fleet = checked.executor.fleet
+    fleet = judge.executor.fleet
     disturbed = fleet.happened if isinstance(fleet, DisturbedFleet) else work.folded
     ending: dict[str, str | float] = {
         "ended": ended,
@@ -90,7 +90,7 @@ def rebuild(
     }
     return Episode(
         *(work.recipe, tuple(work.found), ended == "built", True),
-        *(checked.site.time_s, checked.problems, ending),
+        *(judge.physics.time_s, judge.problems, ending),
     )
 
 
@@ -104,7 +104,7 @@ class _Work:
     """A building under way."""
 
     task: Task
-    checked: CheckedSite
+    judge: Judge
     recipe: Recipe
     asked: Rebuilding
     on_attempts: OnAttempts
@@ -125,15 +125,15 @@ class _Work:
         while True:
             if problem := self._carry_out(ticks):
                 return "not readable", problem
-            if self.task.succeeded(self.checked.grid):
+            if self.task.succeeded(self.judge.grid):
                 return "built", ""
             if self.replans >= self.asked.replans:
                 return "gave up", f"not built after {self.replans} further plans"
             self.replans += 1
-            seen = Without.of(self.checked, self.task, self.out)
+            seen = Without.of(self.judge, self.task, self.out)
             try:
                 planned = _plan(
-                    *(seen.grid, self.task, self.checked.rules, self.asked.rounds, self.seed + self.replans)
+                    *(seen.grid, self.task, self.judge.rules, self.asked.rounds, self.seed + self.replans)
                 )
             except NoPlanError as error:
                 return "gave up", str(error)
@@ -146,7 +146,7 @@ class _Work:
         """Do a plan, as much of it as can be done; return why the world cannot be read any more, or nothing."""
         while ticks:
             now, ticks = _parted(ticks, self.asked.disturb == "fold" and not self.folded)
-            schedule = make_schedule(self.checked.grid, now, self.checked.rules)
+            schedule = make_schedule(self.judge.grid, now, self.judge.rules)
             if schedule.forbidden:
                 return ""
             if not self._do(now, schedule):
@@ -159,40 +159,38 @@ class _Work:
         """Do some ticks; return whether the world reads as they should leave it."""
         step = Step.joint(self.n_ticks, *ticks, order="until-wrong")
         self.recipe = self.recipe.then(step)
-        self.found.append(do(self.checked, step))
+        self.found.append(do(self.judge, step))
         self.n_ticks += len(ticks)
         for attempt in self.found[-1]:
             if attempt.performed:
                 failed = attempt.skill != "succeeded"
                 self.failures[attempt.car] = self.failures.get(attempt.car, 0) + 1 if failed else 0
         self.on_attempts(self.found[-1])
-        return not self._problem() and self.checked.grid.same_visible(schedule.final)
+        return not self._problem() and self.judge.grid.same_visible(schedule.final)
 
     def _problem(self) -> str:
         """Find out which cars are out of action, and return what else cannot be read."""
         self.out |= {car for car, n in self.failures.items() if n >= FAILURES}
         for car, n in self.failures.items():
-            if n and any(
-                text.startswith(tuple(_words([car], self.checked))) for text in self.checked.problems
-            ):
+            if n and any(text.startswith(tuple(_words([car], self.judge))) for text in self.judge.problems):
                 self.out.add(car)
-        excused = tuple(_words(self.out, self.checked))
-        return "; ".join(text for text in self.checked.problems if not text.startswith(excused))
+        excused = tuple(_words(self.out, self.judge))
+        return "; ".join(text for text in self.judge.problems if not text.startswith(excused))
 
     def _fold(self) -> None:
         """Let a car fold a slope that was just unfolded, which is in no plan."""
-        grid, rules = self.checked.grid, self.checked.rules
+        grid, rules = self.judge.grid, self.judge.rules
         for car in range(grid.n_cars):
             if rules.legal(grid, car, Action.FOLD):
                 ticks = [[(car, Action.FOLD)]]
-                self.folded = f"car {car} folds a slope again at {self.checked.site.time_s:.2f} s"
+                self.folded = f"car {car} folds a slope again at {self.judge.physics.time_s:.2f} s"
                 self._do(ticks, make_schedule(grid, ticks, rules))
                 return
 
 
-def _words(cars: Iterable[int], checked: CheckedSite) -> Iterator[str]:
+def _words(cars: Iterable[int], judge: Judge) -> Iterator[str]:
     """Yield how problems begin that concern cars, or what is stuck with them."""
-    return (f"{name} " for name in stuck_with(checked, cars))
+    return (f"{name} " for name in stuck_with(judge, cars))
 
 
 def _parted(ticks: Ticks, after_unfolding: bool) -> tuple[Ticks, Ticks]:

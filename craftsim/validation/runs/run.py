@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from craftsim.checking.episode import Episode, OnAttempts, Recipe, Step, Watch, do, unwatched
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
 from craftsim.discrete.files.plan import write_plan
@@ -54,7 +54,7 @@ class Terms:
     out: Path | None = None
     """Folder of the campaign, where bundles go."""
     observers: tuple[Observer, ...] = ()
-    """Called with each run's Site after every control period."""
+    """Called with each run's PhysicsWorld after every control period."""
     record: bool = False
     """Whether to write a trajectory and the logs of each run."""
     set_up: SetUp = set_up
@@ -175,10 +175,10 @@ def record_episode(run: Run, watch: Watch = unwatched) -> Recording:
 def _record(run: Run, drawn: _Drawn, watch: Watch) -> Recording:
     recorder, logs = Recorder(), list[LogRecorder]()
 
-    def begin(checked: CheckedSite) -> OnAttempts:
-        recorder.begin(checked)
-        logs.append(LogRecorder(checked.executor))
-        return watch(checked)
+    def begin(judge: Judge) -> OnAttempts:
+        recorder.begin(judge)
+        logs.append(LogRecorder(judge.executor))
+        return watch(judge)
 
     episode = _run(run, drawn, begin)
     trajectory = recorder.trajectory(run.key, episode.recipe, episode.attempts, drawn.task.design)
@@ -203,23 +203,23 @@ def _follow(run: Run, drawn: _Drawn, steps: Sequence[Step], watch: Watch) -> Epi
     """Carry out a plan, each step from what was read before it."""
     task, setup = drawn.task, run.terms.setup
     recipe = Recipe(blueprint_text(drawn.grid), (), setup, drawn.physics, tuple(task.goal_cells))
-    checked = run.terms.set_up(drawn.grid, setup, drawn.physics, recipe.goals)
-    checked.executor.observers.extend(run.terms.observers)
-    if drawn.played is not None and not checked.grid.same_visible(drawn.grid):
+    judge = run.terms.set_up(drawn.grid, setup, drawn.physics, recipe.goals)
+    judge.executor.observers.extend(run.terms.observers)
+    if drawn.played is not None and not judge.grid.same_visible(drawn.grid):
         raise StartError("this world cannot be: it reads otherwise than it was drawn")
-    on_attempts = watch(checked)
+    on_attempts = watch(judge)
     found = []
     for step in steps:
         recipe = recipe.then(step)
-        found.append(do(checked, step))
+        found.append(do(judge, step))
         on_attempts(found[-1])
-        if checked.problems:
+        if judge.problems:
             break
     reached = by_rules = None
     if task.has_goal:
-        reached = not checked.problems and task.succeeded(checked.grid)
+        reached = not judge.problems and task.succeeded(judge.grid)
         by_rules = task.succeeded(_predict(steps, drawn.grid, Rules(setup.rules)))
-    return Episode(recipe, tuple(found), reached, by_rules, checked.site.time_s, checked.problems)
+    return Episode(recipe, tuple(found), reached, by_rules, judge.physics.time_s, judge.problems)
 
 
 def _predict(steps: Sequence[Step], grid: Grid, rules: Rules) -> Grid:
@@ -237,14 +237,14 @@ def _rolled_out(run: Run, drawn: _Drawn, watch: Watch) -> Episode:
     backend = PhysicsBackend(setup, None, task.goal_cells, watch_contacts=True)
     reached = _rollout(run, drawn, backend, watch)
     by_rules = _rollout(run, drawn, None, unwatched) if task.has_goal else None
-    checked = backend.checked
+    judge = backend.judge
     return Episode(
         backend.recipe,
         tuple(backend.ticks),
         reached if task.has_goal else None,
         by_rules,
-        checked.site.time_s,
-        checked.problems,
+        judge.physics.time_s,
+        judge.problems,
     )
 
 
@@ -257,8 +257,8 @@ def _rollout(run: Run, drawn: _Drawn, backend: PhysicsBackend | None, watch: Wat
         policy = PlannerPolicy(env) if planner else make_policy(policy, drawn.policy, drawn.task)
     observations, _ = env.reset(seed=drawn.world)
     if backend is not None:
-        backend.checked.executor.observers.extend(run.terms.observers)
-        on_attempts = watch(backend.checked)
+        backend.judge.executor.observers.extend(run.terms.observers)
+        on_attempts = watch(backend.judge)
     success = False
     while env.agents:
         observations, _, _, _, infos = env.step(policy(observations))

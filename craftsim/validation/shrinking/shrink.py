@@ -83,12 +83,12 @@ def failing_actions(recipe: Recipe, attempts: Sequence[Attempt], most_s: float =
     wrong = [a for a in attempts if a.legal and a.performed and not a.agrees]
     if not wrong:
         raise InputError("no action that the rules allow fails there; only such a failure can be shrunk")
-    step, checked = recipe.steps[-1], start(recipe)
-    limit_time(checked, most_s, "what comes before the last step")
+    step, judge = recipe.steps[-1], start(recipe)
+    limit_time(judge, most_s, "what comes before the last step")
     for earlier in recipe.steps[:-1]:
-        do(checked, earlier)
+        do(judge, earlier)
     ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
-    schedule = make_schedule(checked.grid, ticks, checked.rules, step.order or "sequential")
+    schedule = make_schedule(judge.grid, ticks, judge.rules, step.order or "sequential")
     before = {(step.number + s.tick, s.car): s.before for s in schedule.steps}
     return [
         Situated(before[a.tick, a.car], a.car, Action[a.action], recipe.setup, recipe.seed) for a in wrong
@@ -175,13 +175,13 @@ class _Search:
     def _try(self, grid: Grid, text: str, action: Action) -> bool:
         if (self.drawn and "snapshot:" in text) or not self.rules.legal(grid, 0, action):
             return False
-        checked = set_up(grid, self.setup, self.seed)
-        if checked.problems or not checked.grid.same_visible(grid):
+        judge = set_up(grid, self.setup, self.seed)
+        if judge.problems or not judge.grid.same_visible(grid):
             return False
         self.trials += 1
-        passed_s = limit_time(checked, self.left_s, action.name)
+        passed_s = limit_time(judge, self.left_s, action.name)
         try:
-            attempt = checked.perform(0, action)
+            attempt = judge.perform(0, action)
         except OverrunError:
             self.trials = self.most
             return False

@@ -12,7 +12,7 @@ from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.errors import CraftsimError
 from craftsim.models.measuring import read_poses
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.validation.contexts.context import DIRECTION_NAMES, Ground, Thing, Verb
 from craftsim.validation.contexts.survey import make_world, survey
 from craftsim.validation.contexts.worlds import ImpossibleError, check_car
@@ -118,8 +118,8 @@ def _free(context):
 @pytest.mark.parametrize("context", CONTEXTS[::23], ids=lambda context: context.id)
 def test_each_world_stands_in_physics_as_drawn(context):
     grid = _world(context, 2)
-    site = Site(grid)
-    reading = read_grid(read_poses(site), site.size, site.walls)
+    physics = PhysicsWorld(grid)
+    reading = read_grid(read_poses(physics), physics.size, physics.walls)
     assert reading.problems == ()
     assert reading.grid.same_visible(grid)
 

@@ -102,11 +102,11 @@ def _world(cars, objects) -> Grid:
 def _run(world, car, action, rules) -> tuple[bool, float]:
     """Return whether the action did what the rules predict, and how far it shifted what it should not."""
     grid = _world(*world)
-    checked = set_up(grid, Setup(rules))
-    assert checked.reading.grid.same_visible(grid)
-    attempt = checked.perform(car, action)
+    judge = set_up(grid, Setup(rules))
+    assert judge.reading.grid.same_visible(grid)
+    attempt = judge.perform(car, action)
     assert attempt.legal
-    own_load = max((p.offset_m for p in checked.reading.objects if p.carrier == car), default=0.0)
+    own_load = max((p.offset_m for p in judge.reading.objects if p.carrier == car), default=0.0)
     reads_as_predicted = attempt.skill == "succeeded" and attempt.finding == "agrees"
     return reads_as_predicted, max(attempt.bystander_displacement_m, own_load)
 
@@ -171,9 +171,10 @@ def test_a_block_right_behind_a_foot_is_shoved_by_who_comes_off_it_and_no_other_
 
     def shoves_m(world):
         grid = _world(*world)
-        site = compile_world(grid, setup)
+        physics = compile_world(grid, setup)
         tried = [
-            set_up(grid, setup, Seed((seed,)), reuse=site).perform(0, Action.MOVE_RIGHT) for seed in range(8)
+            set_up(grid, setup, Seed((seed,)), reuse=physics).perform(0, Action.MOVE_RIGHT)
+            for seed in range(8)
         ]
         assert all(attempt.finding == "agrees" for attempt in tried)
         return [attempt.bystander_displacement_m for attempt in tried]

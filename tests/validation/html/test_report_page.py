@@ -269,9 +269,9 @@ def _recorded(out, names):
     """Return items and records of runs that were recorded; the last one disagrees."""
     grid = Grid.empty((2, 1, 1), n_cars=1)
     recipe, recorder = Recipe(blueprint_text(grid), (Step.single(0, 0, Action.MOVE_RIGHT),)), Recorder()
-    checked = start(recipe)
-    recorder.begin(checked)
-    attempts = do(checked, recipe.steps[0])
+    judge = start(recipe)
+    recorder.begin(judge)
+    attempts = do(judge, recipe.steps[0])
     (out / TRAJECTORIES).mkdir(parents=True)
     items, records = [], []
     for name in names:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from craftsim.checking.setup import Setup
-from craftsim.models.world import Site
+from craftsim.models.world import PhysicsWorld
 from craftsim.validation.replays.bundle import read_bundle
 from craftsim.validation.runs.choice import items_of, policy_pilot, subjects_of
 from craftsim.validation.runs.policies import make_policy
@@ -25,14 +25,14 @@ def run_of(tmp_path):
 
 
 def test_a_simulation_that_breaks_down_ends_its_run_and_can_be_replayed(run_of, monkeypatch, tmp_path):
-    advance = Site.advance
+    advance = PhysicsWorld.advance
 
-    def explode(site, observe=None):
-        if site.time_s > 2.0:
-            site.data.qvel[:] = 1e12
-        advance(site, observe)
+    def explode(physics, observe=None):
+        if physics.time_s > 2.0:
+            physics.data.qvel[:] = 1e12
+        advance(physics, observe)
 
-    monkeypatch.setattr(Site, "advance", explode)
+    monkeypatch.setattr(PhysicsWorld, "advance", explode)
     done = do_run(run_of("strip", "planner"))
     assert not done.agrees
     assert done.extra["physics_success"] is False

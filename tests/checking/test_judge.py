@@ -1,4 +1,4 @@
-"""A CheckedSite predicts, performs, reads and judges each action, and says when any of these went apart."""
+"""A Judge predicts, performs, reads and judges each action, and says when any of these went apart."""
 
 import gc
 import weakref
@@ -8,7 +8,7 @@ import pytest
 from disturbances import push
 
 from craftsim.checking.attempt import Thresholds, Verdict
-from craftsim.checking.judge import CheckedSite
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
@@ -19,9 +19,7 @@ SIZE = (4, 1, 2)
 RIGHT = Action.MOVE_RIGHT
 
 
-def _checked(
-    *, block_at: int | None = None, load: Kind = Kind.AIR, setup: Setup | None = None
-) -> CheckedSite:
+def _judge(*, block_at: int | None = None, load: Kind = Kind.AIR, setup: Setup | None = None) -> Judge:
     """Return a corridor with a car in each of its end cells; the first may carry something."""
     grid = Grid.empty(SIZE, 2)
     grid.cars[0, :5] = 0, 0, 1, 0, load
@@ -32,14 +30,14 @@ def _checked(
     return set_up(grid, setup or Setup())
 
 
-def _weaken(site) -> None:
-    site.model.actuator_forcerange[site.cars[0].wheel_actuators] = 0.0
+def _weaken(physics) -> None:
+    physics.model.actuator_forcerange[physics.cars[0].wheel_actuators] = 0.0
 
 
 def test_an_attempt_says_what_was_asked_predicted_done_and_read():
-    checked = _checked()
-    began_s = checked.site.time_s
-    attempt = checked.perform(0, RIGHT, tick=5)
+    judge = _judge()
+    began_s = judge.physics.time_s
+    attempt = judge.perform(0, RIGHT, tick=5)
     assert (attempt.tick, attempt.car, attempt.action, attempt.legal) == (5, 0, "MOVE_RIGHT", True)
     assert (attempt.predicted, attempt.read) == ("1,0,1 +x", "1,0,1 +x")
     assert attempt.skill == "succeeded"
@@ -49,19 +47,19 @@ def test_an_attempt_says_what_was_asked_predicted_done_and_read():
 
 
 def test_a_car_that_does_not_get_away_is_not_executed():
-    checked = _checked()
-    _weaken(checked.site)
-    attempt = checked.perform(0, RIGHT)
+    judge = _judge()
+    _weaken(judge.physics)
+    attempt = judge.perform(0, RIGHT)
     assert attempt.skill.startswith(Reason.BLOCKED)
     assert attempt.finding == "not executed"
     assert (attempt.predicted, attempt.read) == ("1,0,1 +x", "0,0,1 +x")
 
 
 def test_the_judge_does_not_believe_the_skill():
-    checked = _checked()
-    begin = checked.executor.begin
-    checked.executor.begin = lambda car, action, terrain: begin(car, Action.STOP, terrain)
-    attempt = checked.perform(0, RIGHT)
+    judge = _judge()
+    begin = judge.executor.begin
+    judge.executor.begin = lambda car, action, terrain: begin(car, Action.STOP, terrain)
+    attempt = judge.perform(0, RIGHT)
     assert attempt.skill == "succeeded"
     assert attempt.finding == "not executed"
     assert attempt.differences == ("car 0: predicted 1,0,1 +x, read 0,0,1 +x",)
@@ -69,17 +67,17 @@ def test_the_judge_does_not_believe_the_skill():
 
 
 def test_a_thing_that_somebody_else_moves_is_a_side_effect_and_measured():
-    checked = _checked(block_at=2)
-    checked.executor.observers.append(push(0, 0.3))
-    attempt = checked.perform(0, RIGHT)
+    judge = _judge(block_at=2)
+    judge.executor.observers.append(push(0, 0.3))
+    attempt = judge.perform(0, RIGHT)
     assert attempt.finding in ("side effect", "unreadable")
     assert attempt.bystander_displacement_m > 0.025
 
 
 def test_a_bystander_that_moves_too_far_disagrees_though_the_grid_that_is_read_is_the_predicted_one():
-    checked = _checked(block_at=2)
-    checked.executor.observers.append(push(0, 0.004))
-    attempt = checked.perform(0, RIGHT)
+    judge = _judge(block_at=2)
+    judge.executor.observers.append(push(0, 0.004))
+    attempt = judge.perform(0, RIGHT)
     assert 0.001 < attempt.bystander_displacement_m < 0.025
     assert attempt.finding == "agrees"
     assert (attempt.result, attempt.agrees) == ("side effect", False)
@@ -90,72 +88,72 @@ def test_a_bystander_that_moves_too_far_disagrees_though_the_grid_that_is_read_i
     ("field", "action"), [("car_m", RIGHT), ("heading_rad", Action.ROTATE_LEFT), ("height_m", RIGHT)]
 )
 def test_an_error_over_its_limit_disagrees_though_the_grid_that_is_read_is_the_predicted_one(field, action):
-    checked = _checked(setup=Setup(thresholds=Thresholds(**{field: 1e-9})))
-    attempt = checked.perform(0, action)
+    judge = _judge(setup=Setup(thresholds=Thresholds(**{field: 1e-9})))
+    attempt = judge.perform(0, action)
     assert attempt.finding == "agrees"
     assert (attempt.result, attempt.agrees) == ("failed", False)
     assert "(allowed 0.00)" in attempt.reason
 
 
 def test_what_a_car_carries_is_no_bystander_and_what_it_drops_is_measured():
-    checked = _checked(load=Kind.BLOCK)
-    moved = checked.perform(0, RIGHT)
+    judge = _judge(load=Kind.BLOCK)
+    moved = judge.perform(0, RIGHT)
     assert moved.bystander_displacement_m < 1e-3
-    dropped = checked.perform(0, Action.DROP)
-    assert dropped.placed_error_m == pytest.approx(checked.reading.objects[0].offset_m)
-    assert checked.grid.kind[1, 0, 1] == Kind.BLOCK
+    dropped = judge.perform(0, Action.DROP)
+    assert dropped.placed_error_m == pytest.approx(judge.reading.objects[0].offset_m)
+    assert judge.grid.kind[1, 0, 1] == Kind.BLOCK
 
 
-def _queue(fault=lambda site: None) -> CheckedSite:
+def _queue(fault=lambda physics: None) -> Judge:
     """Return three cars in a row, the first under a block at the row's end."""
     grid = Grid.empty((4, 2, 2), 3)
     grid.cars[:, :4] = [(2, 0, 1, 0), (1, 0, 1, 0), (0, 0, 1, 0)]
     grid.kind[2, 0, 1] = Kind.BLOCK
     grid.derive_marks()
-    checked = set_up(grid, Setup())
-    fault(checked.site)
-    return checked
+    judge = set_up(grid, Setup())
+    fault(judge.physics)
+    return judge
 
 
 def test_cars_that_follow_each_other_all_move_in_one_tick_and_later_ticks_start_from_the_reading():
-    checked = _queue()
-    predicted, _ = checked.rules.tick(checked.grid, [(0, RIGHT), (1, RIGHT), (2, RIGHT)])
-    began_s = checked.site.time_s
-    attempts = checked.perform_tick([(0, RIGHT), (1, RIGHT), (2, RIGHT)])
+    judge = _queue()
+    predicted, _ = judge.rules.tick(judge.grid, [(0, RIGHT), (1, RIGHT), (2, RIGHT)])
+    began_s = judge.physics.time_s
+    attempts = judge.perform_tick([(0, RIGHT), (1, RIGHT), (2, RIGHT)])
     assert [(a.car, a.agrees) for a in attempts] == [(0, True), (1, True), (2, True)]
-    assert checked.grid.same_visible(predicted)
-    took_s = checked.site.time_s - began_s
+    assert judge.grid.same_visible(predicted)
+    took_s = judge.physics.time_s - began_s
     assert took_s > max(a.duration_s for a in attempts), "cars wait for each other"
-    assert checked.perform(1, Action.LIFT).agrees, "car 1 is under the block now"
+    assert judge.perform(1, Action.LIFT).agrees, "car 1 is under the block now"
 
 
 def test_what_the_rules_forbid_in_the_given_order_is_not_performed():
-    checked = _queue()
-    attempts = checked.perform_tick([(2, RIGHT), (1, RIGHT), (0, RIGHT)])
+    judge = _queue()
+    attempts = judge.perform_tick([(2, RIGHT), (1, RIGHT), (0, RIGHT)])
     assert [(a.car, a.legal, a.performed, a.agrees) for a in attempts] == [
         (2, False, False, False),
         (1, False, False, False),
         (0, True, True, True),
     ]
-    np.testing.assert_array_equal(checked.grid.cars[:, 0], [3, 1, 0])
+    np.testing.assert_array_equal(judge.grid.cars[:, 0], [3, 1, 0])
 
 
 def test_a_failed_action_shows_as_what_really_happened_and_what_waits_for_it_never_starts():
-    checked = _queue(_weaken)
-    failed, waiting = checked.perform_tick([(0, RIGHT), (1, RIGHT)])
+    judge = _queue(_weaken)
+    failed, waiting = judge.perform_tick([(0, RIGHT), (1, RIGHT)])
     assert failed.legal
     assert not failed.agrees
     assert failed.skill.startswith(Reason.BLOCKED)
     assert failed.differences == ("car 0: predicted 3,0,1 +x, read 2,0,1 +x",)
     assert (waiting.legal, waiting.performed, waiting.agrees) == (True, False, False)
     assert waiting.reason == "car 1 waits for an action that failed"
-    np.testing.assert_array_equal(checked.grid.cars[:, 0], [2, 1, 0])
+    np.testing.assert_array_equal(judge.grid.cars[:, 0], [2, 1, 0])
 
 
 def test_a_side_effect_that_is_nobodys_is_held_against_all():
-    checked = _queue()
-    checked.executor.observers.append(push(0, 0.06))
-    attempts = checked.perform_tick([(1, Action.ROTATE_LEFT), (2, Action.ROTATE_LEFT)])
+    judge = _queue()
+    judge.executor.observers.append(push(0, 0.06))
+    attempts = judge.perform_tick([(1, Action.ROTATE_LEFT), (2, Action.ROTATE_LEFT)])
     assert [a.agrees for a in attempts] == [False, False]
     assert all("block 0 was moved by" in a.reason for a in attempts)
 
@@ -166,47 +164,47 @@ def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
     grid.cars[0, :4], grid.cars[1, :4] = (0, 0, 2, 0), (2, 0, 1, 0)
     grid.kind[0, 0, 1] = Kind.BLOCK
     grid.derive_marks()
-    checked = set_up(grid, Setup())
-    site = checked.site
+    judge = set_up(grid, Setup())
+    physics = judge.physics
     goal = grid.copy()
     goal.cars[0, 0] = 1
-    attempt = checked.perform(0, RIGHT, intended=goal)
+    attempt = judge.perform(0, RIGHT, intended=goal)
     assert (attempt.finding, attempt.result) == ("unsafe", "unsafe")
     assert attempt.skill.startswith(Reason.STOPPED)
-    assert attempt.duration_s == pytest.approx(site.time_s - site.config.settle_s)
-    assert 0.33 < checked.log.tilt_rad < 0.6 or 0.45 < checked.log.fall_m_s < 0.9
-    assert not site.data.ctrl.any()
-    assert not checked.executor.busy
+    assert attempt.duration_s == pytest.approx(physics.time_s - physics.config.settle_s)
+    assert 0.33 < judge.log.tilt_rad < 0.6 or 0.45 < judge.log.fall_m_s < 0.9
+    assert not physics.data.ctrl.any()
+    assert not judge.executor.busy
 
 
 def test_a_world_that_nobody_uses_is_gone_at_once():
     """Python's garbage collector does not see MuJoCo's memory; a worker whose worlds wait for it grows without end."""
     gc.disable()
     try:
-        checked = _checked(setup=setup_of("strong"))
-        checked.perform(0, RIGHT)
-        site = weakref.ref(checked.site)
-        del checked
-        assert site() is None
+        judge = _judge(setup=setup_of("strong"))
+        judge.perform(0, RIGHT)
+        physics = weakref.ref(judge.physics)
+        del judge
+        assert physics() is None
     finally:
         gc.enable()
 
 
 def test_what_fails_while_the_solver_gives_up_is_numerics_and_counted():
-    checked = _checked(setup=Setup(simulation=SimulationConfig(solver_iterations=5)))
-    begin = checked.executor.begin
-    checked.executor.begin = lambda car, action, terrain: begin(car, Action.ROTATE_LEFT, terrain)
-    attempt = checked.perform(0, RIGHT)
+    judge = _judge(setup=Setup(simulation=SimulationConfig(solver_iterations=5)))
+    begin = judge.executor.begin
+    judge.executor.begin = lambda car, action, terrain: begin(car, Action.ROTATE_LEFT, terrain)
+    attempt = judge.perform(0, RIGHT)
     assert attempt.capped_steps > 0
     assert (attempt.finding, attempt.result) == ("numerics", Verdict.SOLVER)
     assert attempt.reason.startswith("the solver gave up in ")
 
 
 def test_a_force_that_nothing_could_have_produced_is_numerics_and_not_unsafe():
-    checked = _checked(block_at=2)
-    site, (block,) = checked.site, checked.site.blocks
-    checked.executor.observers.append(lambda _: site.data.xfrc_applied.__setitem__((block.body, 2), -3e4))
-    attempt = checked.perform(0, RIGHT)
+    judge = _judge(block_at=2)
+    physics, (block,) = judge.physics, judge.physics.blocks
+    judge.executor.observers.append(lambda _: physics.data.xfrc_applied.__setitem__((block.body, 2), -3e4))
+    attempt = judge.perform(0, RIGHT)
     assert (attempt.finding, attempt.result) == ("numerics", Verdict.SOLVER)
     assert "more than weights, motors and motion could" in attempt.reason
     assert attempt.capped_steps == 0

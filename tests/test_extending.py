@@ -308,8 +308,14 @@ CRATE = {
         ),
         ("BLOCK, FLAG", "BLOCK, CRATE, FLAG"),
     ],
+    "craftsim/mjcf/block.py": [
+        (
+            "    Kind.WALL: Table(",
+            '    Kind.CRATE: Table("A crate.", (0.3, 0.6, 0.3)),\n    Kind.WALL: Table(',
+        ),
+    ],
 }
-"""The edits that a new kind takes on the grid: one that cars drive under and carry, and that bears nothing."""
+"""The edits that a new kind takes: one that cars drive under and carry, and that bears nothing."""
 
 CARRYING = """
 import craftsim
@@ -320,21 +326,23 @@ from craftsim.discrete.grid_checks import check_grid
 grid = craftsim.Grid.empty((5, 2, 2), 1)
 grid.kind[1, 0, 1] = craftsim.Kind.CRATE
 grid.derive_marks()
-rules = craftsim.Rules("physical")
+rules, physics = craftsim.Rules("physical"), craftsim.PhysicsWorld(grid)
 for name in ("MOVE_RIGHT", "LIFT", "MOVE_RIGHT", "DROP"):
     said = rules.explain(grid, 0, Action[name])
     assert said.legal, said
+    attempt = craftsim.perform(physics, 0, name)
+    assert attempt.agrees, attempt
     grid = rules.apply(grid, 0, Action[name])
 check_grid(grid)
 craftsim.write_blueprint(grid, "out.yaml")
 assert "crate:" in open("out.yaml").read()
 assert craftsim.read_blueprint("out.yaml").n_cars == 1
 assert "CC" in world_text(grid, None).plain
-print([piece.kind.name for piece in grid.pieces()])
+print([piece.kind.name for piece in grid.pieces()], physics.machine_names.names[3])
 """
 
 
-def test_a_new_kind_takes_three_files_on_the_grid(tmp_path):
+def test_a_new_kind_takes_four_files(tmp_path):
     package = Path(craftsim.__file__).parent
     ignored = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc", "policies", "meshes")
     shutil.copytree(package, tmp_path / "craftsim", ignore=ignored)
@@ -354,7 +362,7 @@ def test_a_new_kind_takes_three_files_on_the_grid(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "['CRATE']\n"
+    assert done.stdout == "['CRATE'] crate 0\n"
 
 
 def _examples(section):

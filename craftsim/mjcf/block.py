@@ -1,4 +1,4 @@
-"""The block, a table that stacks, and that a smartcar can drive under and lift; flag and wall have its shape.
+"""The block, a table that stacks, and that a smartcar can drive under and lift, and what else has its shape.
 
 Frame: origin on the floor under the centre, z up. A flag is carried like a block, but nothing may stand on it; a wall
 is an obstacle, bolted to the floor.
@@ -6,12 +6,14 @@ is an obstacle, bolted to the floor.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, Literal
+from typing import Final
 
 import mujoco
 import numpy as np
 
+from craftsim.discrete.kinds import CARRIED, Kind
 from craftsim.mjcf.building import (
     BEVEL,
     CORNERS,
@@ -29,17 +31,33 @@ from craftsim.mjcf.building import (
 from craftsim.mjcf.parameters import BlockParameters, Machines
 from craftsim.mjcf.solids import ClosedSolid, Mesh, add_mesh, box, loft, square, turned
 
-Table = Literal["block", "flag", "wall"]
-_RGB: Final[dict[Table, list[float]]] = {
-    "block": [0.93, 0.72, 0.35],
-    "flag": [0.88, 0.84, 0.76],
-    "wall": [0.42, 0.44, 0.47],
+
+@dataclass(frozen=True)
+class Table:
+    """A kind with a block's shape: what it is, and how it looks."""
+
+    title: str
+    rgb: tuple[float, float, float]
+    top: tuple[str, str, tuple[float, float, float, float]] | None = None
+    """What is seen besides the table: geom, mesh and colour."""
+
+
+TABLES: Final = {
+    Kind.BLOCK: Table(
+        "A table that stacks, and that a smartcar can drive under and lift.",
+        (0.93, 0.72, 0.35),
+        ("trim", "block_trim", (0.45, 0.32, 0.20, 1.0)),
+    ),
+    Kind.FLAG: Table(
+        "A flag on a table: lifted and carried like a block, but nothing may stand on it.",
+        (0.88, 0.84, 0.76),
+        ("flag_visual", "flag", (0.80, 0.16, 0.20, 1.0)),
+    ),
+    Kind.WALL: Table("An obstacle: a table, bolted to the floor.", (0.42, 0.44, 0.47)),
 }
-_TOP: Final = {
-    "block": ("trim", "block_trim", [0.45, 0.32, 0.20, 1.0]),
-    "flag": ("flag_visual", "flag", [0.80, 0.16, 0.20, 1.0]),
-}
-"""What a block and a flag have besides: geom, mesh and colour."""
+"""The kinds with a block's shape; those that cars do not carry are bolted to the floor."""
+TABLE_NAMES: Final = {kind.name.lower(): kind for kind in TABLES}
+"""Their kinds by the names of their machines."""
 
 
 def add_block(
@@ -47,10 +65,10 @@ def add_block(
     prefix: str,
     pose: Frame,
     machines: Machines,
-    kind: Table = "block",
+    name: str = "block",
     visual: bool = True,
 ) -> None:
-    """Add a block, a flag or a wall to a spec.
+    """Add a block, or another table, to a spec.
 
     Four legs and a deck over a frame of four bars, which leaves a pocket for a smartcar's boss; the deck's mass is
     shared by volume. Legs end in round rubber feet at their outer corners: a foot touches in one point where a leg's
@@ -63,34 +81,33 @@ def add_block(
         prefix: begins the names of all its parts.
         pose: where it stands.
         machines: the parameters.
-        kind: which of them; a wall does not move.
+        name: which of :data:`TABLE_NAMES`.
         visual: whether it has what is only seen.
     """
-    block, contact = machines.block, machines.contact
+    block, contact, table = machines.block, machines.contact, TABLES[TABLE_NAMES[name]]
     solid = geom_class(
         spec,
-        kind,
+        name,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         group=SOLID_GROUP,
-        rgba=[*_RGB[kind], 0.4],
+        rgba=[*table.rgb, 0.4],
         **touching("things"),
         **surface(contact, block.friction),
     )
-    body = add_body(spec, pose, prefix + kind, free=kind != "wall")
+    body = add_body(spec, pose, prefix + name, free=TABLE_NAMES[name] in CARRIED)
     if visual:
-        seen = geom_class(spec, f"{kind}_seen", solid, type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
-        shown = {"table_visual": ("block", [*_RGB[kind], 1.0])}
-        if kind in _TOP:
-            name, mesh, rgba = _TOP[kind]
-            shown[name] = (mesh, rgba)
-        for name, (mesh, rgba) in shown.items():
+        seen = geom_class(spec, f"{name}_seen", solid, type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
+        shown = [("table_visual", "block", (*table.rgb, 1.0))]
+        if table.top is not None:
+            shown.append(table.top)
+        for geom, mesh, rgba in shown:
             mesh = add_mesh(spec, mesh, meshes(block)[mesh])
-            body.add_geom(seen, name=prefix + name, meshname=mesh, rgba=rgba)
-    for name, part in _bars(block).items():
-        body.add_geom(solid, name=prefix + name, **part.geom)
+            body.add_geom(seen, name=prefix + geom, meshname=mesh, rgba=rgba)
+    for bar, part in _bars(block).items():
+        body.add_geom(solid, name=prefix + bar, **part.geom)
     rubber = geom_class(
         spec,
-        f"{kind}_foot",
+        f"{name}_foot",
         solid,
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[block.foot_radius_m, 0, 0],

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
-from craftsim.mjcf.block import add_block
+from craftsim.mjcf.block import TABLE_NAMES, add_block
 from craftsim.mjcf.building import Frame
 from craftsim.mjcf.car import add_car
 from craftsim.mjcf.ground import new_world
@@ -27,7 +27,7 @@ from craftsim.models.framing import Aim, overview, top
 from craftsim.models.imperfection import FLAT, Floor
 from craftsim.models.placement import Placement, placements
 
-MACHINES: Final = ("ground", "smartcar", "block", "flag", "wall", "slope")
+MACHINES: Final = ("ground", "smartcar", *TABLE_NAMES, "slope")
 _MARGIN_CELLS: Final = 2
 """Width of bare floor around the area; whole cells, so that the floor's lines are the cells' borders."""
 PICTURE_ASPECT: Final = 4 / 3
@@ -96,7 +96,7 @@ def _add(
             add_car(spec, prefix, pose, machines, number, visual)
         case "slope":
             add_slope(spec, prefix, pose, machines, visual)
-        case "block" | "flag" | "wall":
+        case name if name in TABLE_NAMES:
             add_block(spec, prefix, pose, machines, kind, visual)
 
 

@@ -12,6 +12,7 @@ from typing import Final
 import mujoco
 
 from craftsim.errors import InputError
+from craftsim.mjcf.block import TABLE_NAMES, TABLES
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.storage.folders import output_directory
@@ -21,9 +22,7 @@ from craftsim.storage.writing import write_whole
 _TITLES: Final = {
     "ground": "The floor, the light and the physics settings of every world.",
     "smartcar": "A mecanum smartcar with a lifting board: forty free rollers, turned by four wheel motors.",
-    "block": "A table that stacks, and that a smartcar can drive under and lift.",
-    "flag": "A flag on a table: lifted and carried like a block, but nothing may stand on it.",
-    "wall": "An obstacle: a table, bolted to the floor.",
+    **{name: TABLES[kind].title for name, kind in TABLE_NAMES.items()},
     "slope": "A ramp that folds into a box: a hollow base, and a wedge, the flap, on a motorised hinge.",
     "smartcar_reduced": "The smartcar on the reduced drive: four spheres without friction, pushed by its motors.",
 }

@@ -133,9 +133,9 @@ class Wiring:
             row["above_m"] = physics.machines.block.underside_m / 2
             row["along_m"], row["across_m"] = figures.board_length_m / 2, figures.board_width_m / 2
             row["line_m"] = figures.line_reach_m
-        still = [*physics.blocks, *physics.flags]
+        still = physics.tables
         self.undersides = records(len(still) + len(physics.slopes), UNDERSIDE)
-        """(n,) UNDERSIDE: of blocks, of flags, and then of slopes."""
+        """(n,) UNDERSIDE: of tables, and then of slopes."""
         self.plugs = self.undersides[len(still) :]
         """(n,) UNDERSIDE, by slope."""
         for row, body in zip(self.undersides, still, strict=False):
@@ -262,20 +262,18 @@ def drive_wheels(wheels: Floats, speeds: Floats, share: float, car: Record, ctrl
 
 
 class PoseReader:
-    """Reads the true poses of everything that moves on a PhysicsWorld: cars by id; then blocks, flags and slopes."""
+    """Reads the true poses of everything that moves on a PhysicsWorld: cars by id; then tables and slopes."""
 
     def __init__(self, physics: PhysicsWorld) -> None:
         """Look up where they are."""
-        loose = [*physics.blocks, *physics.flags, *(slope.base for slope in physics.slopes)]
-        n_still = len(physics.blocks) + len(physics.flags)
-        self._kinds = (Kind.BLOCK,) * len(physics.blocks) + (Kind.FLAG,) * len(physics.flags)
-        self._kinds += (Kind.FSLOPE,) * len(physics.slopes)
+        loose = [*physics.tables, *(slope.base for slope in physics.slopes)]
+        self._kinds = physics.table_kinds + (Kind.FSLOPE,) * len(physics.slopes)
         self._n_cars, self._qpos = len(physics.cars), physics.data.qpos
         starts = [*(car.base.qpos for car in physics.cars), *(body.qpos for body in loose)]
         self.places = np.array(starts, np.intp)[:, None] + np.arange(7)
         """(n, 7): of each one's pose in qpos."""
         self._hinges = np.array([slope.hinge.qpos for slope in physics.slopes], np.intp)
-        self._without_hinge = np.full(n_still, math.nan)
+        self._without_hinge = np.full(len(physics.tables), math.nan)
 
     def read(self) -> Poses:
         """Return the poses of this moment."""

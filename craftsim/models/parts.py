@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.kinds import CARRIED, Kind
+from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.mjcf.car import WHEELS
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
 from craftsim.mjcf.reduced import WholeCar
@@ -119,8 +121,8 @@ class Parts:
 
     cars: tuple[Car, ...]
     slopes: tuple[Slope, ...]
-    blocks: tuple[FreeBody, ...]
-    flags: tuple[FreeBody, ...]
+    tables: dict[Kind, tuple[FreeBody, ...]]
+    """Blocks, flags, and what else has a block's shape and is carried."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel, machines: Machines) -> Parts:
@@ -133,6 +135,9 @@ class Parts:
         return cls(
             tuple(Car.find(model, name, machines.car(i)) for i, name in enumerate(prefixes("smartcar"))),
             tuple(Slope.find(model, name) for name in prefixes("slope")),
-            tuple(FreeBody.find(model, name + "block") for name in prefixes("block")),
-            tuple(FreeBody.find(model, name + "flag") for name in prefixes("flag")),
+            {
+                kind: tuple(FreeBody.find(model, prefix + name) for prefix in prefixes(name))
+                for name, kind in TABLE_NAMES.items()
+                if kind in CARRIED
+            },
         )

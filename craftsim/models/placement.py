@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M, cell_position, yaw_angle
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kinds import STANDING
 from craftsim.discrete.schedule import incline_under
+from craftsim.errors import InputError
+from craftsim.mjcf.block import TABLES
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 
 
@@ -19,7 +22,7 @@ class Placement:
     """One part at its start: pose of its frame and position of its own joint."""
 
     kind: str
-    """smartcar, block, flag, slope or wall."""
+    """One of :data:`craftsim.models.composition.MACHINES`, but the ground."""
     position: NDArray[np.float64]
     """(3,) metres, world."""
     quaternion: NDArray[np.float64]
@@ -83,9 +86,13 @@ def _objects(grid: Grid, machines: Machines) -> list[Placement]:
         kind = Kind(grid.kind[x, y, z + 1])
         position = cell_position(x, y, z + 1)
         turn = _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
-        if kind in (Kind.BLOCK, Kind.FLAG, Kind.WALL):
+        if kind in TABLES:
             found.append(Placement(kind.name.lower(), position, turn))
         elif kind in (Kind.FSLOPE, Kind.BODY):
             hinge = machines.slope.hinge_range_rad if kind == Kind.FSLOPE else 0.0
             found.append(Placement("slope", position, turn, hinge))
+        elif kind in STANDING:
+            raise InputError(
+                f"{kind.name} in ({x}, {y}, {z + 1}) has no machine; add it to TABLES in craftsim/mjcf/block.py"
+            )
     return found

@@ -183,7 +183,7 @@ def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
         _resize_wheels(model, car, drawn(machine, "wheel_radius_m", 4), drawn(machine, "wheel_place_m", 4, 2))
         (board,) = model.jnt_bodyid[model.dof_jntid[[car.board.dof]]]
         model.body_pos[board] += np.append(drawn(machine, "board_place_m", 2), drawn(machine, "board_m"))
-    for table in (*physics.blocks, *physics.flags):
+    for table in physics.tables:
         machine, _ = _machine_and_part(table.name)
         model.geom_pos[_geoms(model, machine, _FEET), 2] -= drawn(machine, "foot_m", len(_FEET))
         model.geom_pos[_geoms(model, machine, _POCKET)] += off(machine)

@@ -198,7 +198,12 @@ class PhysicsWorld:
         self._commanded = b""
         """Which motors had a command in the last period, a byte each; empty where the policies may not fit it."""
         self._tree_of_motor = trees_of_motors(self.model)
-        self.cars, self.slopes, self.blocks, self.flags = parts.cars, parts.slopes, parts.blocks, parts.flags
+        self.cars, self.slopes = parts.cars, parts.slopes
+        self.blocks = parts.tables[Kind.BLOCK]
+        self.tables = tuple(table for tables in parts.tables.values() for table in tables)
+        """Blocks, flags, and what else has a block's shape and is carried, by kind."""
+        self.table_kinds = tuple(kind for kind, tables in parts.tables.items() for _ in tables)
+        """The kind of each of them."""
         self.machine_names = MachineNames.of(self.model)
         """The machines by their geoms."""
         self.compiled = Baseline.of(self.model)

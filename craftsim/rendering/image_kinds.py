@@ -9,13 +9,14 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from craftsim.errors import InputError, suggestion
+from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.storage.limits import IMAGE_PIXELS, PHYSICS_PARTS
 
 ImageKind = Literal["rgb", "depth", "segmentation"]
 IMAGE_KINDS: Final[tuple[ImageKind, ...]] = get_args(ImageKind)
 FAR_M: Final = 100.0
 """What is further from the image plane, or nothing at all, has this depth."""
-LABELS: Final = ("ground", "wall", "car", "block", "flag", "slope")
+LABELS: Final = tuple(dict.fromkeys(("ground", "wall", "car", "block", "flag", "slope", *TABLE_NAMES)))
 """The kinds of machines, in the order of their numbers in a segmentation."""
 
 

@@ -28,6 +28,7 @@ from craftsim.discrete.drawing import (
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import yaw_angle
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kinds import STANDING
 
 Points = NDArray[np.float64]
 """Shape (n, 2)."""
@@ -186,6 +187,8 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
         case Kind.FOOT:
             yield Outline(_placed(_box(-0.5, -0.45, 0.45, 0.45), x, y, turn), fill=colour, line=INK)
             yield from _treads(x, y, turn)
+        case _ if kind in STANDING:
+            yield Outline(_square(cell, 0.45), fill=colour, line=INK)
 
 
 def _treads(x: float, y: float, turn: float) -> Iterator[Outline]:

@@ -66,7 +66,7 @@ class Connection:
             if not self.link.welcome.referee:
                 raise InputError(f"nobody shows the world of the robots at {address}: there is no referee")
             self._callers.append(Caller(address))
-            self.link.let_judge(Mirror(self.physics, self._callers[1], welcome.ticket))
+            self.link.let_follow(Mirror(self.physics, self._callers[1], welcome.ticket))
         except BaseException:
             self.__exit__(None, None, None)
             raise

@@ -68,7 +68,7 @@ class Messenger(Protocol):
         """
 
 
-class Judge(Protocol):
+class Follower(Protocol):
     """Who looks on while robots act."""
 
     def follow(self, measured: Measurements, timeout_s: float) -> str:
@@ -100,7 +100,7 @@ class Link:
         Raises InputError where nobody answers, or they refuse.
         """
         self._transport, self._timeout_s = transport, timeout_s
-        self._judge: Judge | None = None
+        self._follower: Follower | None = None
         self.lost, self._dead = "", False
         self.dropped = 0
         """Messages that were none, or said what cannot be."""
@@ -185,16 +185,16 @@ class Link:
         """Let go of the robots."""
         self._transport.send(pack(Bye()))
 
-    def let_judge(self, judge: Judge) -> None:
-        """Let a judge look on from now on. Raises InputError where it sees nothing."""
-        self._judge = judge
+    def let_follow(self, follower: Follower) -> None:
+        """Let somebody look on from now on, such as a mirror. Raises InputError where it sees nothing."""
+        self._follower = follower
         self._look_on()
         if self.lost:
             raise InputError(self.lost)
 
     def _look_on(self) -> None:
-        if self._judge is not None and not self.lost:
-            why = self._judge.follow(self._newest, self._timeout_s)
+        if self._follower is not None and not self.lost:
+            why = self._follower.follow(self._newest, self._timeout_s)
             if why:
                 self._lose(why)
 

@@ -33,7 +33,7 @@ class Mirror:
         referee.send(pack(Follow(ticket)))
         self._surroundings = Surroundings(physics.size)
         self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
-        handles = [*(car.base for car in physics.cars), *physics.blocks, *physics.flags]
+        handles = [*(car.base for car in physics.cars), *physics.tables]
         self._bodies: tuple[FreeBody, ...] = (*handles, *(slope.base for slope in physics.slopes))
         self._n_cars, self._n_slopes = len(physics.cars), len(physics.slopes)
 

@@ -9,6 +9,7 @@ from drawn import draw
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
+from craftsim.mjcf.block import TABLES
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameters
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
@@ -92,3 +93,9 @@ def test_parameters_of_which_a_joint_would_swing_up_are_refused():
     machines = Machines(cars=(SmartcarParameters(roller_damping_nms_rad=0.02),))
     with pytest.raises(InputError, match="is damped by"):
         PhysicsWorld(Grid.empty((3, 1, 1), 1), machines=machines)
+
+
+def test_a_kind_without_a_machine_is_refused(monkeypatch):
+    monkeypatch.delitem(TABLES, Kind.FLAG)
+    with pytest.raises(InputError, match=r"FLAG in \(1, 1, 1\) has no machine"):
+        PhysicsWorld(_grid())

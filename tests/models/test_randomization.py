@@ -184,8 +184,7 @@ def test_after_a_draw_everything_stands_where_it_was(varied):
         assert physics.time_s == pytest.approx(physics.config.settle_s)
         for body in (
             *(car.base for car in physics.cars),
-            *physics.blocks,
-            *physics.flags,
+            *physics.tables,
             *(s.base for s in physics.slopes),
         ):
             at = slice(body.qpos, body.qpos + 3)

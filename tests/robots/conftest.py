@@ -80,7 +80,7 @@ def make_robots():
             callers[name] = Caller(name, made)
         link = Link(callers[b"driver"], len(cars), setup.machines)
         seen = PhysicsWorld(grid, setup.simulation, reset=False, machines=setup.machines)
-        link.let_judge(Mirror(seen, callers[b"judge"]))
+        link.let_follow(Mirror(seen, callers[b"judge"]))
         return Robots(physics, service, link, callers[b"driver"], judge_on(seen, setup, None, False, link))
 
     return make

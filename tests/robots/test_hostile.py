@@ -178,7 +178,7 @@ POSE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 def test_a_referee_that_says_what_cannot_be_is_lost_in_words(make_robots, clock, lie, why):
     robots = make_robots(SIZE, CARS)
     robots.judge.executor.begin(0, Action.MOVE_RIGHT)
-    mirror = robots.link._judge
+    mirror = robots.link._follower
     mirror._referee = Lying(mirror._referee, lie, clock)
     ended = {}
     for _ in range(100):

@@ -66,7 +66,7 @@ def test_actions_agree_through_delay_jitter_and_loss_and_are_the_same_again(make
 
 def test_the_skills_see_nothing_of_what_the_referee_says(make_robots):
     robots = make_robots(SIZE, CARS, OBJECTS)
-    mirror = robots.link._judge
+    mirror = robots.link._follower
     take = mirror._take
 
     def lie(data: bytes) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from craftsim.discrete.drawing import GOAL, KIND_COLOURS, LINE, car_colour
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kinds import STANDING
 from craftsim.rendering.plots.style import WIDTH_IN
 from craftsim.rendering.shapes import Outline, Wanted, Word, car_shapes, level_shapes
 
@@ -119,6 +120,7 @@ def _legend(grid: Grid, goal: Cell | None, design: Collection[Wanted]) -> Iterat
         Kind.FLAG: "flag",
         Kind.WALL: "wall",
     }
+    named = {kind: kind.name.lower() for kind in kinds.intersection(STANDING)} | named
     for kind, words in named.items():
         if kind in kinds:
             yield Patch(facecolor=KIND_COLOURS[kind], edgecolor=LINE, lw=0.6, label=words)

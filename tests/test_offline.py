@@ -32,7 +32,7 @@ LIST = "0 STOP\n"
         ["show", "strip", "--out", "out"],
         ["conformance", TRACES, "--out", "out"],
         ["doctor", "--out", "out"],
-        ["bench", "rules", "--seconds", "0.01", "--worlds", "2", "--memory-worlds", "2"],
+        ["bench", "rules", "--seconds", "0.01", "--worlds", "2"],
         [
             "validate",
             "strip",

@@ -1,150 +1,164 @@
-"""Measure how fast rules, environments, physics, workers and films are, and how long actions take."""
+"""Measure how fast the rules, the environments and the physics are here, beside an estimate of CraftEnv's speed."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
+import numpy as np
 import tyro
+from numpy.typing import NDArray
 
 from craftsim.discrete.rules import RuleSet
-from craftsim.mjcf.parameters import Drive
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import BATCH, BENCH_RUNS, BENCH_S, BENCH_TICKS, SEED
+from craftsim.storage.limits import BATCH, BENCH_S, SEED
+
+if TYPE_CHECKING:
+    from craftsim.envs.parallel import ParallelConstruction
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
 """Those with two and with four cars."""
-
 DEPTH: Final = 20
 """The search depth of CraftEnv's published training settings, the costlier of the two."""
+
+Step = Callable[[], None]
+Case = tuple[str, int, bool, Step]
+"""What is timed: its name, steps a call, whether CraftEnv's helper counts in the estimate, and the call."""
 
 
 @owning
 def bench(
-    what: tyro.conf.Positional[
-        Literal[
-            "rules", "env", "physics", "steps", "trials", "workers", "render", "plans", "train", "durations"
-        ]
-    ],
+    what: tyro.conf.Positional[Literal["rules", "env", "physics"]],
     rules: RuleSet = "published",
     worlds: Annotated[int, BATCH] = 1000,
     seconds: Annotated[float, BENCH_S] = 2.0,
-    memory_worlds: Annotated[int, BATCH] = 10_000,
-    episode: Annotated[int, BENCH_TICKS] = 20,
-    runs: Annotated[int, BENCH_RUNS] = 40,
-    contexts: Annotated[int, BENCH_RUNS] = 60,
-    drive: Drive = "rollers",
     seed: Annotated[int, SEED] = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Measure how fast the grid rules, the environments and worker processes are, or how long actions take.
+    """Measure how fast the grid rules, the environments or the physics are on this machine.
 
-    rules: steps a CPU second, and the memory of many worlds. A step is one tick of one world, with reward,
-    end of episode and reset, and the masks of all cars for the next one; "helper" adds the helper's search to masks
-    and moves, and the global observation of every car. Drawing actions from the masks is part of the time.
-    A fixed calibration work in plain Python is timed in turns with it: "per unit" is steps in the time of one unit of
-    that work, "CraftEnv" what CraftEnv would do here and now by an estimate from the calibration, "times" the ratio.
+    All figures are steps a CPU second of masked random play, resets included; a step is one tick of one world, with the
+    masks of all cars for the next one. A calibration in plain Python is timed in turns with each: "CraftEnv" is an
+    estimate from it of what CraftEnv would do here and now, "times" the ratio. The repository has more benchmarks:
+    `make bench`.
 
-    env: the same through PettingZoo and in batches; and in physics, the CPU time of a step against that of MuJoCo's
-    steps alone under the same commands.
+    rules: the rules alone; "helper" adds the action helper's search and the global observation of every car.
 
-    physics: joint steps a CPU second against CraftEnv's; with growing numbers of cars that drive and of blocks that
-    rest against MuJoCo's steps alone under the same commands ("x bare"; "us" is what one of these takes, "units"
-    what a joint step costs in units of the calibration work); resets; many worlds with one worker process and with two.
+    env: the grid through PettingZoo and in batches.
 
-    steps: how verdicts, errors, durations and forces depend on the physics step, over contexts of the audit.
-
-    trials: the CPU time of a trial of the audit, stage by stage, over contexts taken evenly from all that it tries.
-
-    workers: two worker processes against one, building a task again and again, their start included; what a single
-    run costs in a campaign, apart from such starts; and what processes and actors of Ray cost beyond their work, on a
-    cluster of this machine alone that is started for it, where Ray is installed.
-
-    render: frames a second of a film with its captions, encoded, beside a bare loop over MuJoCo's renderer; two
-    processes against one; what recording a run adds to its CPU time.
-
-    plans: the makespan of the planner's plans for the paper's tasks beside that of the shipped ones; how many random
-    designs it plans; and what four cars gain over one.
-
-    train: steps of IPPO a CPU second on one thread, rollouts and updates apart, beside the grid alone.
-
-    durations: how long actions take in physics, as craftsim/data/durations.yaml holds it for the grid environments.
+    physics: joint steps through PettingZoo on either drive.
 
     Args:
         what: what to measure.
         rules: the rule set to run; rules only.
-        worlds: how many worlds a batch has.
-        seconds: how long each measurement on the grid runs, each play of a task in physics, and each search for a plan.
-        memory_worlds: how many worlds to make for the memory figure; rules only.
-        episode: ticks of the episode that is timed in physics, 2 or more; env only.
-        runs: how often the task is built, how many random designs are planned, or rollouts learnt from;
-            workers, plans and train only.
-        contexts: how many contexts of the audit are tried; steps and trials only.
-        drive: of the cars; steps and trials only.
-        seed: decides starts, actions and orders.
-        out: folder for report.json; for the tables in rules.md, env.md or physics.md, and physics.png, too.
+        worlds: how many worlds a batch has; rules and env only.
+        seconds: how long each measurement runs.
+        seed: decides starts and actions.
+        out: folder for report.json, and for the table in Markdown.
     """
+    from craftsim.commands.calibration import COLUMNS, measure
+    from craftsim.commands.tables import Cells, show
     from craftsim.commands.terminal import Terminal
     from craftsim.report import write_report
 
-    console = Terminal(highlight=False)
-    figures: dict[str, Any] = {}
-    wall: dict[str, Any] = {}
-    config: dict[str, Any] = {"what": what}
-    match what:
-        case "rules":
-            from craftsim.commands.bench_rules import bench_rules
-
-            config |= {"rules": rules, "worlds": worlds, "depth": DEPTH}
-            figures, wall = bench_rules(
-                console, TASKS, DEPTH, rules, worlds, seconds, memory_worlds, seed, out
-            )
-        case "env":
-            from craftsim.commands.bench_env import bench_env
-
-            config |= {"worlds": worlds, "depth": DEPTH, "episode": episode}
-            wall = bench_env(console, TASKS, DEPTH, worlds, seconds, episode, seed, out)
-        case "physics":
-            from craftsim.commands.bench_physics import bench_physics
-
-            config |= {"seconds": seconds}
-            wall = bench_physics(console, TASKS, seconds, seed, out)
-        case "steps":
-            from craftsim.commands.bench_steps import bench_steps
-
-            config |= {"contexts": contexts, "drive": drive}
-            figures = bench_steps(console, drive, contexts, seed)
-        case "trials":
-            from craftsim.commands.bench_trials import bench_trials
-
-            config |= {"contexts": contexts, "drive": drive}
-            wall = bench_trials(console, drive, contexts, seed)
-        case "workers":
-            from craftsim.commands.bench_workers import bench_workers
-
-            config |= {"runs": runs}
-            wall = bench_workers(console, TASKS[0], runs, seed)
-        case "render":
-            from craftsim.commands.bench_render import bench_render
-
-            wall = bench_render(console, seed, out)
-        case "plans":
-            from craftsim.commands.bench_plans import bench_plans
-
-            config |= {"runs": runs, "seconds": seconds}
-            wall = bench_plans(console, seconds, runs, seed, out)
-        case "train":
-            from craftsim.commands.bench_train import bench_train
-
-            config |= {"runs": runs}
-            wall = bench_train(console, runs, seed, out)
-        case "durations":
-            import yaml
-
-            from craftsim.commands.bench_durations import measure_durations
-
-            figures = measure_durations()
-            console.print(yaml.safe_dump(figures, sort_keys=False), end="")
+    cases = {
+        "rules": lambda task: rule_cases(task, rules, worlds, seed),
+        "env": lambda task: grid_cases(task, worlds, seed),
+        "physics": lambda task: physics_cases(task, seed),
+    }[what]
+    rates: dict[str, dict[str, Any]] = {}
+    rows = []
+    for task in TASKS:
+        rates[task] = {}
+        for name, n, helper, step in cases(task):
+            rate = measure(step, n, seconds, task, helper)
+            rates[task][name] = rate.as_dict()
+            rows.append((task, name, *rate.cells()))
+    table = Cells(f"Steps a CPU second, {what}", ("task", "case", *COLUMNS), tuple(rows))
+    show([table], (), Terminal(highlight=False), None if out is None else out / f"{what}.md")
     if out is not None:
-        write_report(out, figures, command="bench", seed=seed, config=config, wall=wall)
+        config = {"what": what, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
+        write_report(out, {}, command="bench", seed=seed, config=config, wall={"rates": rates})
     return 0
+
+
+def rule_cases(task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:
+    """Yield what is timed of the rules alone."""
+    from craftsim.discrete.tasks import make_task
+    from craftsim.discrete.tasks.episodes import Episodes
+
+    made = make_task(task, reward="published_code")
+    for depth, n in ((None, worlds), (DEPTH, worlds), (DEPTH, 1)):
+        rng = np.random.default_rng(seed)
+        name = f"{'primitive' if depth is None else 'helper'}, {n} world{'s' if n > 1 else ''}"
+        yield name, n, depth is not None, _rule_step(Episodes(made, rng, n, rules, depth), rng)
+
+
+def grid_cases(task: str, worlds: int, seed: int) -> Iterator[Case]:
+    """Yield what is timed of the environments on the grid."""
+    from craftsim.envs import parallel_env, vector_env
+
+    for depth in (DEPTH, None):
+        helper = f"helper {'no' if depth is None else 'yes'}"
+        yield f"PettingZoo, {helper}", 1, True, play(parallel_env(task, "grid", helper_depth=depth), seed)
+        envs = vector_env(task, worlds, helper_depth=depth)
+        yield f"vector, {worlds} worlds, {helper}", worlds, True, play_worlds(envs, seed)
+
+
+def physics_cases(task: str, seed: int) -> Iterator[Case]:
+    """Yield what is timed of the environments in physics."""
+    from craftsim.envs import parallel_env
+    from craftsim.mjcf.parameters import DRIVES
+
+    for drive in DRIVES:
+        yield drive, 1, True, play(parallel_env(task, "physics", drive=drive), seed)
+
+
+def pick(rng: np.random.Generator, mask: NDArray[Any]) -> NDArray[np.int64]:
+    """Return for each car one of its allowed actions, uniformly; 0 where there is none."""
+    picked: NDArray[np.int64] = (rng.random(mask.shape, dtype=np.float32) * mask).argmax(-1)
+    return picked
+
+
+def _rule_step(episodes: Any, rng: np.random.Generator) -> Step:
+    helper = episodes.depth is not None
+    masks = [episodes.offered()]
+
+    def step() -> None:
+        done = episodes.step(pick(rng, masks[0])).done
+        if done.any():
+            episodes.reset(done.nonzero()[0])
+        masks[0] = episodes.offered()
+        if helper:
+            episodes.vectors()
+
+    return step
+
+
+def play(env: ParallelConstruction, seed: int) -> Step:
+    """Return a function that takes one step of masked random play, resets included."""
+    rng = np.random.default_rng(seed)
+    observations = env.reset(seed=seed)[0]
+
+    def step() -> None:
+        nonlocal observations
+        masks = np.stack([seen["action_mask"] for seen in observations.values()])
+        actions = dict(zip(observations, pick(rng, masks).tolist(), strict=True))
+        observations = env.step(actions)[0] if actions else {}
+        if not env.agents:
+            observations = env.reset()[0]
+
+    return step
+
+
+def play_worlds(envs: Any, seed: int) -> Step:
+    """Return a function that takes one step of masked random play in all worlds of a vector environment."""
+    rng = np.random.default_rng(seed)
+    observations = envs.reset(seed=seed)[0]
+
+    def step() -> None:
+        nonlocal observations
+        observations = envs.step(pick(rng, observations["action_mask"]))[0]
+
+    return step

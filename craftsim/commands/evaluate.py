@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import tyro
 
-from craftsim.commands.bench_cells import Cells, show
 from craftsim.commands.options import Dir
+from craftsim.commands.tables import Cells, show
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.errors import InputError

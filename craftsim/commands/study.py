@@ -43,9 +43,9 @@ def study(
         out: folder for report.json, study.md, curves.png, profiles.png, trials.jsonl and a folder of each run.
     """
     need_torch()
-    from craftsim.commands.bench_cells import show
     from craftsim.commands.study_progress import watching
     from craftsim.commands.study_text import conclusions, runs_table
+    from craftsim.commands.tables import show
     from craftsim.studies.results import figures_of, plot_results
     from craftsim.studies.runs import run_study
     from craftsim.studies.study import read_study

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from craftsim.commands.bench_cells import Cells
+from craftsim.commands.tables import Cells
 from craftsim.studies.study import Study
 
 

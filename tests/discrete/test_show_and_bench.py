@@ -1,11 +1,14 @@
 """Worlds as text and pictures, and the commands that show and measure."""
 
 import json
+from dataclasses import fields
 
 import numpy as np
 import pytest
+from benches import ToAndFro, yard
 
 from craftsim.cli import main
+from craftsim.commands.calibration import Rate
 from craftsim.discrete.drawing import GOAL, KIND_COLOURS, car_colour, world_text
 from craftsim.discrete.grid import Kind
 
@@ -75,15 +78,32 @@ def test_show_tells_what_is_wrong_with_a_file(tmp_path, capsys):
     assert "b.yaml:2: unknown key 'area_widht'; did you mean 'area_width'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("rules", ["published", "physical"])
-def test_bench_measures_both_works_and_the_memory(rules, tmp_path, capsys):
-    small = ["--seconds", "0.02", "--worlds", "20", "--memory-worlds", "50", "--rules", rules]
-    assert main(["bench", "rules", *small, "--out", str(tmp_path)]) == 0
-    assert "50 worlds of complex_two_story" in capsys.readouterr().out
-    report = json.loads((tmp_path / "report.json").read_text())
-    assert report["figures"]["bytes_a_world"] == 696
-    rates = report["wall"]["rates"]
+CASES = {
+    "rules": {"primitive, 20 worlds", "helper, 20 worlds", "helper, 1 world"},
+    "env": {
+        f"{form}, helper {used}" for form in ("PettingZoo", "vector, 20 worlds") for used in ("yes", "no")
+    },
+    "physics": {"rollers", "reduced"},
+}
+
+
+@pytest.mark.parametrize("what", CASES)
+def test_bench_measures_each_case_beside_the_calibration(what, tmp_path, capsys):
+    assert main(["bench", what, "--seconds", "0.02", "--worlds", "20", "--out", str(tmp_path)]) == 0
+    printed, page = capsys.readouterr().out, (tmp_path / f"{what}.md").read_text()
+    rates = json.loads((tmp_path / "report.json").read_text())["wall"]["rates"]
     assert set(rates) == {"simple_two_story", "complex_two_story"}
-    for cases in rates.values():
-        assert set(cases) == {"primitive, 20 worlds", "helper, 20 worlds", "helper, 1 world"}
-        assert min(rate["steps_a_second"] for rate in cases.values()) > 0
+    for task, cases in rates.items():
+        assert set(cases) == CASES[what]
+        for name, rate in cases.items():
+            assert rate["times"] == pytest.approx(rate["steps_a_second"] / rate["reference_a_second"])
+            cells = Rate(*(rate[field.name] for field in fields(Rate))).cells()
+            assert f"| {task} | {name} | {' | '.join(cells)} |" in page
+            assert cells[0] in printed
+
+
+def test_the_commands_of_an_episode_are_replayed_to_the_same_end():
+    episode = ToAndFro(yard(2, 3), drive="reduced")
+    assert len(episode.periods) > 50
+    episode.reset()
+    episode.replay()  # raises an error where it ends elsewhere

@@ -1,26 +1,22 @@
-"""What is measured of the environments: rates, the cost of a step in physics, and how long actions take."""
+"""The shipped durations, and the calibration beside which speed is measured."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from measure_durations import measure_durations
 
-from craftsim.cli import main
-from craftsim.commands import bench_calibration
-from craftsim.commands.bench_calibration import (
+from craftsim.commands import calibration
+from craftsim.commands.calibration import (
     PRIMITIVE_TIMES_HELPER,
     REFERENCE_PER_UNIT,
     measure,
     unit,
 )
-from craftsim.commands.bench_durations import measure_durations
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import SITUATIONS, nominal_durations, tick_durations
-from craftsim.discrete.tasks import make_task
-from craftsim.envs.timing import time_physics
 
 
 def test_the_shipped_durations_are_what_physics_takes():
@@ -30,7 +26,7 @@ def test_the_shipped_durations_are_what_physics_takes():
         for column, name in enumerate(SITUATIONS):
             seconds = measured.get(ACTIONS[action].duration, {}).get(name, 0.0)
             assert table[action, column] == pytest.approx(seconds, abs=0.05), (
-                f"{action.name}, {name}: run `craftsim bench durations` and put it into durations.yaml"
+                f"{action.name}, {name}: run scripts/measure_durations.py and put it into durations.yaml"
             )
 
 
@@ -56,30 +52,6 @@ def test_a_tick_takes_as_long_as_its_slowest_car_and_forbidden_actions_take_no_t
     assert tick_durations(before[:1], turned, actions[:1], applied[:1]) == table[Action.ROTATE_LEFT, flat]
 
 
-def test_the_commands_of_an_episode_are_replayed_to_the_same_end():
-    # time_physics() raises an error where the replay ends in another state.
-    timing = time_physics(make_task("complex_two_story", max_steps=2), repeats=2)
-    assert timing.n_cars == 4
-    assert timing.n_steps == 4
-    assert timing.n_periods > 100
-    assert timing.ratio > 0
-
-
-def test_bench_prints_the_environments_against_the_reference(tmp_path, capsys):
-    small = ["--seconds", "0.02", "--worlds", "20", "--episode", "2"]
-    assert main(["bench", "env", *small, "--out", str(tmp_path)]) == 0
-    assert "bar 1.25" in capsys.readouterr().out
-    wall = json.loads((tmp_path / "report.json").read_text())["wall"]
-    for rates in wall["rates"].values():
-        assert set(rates) == {
-            f"{form}, helper {helper}"
-            for form in ("PettingZoo", "vector, 20 worlds")
-            for helper in ("yes", "no")
-        }
-        assert min(rate["steps_a_second"] for rate in rates.values()) > 0
-    assert wall["physics"]["complex_two_story"]["n_cars"] == 4
-
-
 @pytest.mark.parametrize("unit_s", [0.0005, 0.003])
 def test_a_ratio_to_the_reference_does_not_depend_on_how_fast_the_machine_is(monkeypatch, unit_s):
     """Both sides slow down together: work of the calibration's own kind has one ratio, however long a unit takes."""
@@ -91,8 +63,8 @@ def test_a_ratio_to_the_reference_does_not_depend_on_how_fast_the_machine_is(mon
     def slowed(times):
         return lambda: [unit(seed) for seed in range(times)] and None
 
-    monkeypatch.setattr(bench_calibration, "time", clock)
-    monkeypatch.setattr(bench_calibration, "unit", unit)
+    monkeypatch.setattr(calibration, "time", clock)
+    monkeypatch.setattr(calibration, "unit", unit)
     one = measure(slowed(1), 1, 0.3, "simple_two_story", helper=True)
     assert one.per_unit == pytest.approx(1.0)
     assert one.times == pytest.approx(1 / REFERENCE_PER_UNIT["simple_two_story"])

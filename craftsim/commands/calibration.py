@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Final
 
 import numpy as np
@@ -99,7 +99,7 @@ def unit(seed: int = 0) -> float:
     return total
 
 
-COLUMNS: Final = ("steps/s", "per unit", "CraftEnv", "times")
+COLUMNS: Final = ("steps/s", "CraftEnv", "times")
 """Heads of the columns of :meth:`Rate.cells`."""
 
 
@@ -124,10 +124,14 @@ class Rate:
         """How many times as many steps as CraftEnv."""
         return self.steps_a_second / self.reference_a_second
 
+    def as_dict(self) -> dict[str, float]:
+        """Return all figures by name."""
+        return asdict(self) | {"per_unit": self.per_unit, "times": self.times}
+
     def cells(self) -> tuple[str, ...]:
         """Return the columns of a table."""
-        absolute = (self.steps_a_second, self.per_unit, self.reference_a_second)
-        return (*(f"{value:,.{0 if value >= 100 else 1}f}" for value in absolute), f"{self.times:,.0f}")
+        values = (self.steps_a_second, self.reference_a_second, self.times)
+        return tuple(f"{value:,.{0 if value >= 100 else 1 if value >= 10 else 2}f}" for value in values)
 
 
 def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper: bool) -> Rate:
@@ -155,12 +159,6 @@ def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper:
     units_a_second = units / of_units
     reference = units_a_second * REFERENCE_PER_UNIT[task] * (1.0 if helper else PRIMITIVE_TIMES_HELPER[task])
     return Rate(n * calls / of_calls, units_a_second, reference)
-
-
-def pace(seconds: float) -> float:
-    """Return how many units of the calibration work this processor does in a CPU second just now, timed for so long."""
-    n, spent = repeat(unit, seconds)
-    return n / spent
 
 
 def repeat(work: Callable[[int], object], seconds: float) -> tuple[int, float]:

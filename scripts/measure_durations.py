@@ -1,4 +1,7 @@
-"""How long each action takes at nominal physics, measured on a tour of one car that comes by every situation."""
+"""Measure how long each action takes at nominal physics, on a tour of one car that comes by every situation.
+
+Prints what craftsim/data/durations.yaml holds for the grid environments.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ from collections import defaultdict
 from typing import Final
 
 import numpy as np
+import yaml
 
 from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.actions import ACTIONS
@@ -63,3 +67,7 @@ def measure_durations() -> dict[str, dict[str, float]]:
         name: {where: round(float(np.mean(taken)), 2) for where, taken in rows.items()}
         for name, rows in seconds.items()
     }
+
+
+if __name__ == "__main__":
+    print(yaml.safe_dump(measure_durations(), sort_keys=False), end="")

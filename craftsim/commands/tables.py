@@ -1,4 +1,4 @@
-"""Tables and lines of what ``craftsim bench`` has measured, for the terminal and for the documentation."""
+"""Tables and lines of what was measured, for the terminal and for the documentation."""
 
 from __future__ import annotations
 

@@ -1,0 +1,84 @@
+"""How fast films are made, by the clock, beside a bare loop over MuJoCo's renderer; and what recording a run costs."""
+
+import time
+from contextlib import closing
+from functools import cache
+
+import mujoco
+import pytest
+
+from craftsim.checking.setup import setup_of
+from craftsim.rendering.cameras import make_view
+from craftsim.rendering.frames import Frames, Look, pace_of
+from craftsim.rendering.layout import arrange
+from craftsim.rendering.playback import Playback
+from craftsim.rendering.processes import render_frames
+from craftsim.rendering.render import encode
+from craftsim.rendering.renderer import make_renderer
+from craftsim.rendering.stage import Stage
+from craftsim.validation.runs.choice import PLANNER, items_of, policy_pilot, subjects_of
+from craftsim.validation.runs.once import record_once
+from craftsim.validation.runs.run import Terms, do_run
+
+TASK = "simple_two_story"
+FRAMES = 60
+
+
+@cache
+def recorded():
+    return record_once(TASK, setup_of("none", "physical", drive="reduced"), 0)
+
+
+def bare(trajectory, look):
+    """Render the frames with the same stage, camera, samples and size, without captions."""
+    (tile,), _ = arrange(look.size, 1, look.layout, look.captions)
+    stage = Stage(trajectory, look.quality)
+    playback, view = (
+        Playback(stage.model, trajectory),
+        make_view("overview", trajectory, tile.size[0] / tile.size[1]),
+    )
+    stage.model.vis.global_.fovy = view.fovy_deg
+    renderer = make_renderer(stage.model, tile.size)
+    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = stage.shadows
+
+    def loop():
+        for moment in map(float, pace_of(trajectory, look).times):
+            data = playback.at(trajectory.at(moment))
+            renderer.update_scene(data, view.camera(moment))
+            stage.finish(renderer.scene, data.qpos)
+            renderer.render()
+
+    return loop, renderer.close
+
+
+@pytest.mark.benchmark(timer=time.perf_counter)
+@pytest.mark.parametrize("quality", ["draft", "paper"])
+@pytest.mark.parametrize("what", ["bare", "film", "one process", "two processes"])
+def test_sixty_frames(benchmark, tmp_path, what, quality):
+    """``film`` has captions and is encoded; processes make its frames alone, their start included."""
+    trajectory = recorded()
+    look = Look(quality=quality, speed=trajectory.duration_s / (FRAMES / 30), cards=False)
+    if what == "bare":
+        work, close = bare(trajectory, look)
+        benchmark.pedantic(work, rounds=2)
+        close()
+    elif what == "film":
+        with closing(Frames(trajectory, look)) as frames:
+            film = tmp_path / "film.mp4"
+            benchmark.pedantic(
+                lambda: encode(film, look.fps, map(frames.__getitem__, range(len(frames)))), rounds=2
+            )
+    else:
+        workers = 1 + what.startswith("two")
+        benchmark.pedantic(lambda: list(render_frames(trajectory, look, workers)), rounds=2)
+
+
+@pytest.mark.parametrize("drive", ["rollers", "reduced"])
+@pytest.mark.parametrize("record", [False, True])
+def test_recording_a_run(benchmark, tmp_path, drive, record):
+    """CPU time of a run with and without what is recorded of it, its files included."""
+    subjects = subjects_of([TASK])
+    pilot = policy_pilot(PLANNER, subjects, "concurrent")
+    terms = Terms(0, setup_of("none", "physical", drive=drive), tmp_path, record=record)
+    (item,) = items_of(subjects, [pilot], 1, terms)
+    benchmark.pedantic(do_run, args=(item.job,), rounds=5, warmup_rounds=1)

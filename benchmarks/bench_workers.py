@@ -1,0 +1,59 @@
+"""What it costs to have work done by other processes: a campaign's trials, and joint steps."""
+
+import os
+import time
+from contextlib import closing
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from craftsim.discrete.kinds import Action
+from craftsim.envs.physics_vector import PhysicsVectorEnv
+from craftsim.validation.campaign import Done, Header, Item, run_campaign
+from craftsim.validation.validation import validate
+
+FEW, MANY = 200, 1200
+ENGINES = ["local", *(["ray"] if find_spec("ray") and "RAY_ADDRESS" in os.environ else [])]
+"""Actors of Ray are measured where there is a cluster."""
+
+
+def nothing(job):
+    return Done(True)
+
+
+@pytest.mark.benchmark(timer="processes")
+@pytest.mark.parametrize("trials", [FEW, MANY])
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_campaign_of_empty_trials(benchmark, tmp_path, engine, trials):
+    """CPU of all processes; the difference of both, over that of their trials, is what a trial costs."""
+    items = [Item(f"item {i}", "all", i, i) for i in range(trials)]
+    benchmark.pedantic(
+        run_campaign,
+        args=(items, nothing, tmp_path, Header("bench", 0, {})),
+        kwargs={"engine": engine},
+        rounds=1,
+    )
+
+
+@pytest.mark.benchmark(timer=time.perf_counter)
+@pytest.mark.parametrize("workers", [1, 2])
+def test_building_a_strip_twelve_times(benchmark, tmp_path, workers):
+    """By the clock, the start of the workers included."""
+    benchmark.pedantic(
+        validate,
+        args=("strip",),
+        kwargs={"randomize": "mild", "trials": 12, "workers": workers, "out": tmp_path},
+        rounds=1,
+    )
+
+
+@pytest.mark.benchmark(timer="processes")
+@pytest.mark.parametrize("engine", ["here", *ENGINES])
+def test_a_hundred_joint_steps(benchmark, engine):
+    """All cars stand, so that little but handing over is done: in this process, or by one worker."""
+    options = {} if engine == "here" else {"workers": 1, "engine": engine}
+    with closing(PhysicsVectorEnv("simple_two_story", 1, **options)) as envs:
+        envs.reset(seed=0)
+        still = np.full((1, 2), Action.STOP)
+        benchmark.pedantic(lambda: [envs.step(still) for _ in range(100)], rounds=5, warmup_rounds=1)

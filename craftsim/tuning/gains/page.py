@@ -51,14 +51,17 @@ def sentence(tuned: Tuned) -> str:
     if not verdict.improved:
         return f"Nothing better than the start was found, {seeds}; gains.yaml holds the start's gains."
     return (
-        f"The product of the objectives changes by {change(verdict.against_start)} from the start, {seeds}; "
+        f"The product of the objectives changes by {change(verdict.against_start)} from the start "
+        f"({interval(verdict.against_start)}), {seeds}; "
         f"{verdict.after.failed} failed, and {verdict.before.failed} before."
     )
 
 
 def _headline(tuned: Tuned) -> Headline:
-    if tuned.verdict.improved:
+    if tuned.verdict.improved and tuned.verdict.against_start.high < 1:
         return Headline("Better", Tone.GOOD, sentence(tuned))
+    if tuned.verdict.improved:
+        return Headline("Better on average", Tone.CAUTION, sentence(tuned))
     return Headline("Not better", Tone.CAUTION, sentence(tuned))
 
 

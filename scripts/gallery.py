@@ -20,7 +20,6 @@ from craftsim.discrete.drawing import LEGEND, world_text
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.rendering.frames import Look
-from craftsim.rendering.processes import spread
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Trajectory
@@ -29,6 +28,7 @@ from craftsim.validation.replays.bundle import read_bundle
 from craftsim.validation.runs.once import record_once
 from craftsim.validation.shrinking.shrink import DependsError, Smallest, failing_actions, shrink
 from craftsim.validation.shrinking.words import sentence
+from craftsim.workers.pool import Pool, answered
 
 ROOT: Final = Path(__file__).parents[1]
 GALLERY: Final = ROOT / "docs" / "gallery"
@@ -61,8 +61,10 @@ def main(audits: Sequence[Path], workers: int) -> None:
     jobs: list[tuple[str, tuple[Path, ...]]] = [(task, ()) for task in TASK_NAMES]
     jobs += [(building, ()) for building in BUILDINGS]
     jobs += [(flag, tuple(bundles)) for flag, bundles in flags.items()]
-    for number, _ in enumerate(spread(_make, jobs, workers)):
-        print(f"{number + 1} of {len(jobs)}", flush=True)
+    with Pool(workers) as pool:
+        for number, (_, answer) in enumerate(pool.map_unordered(_make, jobs)):
+            answered(answer)
+            print(f"{number + 1} of {len(jobs)}", flush=True)
     for path in (*GALLERY.iterdir(), *FILMS.iterdir()):
         if path.stat().st_size > BUDGET_BYTES:
             raise SystemExit(f"{path} has {path.stat().st_size} bytes; allowed: {BUDGET_BYTES}")

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from craftsim import compiling
-from craftsim.processes import spawn_context
+from craftsim.workers.actor import spawn_context
 
 
 class Terminal(io.StringIO):

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.interrupts import finishing_first
-from craftsim.processes import spawn_context
-from craftsim.rendering.processes import Shielded
+from craftsim.workers.actor import defer_sigint, spawn_context
+from craftsim.workers.pool import Pool
 
 
 def test_a_process_that_still_imports_hears_of_no_interrupt():
@@ -30,15 +29,15 @@ def test_whoever_starts_it_hears_as_before():
     process.join()
 
 
-def test_processes_of_a_film_hear_of_no_interrupt():
-    with Shielded(1, spawn_context()) as processes:
-        processes.submit(signal.raise_signal, signal.SIGINT).result()
+def test_workers_hear_of_no_interrupt():
+    with Pool(1) as pool:
+        assert list(pool.map_unordered(signal.raise_signal, [signal.SIGINT])) == [(signal.SIGINT, None)]
 
 
 def test_where_an_interrupt_is_ignored_work_goes_on():
     usual = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with finishing_first():
+        with defer_sigint():
             signal.raise_signal(signal.SIGINT)
             assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     finally:
@@ -49,7 +48,7 @@ def test_what_is_under_way_ends_before_an_interrupt_is_heard():
     done = []
 
     def interrupted():
-        with finishing_first():
+        with defer_sigint():
             signal.raise_signal(signal.SIGINT)
             done.append(1)
 

@@ -12,10 +12,9 @@ PACKAGE = Path(craftsim.__file__).parent
 ALLOWED = {
     "errors": set(),
     "extras": set(),
-    "interrupts": set(),
     "modules": set(),
     "compiling": set(),
-    "processes": set(),
+    "workers": set(),
     "storage": set(),
     "discrete": {"storage"},
     "designs": {"storage", "discrete"},
@@ -82,7 +81,7 @@ ALLOWED = {
 }
 """What each room may import of ours, besides itself, the version and those of SHARED; commands may import all."""
 
-SHARED = {"compiling", "errors", "extras", "interrupts", "modules", "processes"}
+SHARED = {"compiling", "errors", "extras", "modules", "workers"}
 """What every room may import."""
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}

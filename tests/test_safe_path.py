@@ -12,7 +12,7 @@ import pytest
 
 import craftsim
 from craftsim.modules import import_own
-from craftsim.processes import spawn_context
+from craftsim.workers.actor import spawn_context
 
 PACKAGE = Path(craftsim.__file__).parent
 CRAFTSIM = [str(Path(sys.executable).with_name("craftsim"))]
@@ -150,7 +150,7 @@ def _names(tree):
 
 
 def test_processes_are_started_in_one_way():
-    """All by the context of processes.py, or with -P; and one module alone adds the working folder to the path."""
+    """All by workers/actor.py, or with -P; and one module alone adds the working folder to the path."""
     for path in PACKAGE.rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         names, place = set(_names(tree)), str(path.relative_to(PACKAGE))
@@ -161,9 +161,10 @@ def test_processes_are_started_in_one_way():
             "os.execv",
             "os.system",
         }, place
-        pools = names & {"ProcessPoolExecutor", "ProcessPool", "Shielded"}
-        assert not pools or "spawn_context" in names or place == "rendering/processes.py", place
-        assert "SpawnContext" not in names or place == "processes.py", place
+        assert (
+            not names & {"SpawnContext", "spawn_context", "ProcessPoolExecutor"}
+            or place == "workers/actor.py"
+        ), place
         for node in ast.walk(tree):
             if isinstance(node, ast.List) and node.elts and ast.unparse(node.elts[0]) == "sys.executable":
                 assert ast.unparse(node.elts[1]) == "'-P'", place

@@ -15,8 +15,8 @@ from craftsim.checking.attempt import Thresholds
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
 from craftsim.validation import validation
-from craftsim.validation.campaign import local
-from craftsim.validation.campaign.items import perform
+from craftsim.validation.campaign import campaign
+from craftsim.validation.campaign.items import answer_of
 from craftsim.validation.runs import run
 
 CROWDED = """
@@ -134,17 +134,10 @@ def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, 
 def here(monkeypatch):
     """Let the work be done in this process, so that what is patched here is what is done."""
 
-    class Here:
-        def __init__(self, work):
-            self.work = work
+    def distribute(pool, work, items, timeout_s, batch):
+        return ((number, answer_of(work, item.job)) for number, item in items)
 
-        def run(self, items, timeout_s):
-            return perform(self.work, [item.job for item in items])
-
-        def close(self):
-            pass
-
-    monkeypatch.setattr(local, "LocalWorker", Here)
+    monkeypatch.setattr(campaign, "distribute", distribute)
 
 
 @pytest.mark.usefixtures("here")

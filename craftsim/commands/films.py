@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 from rich.console import Console
 
 from craftsim.commands.progress import counting
 from craftsim.rendering.backend import RenderingUnavailable, choose_backend
 from craftsim.rendering.frames import Look
-from craftsim.rendering.processes import spread
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.storage.folders import directory_within
@@ -19,6 +18,9 @@ from craftsim.validation.campaign import TrialRecord
 from craftsim.validation.replays.bundle import FILM, TRAJECTORY, Recorded, read_bundle
 from craftsim.validation.replays.recording import CLIP_S, record_bundle
 from craftsim.validation.replays.replay import Replay
+from craftsim.workers.pool import Pool, answered
+
+Job = TypeVar("Job")
 
 FILMS: Final = "films"
 SIZE: Final = (640, 360)
@@ -56,7 +58,7 @@ def record_failures(
     last = FILM if films else TRAJECTORY
     missing = [(folder, films) for folder in folders if not (folder / last).exists()]
     with counting(console, "films" if films else "trajectories", len(missing), bool) as tell:
-        for _ in spread(_record_folder, missing, workers):
+        for _ in _done(_record_folder, missing, workers):
             tell(True)
 
 
@@ -68,8 +70,18 @@ def film_runs(console: Console, out: Path, workers: int = 1) -> None:
     ]
     missing = [pair for pair in paths if not pair[1].exists()]
     with counting(console, "films", len(missing), bool) as tell:
-        for _ in spread(_film_trajectory, missing, workers):
+        for _ in _done(_film_trajectory, missing, workers):
             tell(True)
+
+
+def _done(function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> Iterator[None]:
+    """Call a function for each job, in this process where one is enough; yield as each is done, in no order."""
+    if workers == 1 or len(jobs) < 2:
+        yield from map(function, jobs)
+        return
+    with Pool(workers) as pool:
+        for _, answer in pool.map_unordered(function, jobs):
+            yield answered(answer)
 
 
 def _record_folder(job: tuple[Path, bool]) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from craftsim.envs.options import BackendName
     from craftsim.envs.parallel import ParallelConstruction
-    from craftsim.envs.physics_vector import EngineName
+    from craftsim.workers.pool import Engine
 
 __all__ = ["GYMNASIUM_IDS", "env", "parallel_env", "vector_env"]
 
@@ -78,7 +78,7 @@ def vector_env(
     n_cars: int | None = None,
     n_blocks: int | None = None,
     workers: int | None = None,
-    engine: EngineName = "local",
+    engine: Engine = "local",
     **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
     """Return many worlds of a task as a Gymnasium environment, one agent for all cars of each world.

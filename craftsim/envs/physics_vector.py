@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -19,23 +18,20 @@ from craftsim.envs.actions import checked
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.options import Options
 from craftsim.envs.vector import Bools, Observation, TaskVectorEnv
-from craftsim.envs.world_processes import WorldProcesses
-from craftsim.envs.world_requests import (
+from craftsim.envs.worlds import (
     Acted,
     ActRequest,
     Answer,
-    Make,
     Rendered,
     RenderRequest,
     Request,
     ResetRequest,
     Seen,
-    WorldHolder,
+    Worlds,
 )
 from craftsim.errors import CraftsimError, InputError
 from craftsim.storage.limits import WORKERS
-
-EngineName = Literal["local", "ray"]
+from craftsim.workers.pool import Engine
 
 Batch = tuple[Observation, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 
@@ -62,7 +58,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
         num_envs: int = 1,
         *,
         workers: int | None = None,
-        engine: EngineName = "local",
+        engine: Engine = "local",
         **options: Any,
     ) -> None:
         """Prepare ``num_envs`` worlds; the processes go on starting while this returns.
@@ -87,14 +83,14 @@ class PhysicsVectorEnv(TaskVectorEnv):
             raise InputError(f"workers is {workers!r}; allowed: None, or {WORKERS}")
         if workers is not None:
             WORKERS.check("workers", workers)
-        if engine not in get_args(EngineName):
-            raise InputError(f"engine is {engine!r}; allowed: {', '.join(get_args(EngineName))}")
+        if engine not in get_args(Engine):
+            raise InputError(f"engine is {engine!r}; allowed: {', '.join(get_args(Engine))}")
         make = partial(CentralConstruction, self.task, backend="physics", **options)
         one = make()  # so that what is wrong is said here, and not in a process
         self.metadata = one.metadata | {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.render_mode = one.render_mode
         one.close()
-        self._worlds = _holder(make, num_envs, workers, engine)
+        self._worlds = Worlds(make, num_envs, workers, engine)
         self.workers = self._worlds.workers
         self._ids = frozenset(range(num_envs))
         self._acting = np.zeros(num_envs, np.bool_)
@@ -192,7 +188,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
     @property
     def pids(self) -> list[int]:
         """Numbers of the worker processes, where they are those of this machine."""
-        return self._worlds.pids if isinstance(self._worlds, WorldProcesses) else []
+        return self._worlds.pids
 
     def car_vectors(self) -> NDArray[np.int32]:
         """Return (B, n, length): what each car of each world observed last, its own row first."""
@@ -217,11 +213,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def _ask(self, requests: dict[int, Request]) -> None:
         if self.closed:
             raise InputError("the environment is closed; make it anew")
-        try:
-            self._worlds.ask(requests)
-        except CraftsimError:
-            self.close()
-            raise
+        self._worlds.ask(requests)
 
     def _ask_all(self, requests: dict[int, Request]) -> dict[int, Answer]:
         self._ask(requests)
@@ -264,14 +256,6 @@ class PhysicsVectorEnv(TaskVectorEnv):
             np.array([one.truncated for one in acted], np.bool_),
             infos,
         )
-
-
-def _holder(make: Make, n_worlds: int, workers: int | None, engine: EngineName) -> WorldHolder:
-    if engine == "ray":
-        from craftsim.envs.ray_worlds import RayWorlds
-
-        return RayWorlds(make, n_worlds, workers)
-    return WorldProcesses(make, n_worlds, min(n_worlds, workers or len(os.sched_getaffinity(0))))
 
 
 def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -15,16 +16,18 @@ import numpy as np
 from craftsim.errors import InputError
 from craftsim.rendering.animation import AnimationWriter, check_animation
 from craftsim.rendering.frames import Frames, Look
-from craftsim.rendering.processes import render_frames
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.rendering.video import Frame, VideoWriter
 from craftsim.storage.writing import write_whole
+from craftsim.workers.pool import Pool, answered
 
 FORMATS: Final = (".mp4", ".webm", ".webp", ".gif", ".png")
 SHEET: Final = 12
 """Moments on a contact sheet."""
 _WAITING: Final = 16
 """Frames that wait for the encoder at most."""
+_BATCH: Final = 8
+"""Frames that a process makes at once."""
 
 OnFrame = Callable[[bool], None]
 Progress = Callable[[int], AbstractContextManager[OnFrame]]
@@ -77,6 +80,40 @@ def check_format(path: Path, at: Sequence[float] = ()) -> None:
         raise InputError(f"{path}: no format ends in '{path.suffix}'; there are {', '.join(FORMATS)}")
     if at and path.suffix != ".png":
         raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
+
+
+def render_frames(trajectory: Trajectory, look: Look, workers: int = 1) -> Iterator[Frame]:
+    """Yield the frames of a film, the same for any number of workers."""
+    if workers == 1:
+        with closing(Frames(trajectory, look)) as frames:
+            yield from map(frames.__getitem__, range(len(frames)))
+        return
+    n_frames = Frames.count(trajectory, look)
+    batches = [range(first, min(first + _BATCH, n_frames)) for first in range(0, n_frames, _BATCH)]
+    early: dict[range, list[Frame]] = {}
+    with Pool(workers) as pool:
+        answers = pool.map_unordered(FrameMaker(trajectory, look), batches)
+        for batch in batches:
+            while batch not in early:
+                done, frames_of_it = next(answers)
+                early[done] = answered(frames_of_it)
+            yield from early.pop(batch)
+
+
+class FrameMaker:
+    """Makes frames of a film in a worker, by their numbers; the film is prepared there, once."""
+
+    def __init__(self, trajectory: Trajectory, look: Look) -> None:
+        """Prepare nothing yet."""
+        # A copy has no compiled model, which would be sent along.
+        self._trajectory, self._look = replace(trajectory), look
+        self._frames: Frames | None = None
+
+    def __call__(self, numbers: Iterable[int]) -> list[Frame]:
+        """Return the frames of these numbers."""
+        if self._frames is None:
+            self._frames = Frames(self._trajectory, self._look)
+        return [self._frames[number] for number in numbers]
 
 
 def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:

@@ -19,7 +19,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
-from craftsim.interrupts import finishing_first
 from craftsim.report import versions
 from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import RUN_FILE, RunHead, open_run, save_policy, save_run
@@ -39,6 +38,7 @@ from craftsim.training.policy import POLICY_FILE
 from craftsim.training.pretraining import begin_as_pretrained
 from craftsim.training.restoring import numbers
 from craftsim.training.shape import Shape, check_stage
+from craftsim.workers.actor import defer_sigint
 
 if TYPE_CHECKING:
     from craftsim.checking.setup import Randomize
@@ -154,7 +154,7 @@ class Trainer:
         """
         while self.steps < steps and not (self.curve and self.curve[-1].success >= until):
             begun, cpu_begun = time.perf_counter(), time.process_time()
-            with finishing_first():
+            with defer_sigint():
                 self._iterate()
                 # What was imitated may be all that there is to learn.
                 imitated = self.iteration == 1 and self.guidance.shown is not None

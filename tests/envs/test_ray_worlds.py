@@ -40,7 +40,7 @@ def test_worlds_in_actors_are_those_of_local_processes_and_a_dead_actor_is_one_c
             np.testing.assert_array_equal(mine, other)
     with closing(vector_env(TASK, 1, "physics", engine="ray", observers=[_leave])) as envs:
         envs.reset(seed=1)
-        with pytest.raises(CraftsimError, match="the Ray cluster has lost worlds"):
+        with pytest.raises(CraftsimError, match="worlds 0 is lost to the Ray cluster"):
             envs.step(np.full((1, 2), 4))
         with pytest.raises(InputError, match="closed"):
             envs.step(np.full((1, 2), 4))

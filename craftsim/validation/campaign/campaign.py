@@ -6,13 +6,12 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from types import FrameType
-from typing import Literal
 
 from craftsim.errors import InputError
-from craftsim.validation.campaign.distribute import Worker, distribute
+from craftsim.validation.campaign.distribute import distribute
 from craftsim.validation.campaign.header import Header
 from craftsim.validation.campaign.items import (
     Answer,
@@ -26,8 +25,7 @@ from craftsim.validation.campaign.items import (
 from craftsim.validation.campaign.records import Records
 from craftsim.validation.campaign.schema import ANY, Form
 from craftsim.validation.campaign.store import Store
-
-Engine = Literal["local", "ray"]
+from craftsim.workers.pool import Engine, Pool
 
 
 def run_campaign(
@@ -138,24 +136,11 @@ def run_here(
 def _answers(
     items: Iterable[tuple[int, Item]], work: Work, workers: int, engine: Engine, timeout_s: float, batch: int
 ) -> Iterator[tuple[int, Answer]]:
-    """Yield the answers to numbered items; no more workers are started than there are batches."""
+    """Yield the answers to numbered items; nothing is started where there are none."""
     rest = iter(items)
-    begin = list(islice(rest, workers * batch))
-    if not begin:
-        return iter(())
-    n = -(-len(begin) // batch)
-    return distribute(_start(work, n, engine), chain(begin, rest), timeout_s, batch)
-
-
-def _start(work: Work, n: int, engine: Engine) -> list[Worker]:
-    if engine == "ray":
-        from craftsim.validation.campaign.ray_cluster import ray_workers
-
-        return ray_workers(work, n)
-
-    from craftsim.validation.campaign.local import LocalWorker
-
-    return [LocalWorker(work) for _ in range(n)]
+    for first in rest:
+        with Pool(workers, engine) as pool:
+            yield from distribute(pool, work, chain([first], rest), timeout_s, batch)
 
 
 @contextmanager

@@ -11,7 +11,6 @@ from typing import Any, TypedDict
 from craftsim.errors import DISK_ERRORS
 from craftsim.report import plain
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS
-from craftsim.validation.campaign.tidying import tidy
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,15 +117,6 @@ def shortened(text: str) -> str:
     half = MAX_ERROR_CHARACTERS // 2
     whole = text if len(text) <= MAX_ERROR_CHARACTERS else f"{text[:half]} [...] {text[-half:]}"
     return str(plain(whole))
-
-
-def perform(work: Work, jobs: Sequence[Any]) -> list[Answer]:
-    """Do the work of several items, in a worker; what one of them raises is its answer."""
-    answers = []
-    for job in jobs:
-        answers.append(answer_of(work, job))
-        tidy()
-    return answers
 
 
 def answer_of(work: Work, job: Any, interruptible: bool = False) -> Answer:

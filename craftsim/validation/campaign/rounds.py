@@ -10,13 +10,13 @@ from typing import Any
 
 from craftsim.errors import InputError
 from craftsim.validation.campaign.campaign import check_room, interruptible
-from craftsim.validation.campaign.distribute import Worker, distribute
+from craftsim.validation.campaign.distribute import distribute
 from craftsim.validation.campaign.header import Header
-from craftsim.validation.campaign.items import Answer, Item, TrialRecord, Work, make_record
-from craftsim.validation.campaign.local import LocalWorker
+from craftsim.validation.campaign.items import Item, TrialRecord, Work, make_record
 from craftsim.validation.campaign.records import Records
 from craftsim.validation.campaign.schema import ANY, Form
 from craftsim.validation.campaign.store import Store
+from craftsim.workers.pool import Pool
 
 
 class Rounds:
@@ -26,13 +26,14 @@ class Rounds:
         self,
         store: Store,
         items: Sequence[Item],
-        workers: Sequence[Worker],
+        work: Work,
+        pool: Pool,
         timeout_s: float,
         on_record: Callable[[TrialRecord], None],
     ) -> None:
         """Go on with what a store has kept."""
-        self._store, self._items, self._workers = store, items, workers
-        self._timeout_s, self._on_record = timeout_s, on_record
+        self._store, self._items, self._work = store, items, work
+        self._pool, self._timeout_s, self._on_record = pool, timeout_s, on_record
         self._kept = {record["index"]: record for record in store.kept()}
 
     def do(self, jobs: Mapping[int, Any]) -> list[TrialRecord]:
@@ -45,7 +46,7 @@ class Rounds:
             if number in self._kept:
                 self._on_record(self._kept[number])
         missing = [(n, replace(self._items[n], job=job)) for n, job in jobs.items() if n not in self._kept]
-        for number, answer in distribute(self._workers, missing, self._timeout_s, batch=1) if missing else ():
+        for number, answer in distribute(self._pool, self._work, missing, self._timeout_s, batch=1):
             check_room(answer, self._store.out)
             record = self._store.append(make_record(self._items[number], number, answer))
             if record["error"] is not None:
@@ -77,31 +78,12 @@ def open_rounds(
 
     The same workers do all rounds.
     """
-    lasting = [_Lasting(LocalWorker(work)) for _ in range(workers)]
     store = Store(out, header, items, resume, form)
     try:
-        with interruptible(lambda: f"{store.n_kept} of {len(items)} evaluations are kept in {out}"):
-            yield Rounds(store, items, lasting, timeout_s, on_record)
+        with (
+            interruptible(lambda: f"{store.n_kept} of {len(items)} evaluations are kept in {out}"),
+            Pool(workers) as pool,
+        ):
+            yield Rounds(store, items, work, pool, timeout_s, on_record)
     finally:
-        for one in lasting:
-            one.worker.close()
         store.close()
-
-
-class _Lasting:
-    """A worker that is closed with a round only if it still runs, which is when somebody interrupts it."""
-
-    def __init__(self, worker: Worker) -> None:
-        self.worker = worker
-        self._runs = False
-
-    def run(self, items: Sequence[Item], timeout_s: float) -> list[Answer]:
-        self._runs = True
-        try:
-            return self.worker.run(items, timeout_s)
-        finally:
-            self._runs = False
-
-    def close(self) -> None:
-        if self._runs:
-            self.worker.close()

@@ -1,0 +1,1 @@
+"""Picklable work in processes of this machine or on a Ray cluster."""

@@ -1,0 +1,208 @@
+"""Picklable work shared by several workers, with a limit of time, retries, and the state that they keep."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from types import TracebackType
+from typing import Any, Final, Generic, Literal, Self, TypeVar
+
+from craftsim.errors import CraftsimError
+from craftsim.workers.actor import Actor, WorkerDiedError, defer_sigint
+from craftsim.workers.ray_actor import RayActor, processors
+
+Job = TypeVar("Job")
+Answer = TypeVar("Answer")
+Engine = Literal["local", "ray"]
+"""Processes of this machine, or actors of an existing Ray cluster."""
+
+RELEASE_EVERY: Final = 20
+"""Jobs after which a worker gives memory back."""
+
+
+@dataclass(frozen=True)
+class NoAnswer:
+    """Why a job has no answer: it took too long, or its worker died each time."""
+
+    reason: str
+
+
+def answered(answer: Answer | NoAnswer) -> Answer:
+    """Return an answer; raise CraftsimError where there is none."""
+    if isinstance(answer, NoAnswer):
+        raise CraftsimError(answer.reason)
+    return answer
+
+
+@dataclass(frozen=True)
+class _Batch(Generic[Job]):
+    jobs: tuple[Job, ...]
+    deaths: int = 0
+    """How many workers have died over it since it is a single job."""
+
+
+@dataclass(eq=False)
+class _Worker:
+    actor: Any
+    function: object = None
+    """What it was given last."""
+    batch: _Batch[Any] = _Batch(())
+    has_batch: bool = False
+    """Or so far the function alone: what is imported for it takes no job's time."""
+    end_s: float = math.inf
+    """When the time for its batch is up."""
+
+    def send(self, timeout_s: float) -> None:
+        self.has_batch = True
+        self.end_s = time.monotonic() + timeout_s * len(self.batch.jobs)
+        self.actor.send((None, self.batch.jobs))
+
+
+class Pool:
+    """Context manager of up to ``n`` workers, which start as jobs come in and last until the pool is closed.
+
+    A worker is a process, so that nothing of this one leaks into results. It ends when this one does, and hears of no
+    Ctrl-C.
+    """
+
+    def __init__(self, n: int, engine: Engine = "local") -> None:
+        """Start nothing yet; on Ray there are at most as many as processors. Raises InputError without a cluster."""
+        self._kind: Any = RayActor if engine == "ray" else Actor
+        self._n = min(n, processors()) if engine == "ray" else n
+        self._idle: list[_Worker] = []
+        self._running: dict[Any, _Worker] = {}
+        """By actor."""
+
+    def map_unordered(
+        self,
+        function: Callable[[Job], Answer],
+        jobs: Iterable[Job],
+        timeout_s: float = math.inf,
+        batch: int = 1,
+        retries: int = 1,
+    ) -> Iterator[tuple[Job, Answer | NoAnswer]]:
+        """Yield each job with its answer once, as soon as it is known.
+
+        Args:
+            function: picklable. Each worker has its own copy, and keeps it for as long as it is given jobs for this
+                very function. What it raises is raised here.
+            jobs: in the order in which they are begun; taken when a worker is free.
+            timeout_s: for each job, after which its worker is killed.
+            batch: how many jobs a worker takes at once. When one of them is not answered, each is run again alone.
+            retries: how often a job whose worker died is tried again: one death may be somebody else's doing.
+
+        Raises InputError where a Ray cluster is gone.
+        """
+        rest = iter(jobs)
+        new = map(_Batch[Job], iter(lambda: tuple(islice(rest, batch)), ()))
+        again: deque[_Batch[Job]] = deque()
+
+        def begin() -> None:
+            while len(self._running) < self._n and (one := again.popleft() if again else next(new, None)):
+                self._begin(function, one, timeout_s)
+
+        try:
+            begin()
+            while self._running:
+                settled: list[tuple[Job, Answer | NoAnswer]] = []
+                for worker, is_late in self._wait():
+                    lost = f"no answer within {timeout_s:g} s" if is_late else ""
+                    try:
+                        answers = [] if is_late else worker.actor.recv()
+                    except WorkerDiedError:
+                        lost = f"its worker process died, {worker.batch.deaths + 1} times"
+                    if lost:
+                        self._kill(worker)
+                        first, *others = worker.batch.jobs
+                        if others:
+                            again.extendleft(_Batch((job,)) for job in reversed((first, *others)))
+                        elif is_late or worker.batch.deaths >= retries:
+                            settled.append((first, NoAnswer(lost)))
+                        else:
+                            again.appendleft(_Batch((first,), worker.batch.deaths + 1))
+                    elif worker.has_batch:
+                        settled += zip(worker.batch.jobs, answers, strict=True)
+                        self._idle.append(self._running.pop(worker.actor))
+                    else:
+                        worker.send(timeout_s)
+                # The workers go on while their answers are used.
+                begin()
+                yield from settled
+        finally:
+            for worker in list(self._running.values()):
+                self._kill(worker)
+
+    def _begin(self, function: object, batch: _Batch[Any], timeout_s: float) -> None:
+        # Interrupted in between, a process would be left of which nobody knows.
+        with defer_sigint():
+            worker = self._idle.pop() if self._idle else _Worker(self._kind(partial(_Server, self._n)))
+            self._running[worker.actor] = worker
+        worker.batch = batch
+        if worker.function is function:
+            worker.send(timeout_s)
+        else:
+            worker.function, worker.has_batch, worker.end_s = function, False, math.inf
+            worker.actor.send((function, ()))
+
+    def _wait(self) -> list[tuple[_Worker, bool]]:
+        """Return those that have answered or died, as soon as there are some, and those whose time is up."""
+        end_s = min(worker.end_s for worker in self._running.values())
+        timeout_s = None if math.isinf(end_s) else max(0.0, end_s - time.monotonic())
+        ready = [self._running[actor] for actor in self._kind.wait(list(self._running), timeout_s)]
+        now = time.monotonic()
+        late = [worker for worker in self._running.values() if worker.end_s <= now and worker not in ready]
+        return [*((worker, False) for worker in ready), *((worker, True) for worker in late)]
+
+    def _kill(self, worker: _Worker) -> None:
+        worker.actor.kill()
+        del self._running[worker.actor]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for worker in [*self._idle, *self._running.values()]:
+            worker.actor.kill()
+
+
+class _Server:
+    """In a worker: does jobs by the function that it was given last."""
+
+    def __init__(self, n_workers: int) -> None:
+        # Mesa's software renderer takes all processors otherwise, and the workers would be in each other's way.
+        os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // n_workers)))
+        self._done = 0
+
+    def __call__(self, request: tuple[Callable[[Any], Any] | None, Sequence[Any]]) -> list[Any]:
+        function, jobs = request
+        if function is not None:
+            self._function = function
+        answers = []
+        for job in jobs:
+            answers.append(self._function(job))
+            self._done += 1
+            if self._done % RELEASE_EVERY == 0:
+                release_memory()
+        return answers
+
+
+def release_memory() -> None:
+    """Give memory back to the system.
+
+    MuJoCo's models and Python's objects of a world go when it is done, but leave the heap in fragments, which by and
+    by make a process grow that tries one world after the other.
+    """
+    gc.collect()
+    # Of glibc alone; other systems have none, or need none.
+    if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
+        trim(0)

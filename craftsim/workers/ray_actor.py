@@ -1,0 +1,173 @@
+"""Actors on an existing Ray cluster (the optional extra ``ray``)."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import socket
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+from craftsim.errors import InputError
+from craftsim.extras import need
+from craftsim.modules import REGISTERING, look_for_modules
+from craftsim.workers.actor import Handler, WorkerDiedError
+
+REACH_S: Final = 5.0
+"""How long a cluster may take to answer at its address."""
+LOOK_S: Final = 2.0
+"""How often one looks whether its head is still there: where it is gone Ray would wait, and then end this process."""
+_HINT: Final = "Afterwards --resume goes on with what was finished; of worlds make the environment anew"
+
+
+class _Server:
+    """What runs on the cluster: a process that finds the modules that this process finds."""
+
+    def __init__(self, path: list[str], registering: list[str]) -> None:
+        look_for_modules(path, registering)
+
+    def begin(self, make: Callable[[], Handler]) -> None:
+        self._handler = make()
+
+    def answer(self, request: Any) -> tuple[bool, Any]:
+        try:
+            return True, self._handler(request)
+        except Exception as error:
+            return False, error
+
+
+class RayActor:
+    """What :class:`craftsim.workers.actor.Actor` is, with a processor of the cluster to itself."""
+
+    def __init__(self, make: Callable[[], Handler]) -> None:
+        """Start it on whatever node, and return while it still starts; raises InputError without a cluster."""
+        self._ray, self._head = connect()
+        _check_reachable(self._head)
+        server = self._ray.remote(num_cpus=1, max_restarts=0, scheduling_strategy="SPREAD")(_Server)
+        self._server = server.remote(sys.path, REGISTERING)
+        self._server.begin.remote(make)
+        self._answers: deque[Any] = deque()
+
+    @property
+    def due(self) -> int:
+        """Requests without an answer so far."""
+        return len(self._answers)
+
+    def send(self, request: Any) -> None:
+        """Ask for something, and do not wait for it."""
+        self._answers.append(self._server.answer.remote(request))
+
+    def recv(self) -> Any:
+        """Wait for the next answer, and return it; raises WorkerDiedError, InputError, and what the handler raises."""
+        self.wait([self], None)
+        errors = self._ray.exceptions
+        try:
+            good, value = self._ray.get(self._answers.popleft())
+        except (errors.RayActorError, errors.ObjectLostError) as error:
+            raise WorkerDiedError(f"is lost to the Ray cluster ({_first_line(error)})") from error
+        except errors.RayError as error:
+            raise InputError(f"the Ray cluster cannot do the work: {_first_line(error)}. {_HINT}") from error
+        if not good:
+            raise value
+        return value
+
+    def kill(self) -> None:
+        """End it at once."""
+        # Of a cluster that is gone nothing is left to be ended.
+        with contextlib.suppress(self._ray.exceptions.RayError, InputError):
+            _check_reachable(self._head)
+            self._ray.kill(self._server)
+
+    @staticmethod
+    def wait(actors: Sequence[RayActor], timeout_s: float | None) -> list[RayActor]:
+        """Return an actor of which :meth:`recv` need not wait, as soon as there is one, or none in that time.
+
+        Raises InputError where the head of the cluster is gone.
+        """
+        if not actors:
+            return []
+        by_answer = {actor._answers[0]: actor for actor in actors}
+        end_s = float("inf") if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            left_s = max(0.0, end_s - time.monotonic())
+            ready, _ = actors[0]._ray.wait(list(by_answer), timeout=min(LOOK_S, left_s))
+            if ready or left_s <= LOOK_S:
+                return [by_answer[found] for found in ready]
+            _check_reachable(actors[0]._head)
+
+
+def connect() -> tuple[Any, str]:
+    """Return Ray, connected to the cluster of RAY_ADDRESS or else to one on this machine, and the address of its head.
+
+    Raises InputError: Ray is not installed, or there is no cluster, at the address that is given for instance.
+    """
+    need("ray", "the engine 'ray' needs", "ray")
+    import ray
+
+    if not ray.is_initialized():
+        try:
+            _check_reachable(_address())
+            initialise(ray, "auto", logging_level=logging.WARNING)
+        except (ConnectionError, ray.exceptions.RayError) as error:
+            raise InputError(
+                f"no Ray cluster ({_first_line(error)}); start one with 'ray start --head', or give the address of one "
+                "in RAY_ADDRESS"
+            ) from error
+    head = _address()
+    return ray, head if head.startswith("ray://") else ray.get_runtime_context().gcs_address
+
+
+def initialise(ray: Any, address: str, **options: Any) -> None:
+    """Have Ray connect to a cluster, or start one; its processes do not look for modules in the working folder."""
+    # They would in the folder in which this happens, and first.
+    with contextlib.chdir("/"):
+        ray.init(address, log_to_driver=False, **options)
+
+
+def processors() -> int:
+    """Return how many processors the cluster has, 1 at least; raises InputError without a cluster."""
+    ray, _ = connect()
+    return max(1, int(ray.cluster_resources().get("CPU", 1)))
+
+
+def _address() -> str:
+    """Return RAY_ADDRESS, or where else Ray finds a cluster; raise ConnectionError where it finds none."""
+    given = os.environ.get("RAY_ADDRESS", "auto")
+    if given != "auto":
+        return given
+    # Ray has no public name for where "auto" leads: the last 'ray start' of this machine, though it may be gone.
+    from ray._private.services import canonicalize_bootstrap_address
+
+    return str(canonicalize_bootstrap_address("auto"))
+
+
+def _check_reachable(address: str) -> None:
+    """Raise InputError where nobody listens at an address: Ray would try for over a minute.
+
+    The address is of the form ``host:port`` or ``ray://host:port``; one without a port is left to Ray.
+    """
+    try:
+        parts = urlsplit(address if "://" in address else f"//{address}")
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise InputError(
+            f"'{address}' is no address of a Ray cluster ({error}); RAY_ADDRESS is HOST:PORT"
+        ) from None
+    if not host or not port:
+        return
+    try:
+        socket.create_connection((host, port), REACH_S).close()
+    except OSError as error:
+        raise InputError(
+            f"no Ray cluster answers at {address} ({error}); start one with 'ray start --head', or give the address of "
+            f"one in RAY_ADDRESS; 'ray stop' forgets one of this machine that is gone. {_HINT}"
+        ) from error
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0]

@@ -104,7 +104,6 @@ ELSEWHERE = {
     # Lines are added to what is there; arrays and plots are written into memory.
     "validation/campaign/store.py",
     "validation/html/svg.py",
-    "training/archive.py",
     "validation/replays/bundle.py",
     "rendering/trajectory.py",
     # Examples in docstrings.

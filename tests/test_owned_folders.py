@@ -35,7 +35,7 @@ WORDS = {
     "robot": [],
     "train": [],
     "study": ["quick"],
-    "evaluate": ["a.pt"],
+    "evaluate": ["a.safetensors"],
     "conformance": ["a.gz"],
     "bench": ["rules"],
     "design": ["tower"],

@@ -144,7 +144,8 @@ def train(
         tensorboard: write the learning curve for TensorBoard, too, into tensorboard/ of the output folder.
         resume: go on with the run in the output folder, begun with the same options; where nothing has been saved yet,
             begin it.
-        out: folder for policy.pt, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not given.
+        out: folder for policy.safetensors, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not
+            given.
     """
     need_torch()
     from craftsim.discrete.tasks import as_task
@@ -209,7 +210,7 @@ def train(
             _run(trainer, console, steps, until, folder, log)
         except KeyboardInterrupt:
             trainer.save(folder)
-            say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.pt'}")
+            say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
             return INTERRUPTED
         trainer.save(folder)
         asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
@@ -321,4 +322,4 @@ def _report(
         f"{trainer.task.name}, {config.algo}: {played.in_words}, {played.mean_ticks:.1f} ticks, after "
         f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s."
     )
-    say(f"Policy: {folder / 'policy.pt'}\nReport: {report}")
+    say(f"Policy: {folder / 'policy.safetensors'}\nReport: {report}")

@@ -85,8 +85,10 @@ ACTIONS_WITHOUT_TIME: Final = 1000
 MAX_ERROR_CHARACTERS: Final = 8000
 """Of an error's message, and of its traceback, in the record of a trial; of a longer one the middle is left out."""
 
+POLICY_HEAD_BYTES: Final = MIB
+"""Of what a policy file says of itself and of its tensors."""
 PICKLE_BYTES: Final = 4 * MIB
-"""Of the table of contents of a policy or run file."""
+"""Of the table of contents of a run file."""
 PICKLE_STEPS: Final = 500_000
 """Of that table: values in it, about."""
 CURVE_POINTS: Final = 20_000

@@ -1,23 +1,26 @@
 """What training leaves behind: a policy file, small, and a run file, from which training goes on.
 
-Both hold tensors and plain values only, and are read such that nothing in them can run.
+A policy is a safetensors file with all else as its metadata. A run's file is torch's own, for that run alone. Nothing
+in either can run when it is read.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Hashable, Iterator
+import pickletools
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
+
+from pydantic import ConfigDict, FailFast, Field, TypeAdapter, ValidationError, with_config
 
 from craftsim.errors import InputError
-from craftsim.storage.limits import CURVE_POINTS, POLICY, RUN, Limits
+from craftsim.storage.limits import CURVE_POINTS, PICKLE_BYTES, PICKLE_STEPS, POLICY, POLICY_HEAD_BYTES, RUN
 from craftsim.storage.mistakes import first_mistake
-from craftsim.storage.writing import whole
-from craftsim.training.archive import reading_archive
+from craftsim.storage.reading import ARCHIVE_ERRORS, open_archive, open_file
+from craftsim.storage.writing import whole, write_whole
 from craftsim.training.config import TrainConfig
 from craftsim.training.curve import Point
 from craftsim.training.identity import TaskIdentity
@@ -25,15 +28,22 @@ from craftsim.training.policy import POLICY_FILE
 from craftsim.training.shape import Shape
 
 if TYPE_CHECKING:
-    from pydantic import TypeAdapter
-
     from craftsim.training.networks import CarNet
 
 RUN_FILE: Final = "run.pt"
-FORMAT: Final = 5
-RUN_FORMAT: Final = 6
+FORMAT: Final = 6
+RUN_FORMAT: Final = 7
 """Of policies and of runs; raised whenever older files cannot be read any more."""
 TABLE: Final = "encoder.table.weight"
+ROWS: Final = "encoder.table.rows"
+_NAMED: Final = {
+    "collections OrderedDict",
+    "torch Size",
+    "torch device",
+    "torch._utils _rebuild_tensor_v2",
+    *(f"torch {kind}Storage" for kind in ("Float", "Double", "Long", "Int", "Short", "Bool")),
+}
+"""What a run file names. Of the other names that torch takes some ask for as much memory as the file says."""
 
 T = TypeVar("T")
 
@@ -61,7 +71,7 @@ class RunHead:
     wall_s: float
     cpu_s: float
     """Of training, in all calls that the run took; processes that hold worlds in physics aside."""
-    curve: list[Point]
+    curve: Annotated[list[Point], Field(max_length=CURVE_POINTS), FailFast()]
 
     def __post_init__(self) -> None:
         if not 0 <= self.iteration < 2**60 or self.wall_s < 0 or self.cpu_s < 0:
@@ -72,79 +82,93 @@ class RunHead:
 
 @dataclasses.dataclass(frozen=True)
 class SavedRun:
-    """A run file, open: its tensors are read within the block of :func:`open_run`."""
+    """The content of a run file."""
 
     head: RunHead
     learner: Any
     novelty: Any
 
 
-def save_policy(
-    path: Path,
-    config: TrainConfig,
-    identity: TaskIdentity,
-    shape: Shape,
-    net: CarNet,
-    versions: dict[str, str],
-) -> None:
+def save_policy(path: Path, head: PolicyHead, net: CarNet) -> None:
     """Write a policy, and what it was trained for and with.
 
     Most of its table is of what never occurred in training and is as the run's seed made it: that is left out.
     """
+    from safetensors.torch import save
+
     from craftsim.training.networks import first_net
 
-    head = PolicyHead(config, identity, shape, versions)
-    state = net.state_dict()
-    table, first = state.pop(TABLE), first_net(shape, config.seed).state_dict()[TABLE]
+    weights = {name: weight.detach() for name, weight in net.named_parameters()}
+    table, first = weights[TABLE], first_net(head.shape, head.config.seed).encoder.table.weight
     rows = (table != first).any(-1).nonzero()[:, 0]
-    learnt = {"places": len(table), "rows": rows, "values": table[rows]}
-    _save(path, {"kind": "policy", **dataclasses.asdict(head), "net": state, "table": learnt})
+    weights |= {ROWS: rows, TABLE: table[rows]}
+    told = {"format": str(FORMAT), "craftsim": json.dumps(dataclasses.asdict(head))}
+    write_whole(path, save(weights, told))
 
 
-def read_policy(path: Path) -> tuple[TrainConfig, TaskIdentity, Shape, CarNet]:
+def read_policy(path: Path) -> tuple[PolicyHead, CarNet]:
     """Return what :func:`save_policy` wrote; raises InputError for any other file."""
-    with _opened(path, "policy", POLICY) as content:
-        # Only after the file is known to be one of ours: torch takes a second and 200 MB.
-        saved = {key: content.pop(key, None) for key in ("net", "table")}
-        head = _head(PolicyHead, content)
-        import torch
+    with open_file(path, POLICY) as file:
+        start = file.read(8)
+    if start.startswith(b"PK"):
+        raise InputError(
+            f"{path}: written by craftsim 0.2 or older, whose policies this version does not read; train it again"
+        )
+    if int.from_bytes(start, "little") > POLICY_HEAD_BYTES:
+        raise _refused(path, "policy")
+    from safetensors import SafetensorError, safe_open
 
-        from craftsim.training.networks import CarNet, first_net
-        from craftsim.training.restoring import part, table_rows, weights
+    try:
+        with safe_open(path, "numpy") as content:
+            head = _policy_head(content.metadata() or {})
+            # Only after the file is known to be one of ours: torch takes a second and 200 MB.
+            return head, _net(head, {name: content.get_tensor(name) for name in content.keys()})  # noqa: SIM118
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except (SafetensorError, TypeError, ValueError, OSError):
+        raise _refused(path, "policy") from None
 
-        with torch.device("meta"):
-            like = CarNet(head.shape).state_dict()
-        rows, values = table_rows(part(saved, "table"), like.pop(TABLE))
-        state = weights(part(saved, "net"), like)
-        net = first_net(head.shape, head.config.seed)
-        net.load_state_dict(state, strict=False)
-        with torch.no_grad():
-            net.encoder.table.weight[rows] = values
-        return head.config, head.task, head.shape, net.eval()
+
+def _policy_head(told: dict[str, str]) -> PolicyHead:
+    if "craftsim" not in told:
+        raise InputError(_OTHER["policy"])
+    if told.get("format") != str(FORMAT):
+        raise InputError(f"written in format {str(told.get('format'))[:40]}, this version reads {FORMAT}")
+    return _head(_POLICY_HEAD, told["craftsim"])
+
+
+def _net(head: PolicyHead, arrays: dict[str, Any]) -> CarNet:
+    """Return the network of a policy; raises InputError for arrays that are not its weights."""
+    import torch
+
+    from craftsim.training.networks import first_net
+    from craftsim.training.restoring import numbers
+
+    net = first_net(head.shape, head.config.seed)
+    weights = dict(net.named_parameters())
+    if odd := sorted(set(arrays) ^ {*weights, ROWS}):
+        raise InputError(f"'{odd[0][:80]}' is missing or unknown among its weights")
+    saved = {name: torch.from_numpy(array) for name, array in arrays.items()}
+    places, width = weights[TABLE].shape
+    n = min(len(saved[ROWS].flatten()), places)
+    rows = numbers(saved[ROWS], ROWS, torch.empty(n, dtype=torch.int64), 0, places - 1)
+    if (rows.diff() <= 0).any():
+        raise InputError(f"'{ROWS}' are not in order")
+    with torch.no_grad():
+        weights.pop(TABLE)[rows] = numbers(saved[TABLE], TABLE, torch.empty(n, width))
+        for name, weight in weights.items():
+            weight.copy_(numbers(saved[name], name, weight))
+    return net.eval()
 
 
 def save_run(path: Path, head: RunHead, learner: dict[str, Any], novelty: Any) -> None:
     """Write the state of a training run."""
-    _save(path, {"kind": "run", **dataclasses.asdict(head), "learner": learner, "novelty": novelty})
-
-
-@contextmanager
-def open_run(path: Path) -> Iterator[SavedRun]:
-    """Give what :func:`save_run` wrote; raises InputError, beginning with the path, for any other file.
-
-    An InputError in the block names the file.
-    """
-    with _opened(path, "run", RUN) as content:
-        learner, novelty = content.pop("learner", None), content.pop("novelty", None)
-        yield SavedRun(_head(RunHead, content), learner, novelty)
-
-
-def _save(path: Path, content: dict[str, Any]) -> None:
     import torch
 
+    content = {"craftsim": RUN_FORMAT, "head": json.dumps(dataclasses.asdict(head))}
     with whole(path) as partial, partial.open("wb") as file:
         try:
-            torch.save({"craftsim": _FORMATS[content["kind"]], **content}, file)
+            torch.save(content | {"learner": learner, "novelty": novelty}, file)
         except RuntimeError as error:
             # Torch notices only that less was written than it wanted.
             if isinstance(error.__context__, OSError):
@@ -153,43 +177,62 @@ def _save(path: Path, content: dict[str, Any]) -> None:
 
 
 @contextmanager
-def _opened(path: Path, kind: str, limits: Limits) -> Iterator[dict[str, Any]]:
-    with reading_archive(path, limits) as content:
-        if not isinstance(content, dict) or content.pop("kind", None) != kind:
-            raise InputError(f"{path}: not a {kind} file of 'craftsim train'; {_HINTS[kind]}")
-        if (found := content.pop("craftsim", None)) != (reads := _FORMATS[kind]):
-            raise InputError(f"{path}: written in format {str(found)[:40]}, this version reads {reads}")
-        try:
-            yield content
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
+def open_run(path: Path) -> Iterator[SavedRun]:
+    """Give what :func:`save_run` wrote; raises InputError, beginning with the path, for any other file.
 
+    An InputError in the block names the file.
+    """
+    _check_run(path)
+    import torch
 
-@cache
-def _adapter(kind: Hashable) -> TypeAdapter[Any]:
-    from pydantic import ConfigDict, TypeAdapter, with_config
-
-    return TypeAdapter(
-        with_config(ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))(cast(type, kind))
-    )
-
-
-def _head(kind: type[T], content: dict[str, Any]) -> T:
-    from pydantic import ValidationError
-
-    curve = content.get("curve", ())
-    if isinstance(curve, list) and len(curve) > CURVE_POINTS:
-        raise InputError(f"the curve has {len(curve)} points; allowed: at most {CURVE_POINTS}")
     try:
-        # As JSON: strictly that takes a mapping for a dataclass, and a list for a tuple. A tensor is no value there.
-        head: T = _adapter(cast(Hashable, kind)).validate_json(json.dumps(content, default=str))
+        # Tensors are read when they are used.
+        content = torch.load(path, "cpu", weights_only=True, mmap=True)
+    except Exception:  # it raises whatever its parts do
+        raise _refused(path, "run") from None
+    try:
+        if not isinstance(content, dict) or "craftsim" not in content:
+            raise InputError(_OTHER["run"])
+        if (found := content["craftsim"]) != RUN_FORMAT:
+            raise InputError(
+                f"written in format {str(found)[:40]}, by another version of craftsim; this version reads {RUN_FORMAT}"
+            )
+        yield SavedRun(_head(_RUN_HEAD, content.get("head")), content.get("learner"), content.get("novelty"))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _check_run(path: Path) -> None:
+    """Raise InputError for a file that torch would make more of than the file holds."""
+    try:
+        with open_archive(path, RUN) as archive:
+            members = archive.infolist()
+            (contents,) = (one for one in members if one.filename.endswith("data.pkl"))
+            if contents.file_size > PICKLE_BYTES or any(one.compress_type for one in members):
+                raise ValueError
+            for number, (step, argument, _) in enumerate(pickletools.genops(archive.read(contents))):
+                if number > PICKLE_STEPS or (step.name == "GLOBAL" and argument not in _NAMED):
+                    raise ValueError
+    except ARCHIVE_ERRORS:
+        raise _refused(path, "run") from None
+
+
+def _refused(path: Path, kind: str) -> InputError:
+    return InputError(f"{path}: not a file that 'craftsim train' wrote, or damaged; {_HINTS[kind]}")
+
+
+def _head(kind: TypeAdapter[T], text: Any) -> T:
+    try:
+        return kind.validate_json(text)
     except ValidationError as error:
         raise InputError(first_mistake(error)) from None
-    return head
 
 
-_FORMATS: Final = {"policy": FORMAT, "run": RUN_FORMAT}
+_STRICT: Final = with_config(ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
+_POLICY_HEAD: Final = TypeAdapter(_STRICT(PolicyHead))
+_RUN_HEAD: Final = TypeAdapter(_STRICT(RunHead))
 _HINTS: Final = {
     "policy": f"a policy is in the run's folder, in {POLICY_FILE}",
     "run": f"a run goes on from its folder, which holds a {RUN_FILE}",
 }
+_OTHER: Final = {kind: f"not a {kind} file of 'craftsim train'; {hint}" for kind, hint in _HINTS.items()}

@@ -19,7 +19,7 @@ from torchrl.objectives.value.functional import vec_td_lambda_return_estimate
 
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet
-from craftsim.training.restoring import adam_state, module_state
+from craftsim.training.restoring import restore_adam, restore_module
 from craftsim.training.settings import COMASettings
 from craftsim.training.shape import Shape
 from craftsim.training.team_networks import VALUE, OthersNet, masked_actor
@@ -115,8 +115,6 @@ class COMALearner(Learner):
         return {"modules": self.loss.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take them over, once all of them are checked."""
-        modules = module_state(state, "modules", self.loss)
-        optimizer = adam_state(state, self.optimizer)
-        self.loss.load_state_dict(modules)
-        self.optimizer.load_state_dict(optimizer)
+        """Take them over."""
+        restore_module(self.loss, state["modules"])
+        restore_adam(self.optimizer, state["optimizer"])

@@ -36,7 +36,7 @@ class Learner(ABC):
 
     @abstractmethod
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what :meth:`state` returned, its tensors as :class:`craftsim.training.archive.Saved`.
+        """Go on from what :meth:`state` returned.
 
-        All of it is checked before any of it is used. Raises InputError.
+        Raises InputError, or what another content of a file leads to; then the learner is good for nothing.
         """

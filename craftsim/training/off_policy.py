@@ -16,12 +16,11 @@ from torchrl.objectives.multiagent import QMixerLoss
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
-from craftsim.storage.limits import LARGEST_WEIGHT
 from craftsim.training.config import AlgoName
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, StateQMixer
 from craftsim.training.qtran import QTRANLoss
-from craftsim.training.restoring import adam_state, check_like, module_state, part
+from craftsim.training.restoring import numbers, restore_adam, restore_module
 from craftsim.training.settings import QSettings
 from craftsim.training.shape import Shape
 from craftsim.training.team_networks import JOINT, REST, VALUE, JointNet
@@ -117,31 +116,22 @@ class QLearner(Learner):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take them over, once all of them are checked."""
-        modules = module_state(state, "modules", self.loss)
-        optimizer = adam_state(state, self.optimizer)
-        epsilon = self._epsilon(part(state, "epsilon"))
-        remembered, cursors = self._remembered(part(state, "buffer"))
-        self.loss.load_state_dict(modules)
-        self.optimizer.load_state_dict(optimizer)
+        """Take them over."""
+        restore_module(self.loss, state["modules"])
+        restore_adam(self.optimizer, state["optimizer"])
+        epsilon = self.explores.state_dict()
+        low, high = float(epsilon["eps_end"]), float(epsilon["eps_init"])
+        epsilon["eps"] = numbers(state["epsilon"]["eps"], "eps", epsilon["eps"], low, high)
         self.explores.load_state_dict(epsilon)
+        remembered, cursors = self._remembered(state["buffer"])
         if remembered is not None:
             self.buffer.extend(remembered)
         self.buffer.load_state_dict(self.buffer.state_dict() | {"_writer": cursors})
 
-    def _epsilon(self, saved: dict[str, Any]) -> dict[str, torch.Tensor]:
-        own = self.explores.state_dict()
-        low, high = (float(own[key]) for key in ("eps_end", "eps_init"))
-        state = {key: check_like(saved.get(key), key, (), like.dtype).read() for key, like in own.items()}
-        same = all(torch.equal(state[key], like) for key, like in own.items() if key != "eps")
-        if not same or not low <= float(state["eps"]) <= high:
-            raise InputError(f"the part of random actions is {float(state['eps'])}; allowed: {low} to {high}")
-        return state
-
     def _remembered(self, saved: dict[str, Any]) -> tuple[TensorDict | None, dict[str, int]]:
         """Return what was played, each index and number in it within bounds, and where the next tick is written."""
-        storage, writer = part(saved, "_storage"), part(saved, "_writer")
-        n, at, total = storage.get("_len"), writer.get("_cursor"), writer.get("_write_count")
+        storage, writer = saved["_storage"], saved["_writer"]
+        n, at, total = storage["_len"], writer["_cursor"], writer["_write_count"]
         if not (type(n) is type(at) is type(total) is int and 0 <= n <= BUFFER and 0 <= at < BUFFER):
             raise InputError(f"it remembers {str(n)[:40]} ticks; allowed: 0 to {BUFFER}")
         if not 0 <= total < 2**60 or (n < BUFFER and at != n):
@@ -149,22 +139,19 @@ class QLearner(Learner):
         cursors = {"_cursor": at, "_write_count": total}
         if n == 0:
             return None, cursors
-        tensors = part(storage, "_storage")
-        rows = {
-            key: check_like(tensors.get(key), key, (BUFFER, *shape), dtype).read()[:n]
-            for key, (shape, dtype) in self._columns().items()
-        }
-        for key, column in rows.items():
-            if key.endswith("observation"):
-                places = (self.net.encoder.places(some) for some in column.split(1024))
-                sound = all(int(p.min()) >= 0 and int(p.max()) <= self.net.encoder.absent for p in places)
-            elif key.endswith("action"):
-                sound = int(column.min()) >= 0 and int(column.max()) < N_ACTIONS
-            elif column.is_floating_point():
-                sound = float(column.min()) >= -LARGEST_WEIGHT and float(column.max()) <= LARGEST_WEIGHT
-            else:
-                sound = True
-            if not sound:
+        rows: dict[str, torch.Tensor] = {}
+        for key, (shape, dtype) in self._columns().items():
+            like = torch.empty((n, *shape), dtype=dtype, device="meta")
+            rows[key] = column = numbers(
+                storage["_storage"][key][:n],
+                key,
+                like,
+                *((0, N_ACTIONS - 1) if key.endswith("action") else ()),
+            )
+            places = (
+                self.net.encoder.places(some) for some in column.split(1024) if key.endswith("observation")
+            )
+            if not all(int(p.min()) >= 0 and int(p.max()) <= self.net.encoder.absent for p in places):
                 raise InputError(f"'{key}' of what it remembers holds what no tick has")
         return _nested(rows, "", n, self.shape.n_cars), cursors
 

@@ -14,7 +14,7 @@ from torchrl.objectives.value.functional import vec_generalized_advantage_estima
 from craftsim.training.distinct import Distinct
 from craftsim.training.learner import Learner
 from craftsim.training.networks import ACTION, MASK, OBSERVATION, CarNet, Critic
-from craftsim.training.restoring import adam_state, module_state
+from craftsim.training.restoring import restore_adam, restore_module
 from craftsim.training.settings import PPOSettings
 from craftsim.training.shape import Shape
 from craftsim.training.team_networks import LOGITS, masked_actor
@@ -100,8 +100,6 @@ class PPOLearner(Learner):
         return {"modules": self.modules.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take them over, once all of them are checked."""
-        modules = module_state(state, "modules", self.modules)
-        optimizer = adam_state(state, self.optimizer)
-        self.modules.load_state_dict(modules)
-        self.optimizer.load_state_dict(optimizer)
+        """Take them over."""
+        restore_module(self.modules, state["modules"])
+        restore_adam(self.optimizer, state["optimizer"])

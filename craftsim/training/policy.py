@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from craftsim.training.networks import CarNet
     from craftsim.training.shape import Shape
 
-POLICY_FILE: Final = "policy.pt"
+POLICY_FILE: Final = "policy.safetensors"
 """In the folder of a training run."""
+_OLD_FILE: Final = "policy.pt"
+"""The same of craftsim 0.2 and older."""
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "policies"
 """One for each task that has one, by the task's name."""
 
@@ -102,12 +104,12 @@ class TrainedPolicy:
 
 def shipped_policies() -> list[str]:
     """Return the names of the policies that come with craftsim."""
-    return sorted(path.stem for path in SHIPPED.glob("*.pt"))
+    return sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
 
 
 def policy_file(path: str | Path) -> Path:
     """Return the file of a policy: a file, the one in a folder, or that of a shipped policy."""
-    return SHIPPED / f"{path}.pt" if is_shipped_policy(path) else _own_file(path)
+    return SHIPPED / f"{path}.safetensors" if is_shipped_policy(path) else _own_file(path)
 
 
 def is_shipped_policy(path: str | Path) -> bool:
@@ -116,11 +118,14 @@ def is_shipped_policy(path: str | Path) -> bool:
 
 
 def _own_file(path: str | Path) -> Path:
-    return Path(path) / POLICY_FILE if os.path.isdir(path) else Path(path)
+    if not os.path.isdir(path):
+        return Path(path)
+    file, old = Path(path) / POLICY_FILE, Path(path) / _OLD_FILE
+    return old if os.path.lexists(old) and not os.path.lexists(file) else file
 
 
 def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
-    """Return the policy of a file that ``craftsim train`` wrote: its ``policy.pt``, or the folder that holds it.
+    """Return the policy that ``craftsim train`` wrote: its ``policy.safetensors``, or the folder that holds it.
 
     Where there is no such file, the name of a shipped policy such as ``random_strip`` is one, too. It is called with
     the observations of :func:`craftsim.envs.parallel_env` and returns the actions; it refuses those of another task
@@ -139,4 +144,5 @@ def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
     need_torch()
     from craftsim.training.checkpoint import read_policy
 
-    return TrainedPolicy(*read_policy(policy_file(path)), seed)
+    head, net = read_policy(policy_file(path))
+    return TrainedPolicy(head.config, head.task, head.shape, net, seed)

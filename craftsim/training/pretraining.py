@@ -22,7 +22,8 @@ def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
     others are for the same one. Raises InputError for a policy of which nothing can be taken over.
     """
     path = policy_file(config.pretrained)
-    begun, _, known, other = read_policy(path)
+    head, other = read_policy(path)
+    begun, known = head.config, head.shape
     if begun.algo not in WITH_PROBABILITIES:
         raise InputError(
             f"{path}: trained by {begun.algo}, which rates actions by value; allowed: {', '.join(WITH_PROBABILITIES)}"

@@ -21,7 +21,7 @@ from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.report import versions
 from craftsim.training.algorithms import make_learner
-from craftsim.training.checkpoint import RUN_FILE, RunHead, open_run, save_policy, save_run
+from craftsim.training.checkpoint import RUN_FILE, PolicyHead, RunHead, open_run, save_policy, save_run
 from craftsim.training.config import TrainBackend, TrainConfig
 from craftsim.training.curve import CURVE_FILE, Played, Point, write_curve
 from craftsim.training.demonstrations import Progress, silent
@@ -213,10 +213,11 @@ class Trainer:
 
     def save(self, folder: Path) -> None:
         """Write the policy, the learning curve, and all that is needed to go on."""
-        net, made_with = self.learner.net, training_versions()
-        save_policy(folder / POLICY_FILE, self.config, self.identity, self.shape, net, made_with)
+        made_with = training_versions()
+        head = PolicyHead(self.config, self.identity, self.shape, made_with)
+        save_policy(folder / POLICY_FILE, head, self.learner.net)
         write_curve(folder / CURVE_FILE, self.curve)
-        head = RunHead(
+        run = RunHead(
             self.config,
             self.identity,
             self.starts,
@@ -226,7 +227,7 @@ class Trainer:
             self.cpu_s,
             self.curve,
         )
-        save_run(folder / RUN_FILE, head, self.learner.state(), self.novelty.counts)
+        save_run(folder / RUN_FILE, run, self.learner.state(), self.novelty.counts)
 
     @classmethod
     def resume(
@@ -241,7 +242,7 @@ class Trainer:
     ) -> Trainer:
         """Return the run that a folder holds, as it was when it was saved.
 
-        All of the file is checked before any of it is used. Raises InputError for a file that is none or damaged, and
+        Raises InputError for a file that is none or damaged, and
         where the configuration, the task or the other starts are not those that the run was begun with.
 
         Args:
@@ -262,9 +263,15 @@ class Trainer:
             if run.head.starts != trainer.starts:
                 begun = "other starts" if run.head.starts else "no other starts"
                 raise InputError(f"the run was begun with {begun} than these; give the --starts of then")
-            counts = numbers(run.novelty, "novelty", trainer.novelty.counts, 0, 2**30)
-            trainer.learner.restore(run.learner)
-            trainer.novelty.counts = counts
+            try:
+                trainer.novelty.counts = numbers(
+                    run.novelty, "novelty", trainer.novelty.counts, 0, 2**30
+                ).clone()
+                trainer.learner.restore(run.learner)
+            except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+                raise InputError(
+                    f"damaged: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
+                ) from error
             trainer.iteration = run.head.iteration
             trainer.wall_s, trainer.cpu_s = run.head.wall_s, run.head.cpu_s
             trainer.curve = run.head.curve

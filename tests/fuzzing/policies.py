@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from training_files import read_content, write_content
 
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
 from craftsim.training.config import TrainConfig
@@ -41,8 +42,16 @@ def _places(name: str) -> list[tuple]:
     return _paths(_content(name))[1:]
 
 
+@cache
+def _folder() -> tempfile.TemporaryDirectory:
+    folder = tempfile.TemporaryDirectory()
+    for name, data in _saved().items():
+        (Path(folder.name) / name).write_bytes(data)
+    return folder
+
+
 def _content(name: str):
-    return torch.load(io.BytesIO(_saved()[name]), weights_only=True)
+    return read_content(Path(_folder().name) / name)
 
 
 def _other_value(rng: np.random.Generator, name: str) -> bytes:
@@ -63,13 +72,21 @@ def _other_value(rng: np.random.Generator, name: str) -> bytes:
             inner[last] = inner[last].reshape(-1)[:-1]
         case _:
             inner[last] = VALUES[int(rng.integers(len(VALUES)))]
-    file = io.BytesIO()
-    torch.save(content, file)
-    return file.getvalue()
+    try:
+        changed = Path(_folder().name) / f"changed-{name}"
+        write_content(changed, content)
+    except (AttributeError, KeyError, TypeError, ValueError, RuntimeError):  # safetensors holds tensors alone
+        return _saved()[name][:-1]
+    return changed.read_bytes()
 
 
-def _other_pickle(rng: np.random.Generator, data: bytes) -> bytes:
-    """Return the archive with a byte of its pickle changed, and right sums."""
+def _other_contents(rng: np.random.Generator, data: bytes) -> bytes:
+    """Return a file with bytes of its table of contents changed; an archive has right sums."""
+    if not data.startswith(b"PK"):
+        content = bytearray(data)
+        for _ in range(int(rng.integers(1, 4))):
+            content[int(rng.integers(8 + int.from_bytes(data[:8], "little")))] = int(rng.integers(256))
+        return bytes(content)
     file = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(file, "w") as new:
         for member in old.infolist():
@@ -90,7 +107,7 @@ def _damaged(rng: np.random.Generator, name: str) -> bytes:
             place = int(rng.integers(len(data)))
             return data[:place] + rng.bytes(4) + data[place + 4 :]
         case 2:
-            return _other_pickle(rng, data)
+            return _other_contents(rng, data)
     return _other_value(rng, name)
 
 

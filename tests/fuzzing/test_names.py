@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from bags import write_bag
+from training_files import read_content, write_content
 
 from craftsim.checking.setup import Setup
 from craftsim.cli import main
@@ -127,33 +127,35 @@ def saved(tmp_path_factory):
 
 
 def _archives(file: Path) -> Iterator[object]:
-    content = torch.load(file, weights_only=True)
-    content["config"]["stages"] = []
-    for changed in _documents(content):
-        content["config"]["stage_steps"] = 5 if content["config"]["stages"] else 0
-        yield changed
+    content = read_content(file)
+    head = content["head"]
+    head["config"]["stages"] = []
+    for _ in _documents(head):
+        head["config"]["stage_steps"] = 5 if head["config"]["stages"] else 0
+        yield content
 
 
 def test_a_policy_file_is_evaluated_begun_with_and_exported(place, saved):
     for number, content in enumerate(_archives(saved / POLICY_FILE)):
-        torch.save(content, place / "p.pt")
-        status = _run("evaluate", "p.pt", "--episodes", "1")
-        assert status == 2 or content["config"]["task"] == "strip"
-        assert not _imported(place), content["config"]
-        if number < 2 or NAME in str(content["config"]):
-            _run("export", "strip", "--policy", "p.pt", "--episodes", "1", "--out", str(place / "m"))
-            _run("train", "--pretrained", "p.pt", *SMALL, "--out", f"t{number}")
-            _run("validate", "strip", "--policy", "p.pt", "--trials", "1", "--timeout", "0.01")
-            assert not _imported(place), content["config"]
+        write_content(place / "p.safetensors", content)
+        status = _run("evaluate", "p.safetensors", "--episodes", "1")
+        config = content["head"]["config"]
+        assert status == 2 or config["task"] == "strip"
+        assert not _imported(place), config
+        if number < 2 or NAME in str(config):
+            _run("export", "strip", "--policy", "p.safetensors", "--episodes", "1", "--out", str(place / "m"))
+            _run("train", "--pretrained", "p.safetensors", *SMALL, "--out", f"t{number}")
+            _run("validate", "strip", "--policy", "p.safetensors", "--trials", "1", "--timeout", "0.01")
+            assert not _imported(place), config
 
 
 def test_a_run_goes_on(place, saved):
     for content in _archives(saved / RUN_FILE):
-        torch.save(content, place / RUN_FILE)
+        write_content(place / RUN_FILE, content)
         _read(Trainer.resume, place)
-        if NAME in str(content["config"]):
+        if NAME in str(content["head"]["config"]):
             _run("train", *SMALL, "--resume", "--out", str(place))
-        assert not _imported(place), content["config"]
+        assert not _imported(place), content["head"]["config"]
 
 
 STUDY = """\

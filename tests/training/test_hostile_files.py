@@ -1,6 +1,5 @@
 """Policy and run files from people one does not know, seeds, and full disks: one message, and nothing lost."""
 
-import io
 import os
 import resource
 import subprocess
@@ -9,11 +8,14 @@ import zipfile
 
 import pytest
 import torch
+from safetensors.torch import save_file
+from training_files import read_content, write_content
 
 from craftsim.cli import main
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import FORMAT, POLICY_FILE, RUN_FILE, read_policy
+from craftsim.training.checkpoint import POLICY_FILE, ROWS, RUN_FILE, TABLE, read_policy
 from craftsim.training.config import TrainConfig
+from craftsim.training.policy import load_policy
 from craftsim.training.trainer import Trainer
 
 CONFIG = TrainConfig("strip", "vdn", worlds=2, width=4)
@@ -30,7 +32,7 @@ def saved(tmp_path_factory):
 
 def _change(path, *way_and_value):
     *way, last, value = way_and_value
-    content = torch.load(path, weights_only=True)
+    content = read_content(path)
     inner = content
     for key in way:
         inner = inner[key]
@@ -42,34 +44,52 @@ def _nan(tensor):
     return torch.full_like(tensor, torch.nan)
 
 
+def _without_rows(tensors):
+    return {name: tensor for name, tensor in tensors.items() if name != ROWS}
+
+
+SIZE = ("head", "shape", "size")
 POLICIES = {
-    "nothing else": (lambda path: {"craftsim": FORMAT, "kind": "policy"}, "config: Field required|key 'config'"),
-    "only a kind": (lambda path: {"kind": "policy"}, "written in format None"),
-    "a huge map": (lambda path: _change(path, "shape", "size", (128, 128, 8)), r"its table has \d+ places; allowed"),
-    "a large map": (lambda path: _change(path, "shape", "size", (20, 20, 3)), r"its table has \d+ places; allowed"),
-    "no table": (lambda path: _change(path, "table", {}), "its table has None places"),
-    "no rows": (lambda path: _change(path, "table", "rows", None), "'rows' is NoneType"),
-    "too many rows": (lambda path: _change(path, "table", "rows", torch.arange(10**6)), "its table has"),
-    "rows elsewhere": (lambda path: _change(path, "table", "rows", lambda rows: rows + 10**6), "'rows' has numbers"),
-    "rows twice": (lambda path: _change(path, "table", "rows", torch.zeros_like), "not in order"),
-    "other values": (lambda path: _change(path, "table", "values", lambda values: values[1:]), "'values' is"),
-    "values that are none": (lambda path: _change(path, "table", "values", _nan), "'values' has numbers"),
-    "too large a map": (lambda path: _change(path, "shape", "size", (128, 128, 20)), "the size is"),
-    "a tensor as value": (lambda path: _change(path, "config", "seed", torch.zeros(3)), "key 'config.seed'"),
-    "another shape": (lambda path: _change(path, "net", "encoder.car", torch.zeros(9, 4)), "'encoder.car' is"),
-    "no numbers": (lambda path: _change(path, "net", "encoder.car", _nan), "not finite"),
-    "other weights": (lambda path: _change(path, "net", {"a": torch.zeros(1)}), "missing or unknown"),
-    "gaps": (lambda path: _change(path, "net", "encoder.car", torch.zeros(1).expand(2, 4)), "with gaps"),
+    "another format": (("format", 5), "written in format 5, this version reads 6"),
+    "nothing else": (("head", {}), "key 'config': Field required"),
+    "too large a map": ((*SIZE, [128, 128, 20]), "the size is"),
+    "no rows": (("tensors", _without_rows), "'encoder.table.rows' is missing or unknown"),
+    "too many rows": (("tensors", ROWS, torch.arange(10**6)), r"is torch.int64 \(1000000,\); allowed"),
+    "rows elsewhere": (("tensors", ROWS, lambda rows: rows + 10**6), "'encoder.table.rows' has numbers"),
+    "rows twice": (("tensors", ROWS, torch.zeros_like), "not in order"),
+    "other values": (("tensors", TABLE, lambda values: values[1:].clone()), "'encoder.table.weight' is"),
+    "values that are none": (("tensors", TABLE, _nan), "'encoder.table.weight' has numbers"),
+    "a list as value": (("head", "config", "seed", [3]), "key 'config.seed'"),
+    "another shape": (("tensors", "encoder.car", torch.zeros(9, 4)), "'encoder.car' is"),
+    "another type": (("tensors", "encoder.car", lambda car: car.double()), "'encoder.car' is torch.float64"),
+    "a type of its own": (("tensors", "encoder.car", lambda car: car.bfloat16()), "not a file that"),
+    "no numbers": (("tensors", "encoder.car", _nan), "not finite"),
+    "other weights": (("tensors", {"a": torch.zeros(1)}), "missing or unknown"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_policy_that_is_none_is_one_message(name, saved, tmp_path):
     path = tmp_path / POLICY_FILE
-    torch.save(POLICIES[name][0](saved / POLICY_FILE), path)
+    write_content(path, _change(saved / POLICY_FILE, *POLICIES[name][0]))
     with pytest.raises(InputError, match=POLICIES[name][1]) as error:
         read_policy(path)
     assert str(error.value).startswith(str(path))
+
+
+def test_a_policy_whose_map_was_changed_plays_nothing(saved, tmp_path):
+    write_content(tmp_path / POLICY_FILE, _change(saved / POLICY_FILE, *SIZE, [20, 20, 3]))
+    with pytest.raises(InputError, match="this policy is damaged: its network is for 20 x 20 x 3 cells"):
+        load_policy(tmp_path).check_task("strip")
+
+
+def test_what_others_write_as_safetensors_is_no_policy(tmp_path):
+    save_file({"a": torch.zeros(2)}, tmp_path / POLICY_FILE)
+    with pytest.raises(InputError, match="not a policy file of 'craftsim train'"):
+        read_policy(tmp_path / POLICY_FILE)
+    (tmp_path / POLICY_FILE).write_bytes((10**7).to_bytes(8, "little") + b"{" * 10**7)
+    with pytest.raises(InputError, match="not a file that"):
+        read_policy(tmp_path / POLICY_FILE)
 
 
 def _many_blocks(seen):
@@ -80,42 +100,45 @@ POINT = {"successes": 5, "mean_return": 0.0, "mean_ticks": 1.0}
 BUFFER = ("learner", "buffer", "_storage", "_storage")
 RUNS = {
     "other weights": (("learner", "modules", {}), "missing or unknown"),
-    "no modules": (("learner", {}), "no part 'modules'"),
+    "no modules": (("learner", {}), "damaged: KeyError: 'modules'"),
     "the optimiser's averages": (("learner", "optimizer", "state", 0, "exp_avg_sq", lambda t: t - 1), "exp_avg_sq"),
-    "its steps": (("learner", "optimizer", "state", 0, "step", torch.tensor(-1.0)), "'step' of the optimiser"),
-    "its settings": (("learner", "optimizer", "param_groups", 0, "lr", 1e9), "a setting of the optimiser"),
-    "what is remembered": ((*BUFFER, "agents.action", lambda t: t + 99), "what no tick has"),
+    "its steps": (("learner", "optimizer", "state", 0, "step", torch.tensor(-1.0)), "'step' has numbers"),
+    "averages of nothing": (("learner", "optimizer", "state", lambda t: t | {99: t[0]}), "damaged: KeyError: 99"),
+    "what is remembered": ((*BUFFER, "agents.action", lambda t: t + 99), "'agents.action' has numbers"),
     "what was seen": ((*BUFFER, "agents.observation", _many_blocks), "what no tick has"),
     "how much": (("learner", "buffer", "_storage", "_len", 10**9), "remembers 1000000000 ticks"),
     "where": (("learner", "buffer", "_writer", "_cursor", -1), "remembers"),
-    "the part of random actions": (("learner", "epsilon", "eps", torch.tensor(7.0)), "the part of random actions"),
-    "a curve of numbers": (("curve", [1, 2]), "key 'curve.0'"),
+    "the part of random actions": (("learner", "epsilon", "eps", torch.tensor(7.0)), "'eps' has numbers"),
+    "a curve of numbers": (("head", "curve", [1, 2]), "key 'curve.0'"),
     "a point of it": (
         (
+            "head",
             "curve",
             [dict.fromkeys(("episodes", "steps", "starts", "solved", "trajectories"), 1) | POINT],
         ),
         "5 of 1 episodes",
     ),
-    "a long curve": (("curve", [0] * 30_000), "30000 points"),
-    "a count": (("iteration", "seven"), "key 'iteration'"),
-    "a time": (("cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
-    "an older file": (("craftsim", 5), "written in format 5, this version reads 6"),
-    "a configuration": (("config", "width", 10**9), "width is 1000000000; allowed: 1 to 4096"),
-    "novelty": (("novelty", torch.zeros(5)), "'novelty' is float32"),
+    "a long curve": (("head", "curve", [0] * 30_000), "key 'curve"),
+    "a count": (("head", "iteration", "seven"), "key 'iteration'"),
+    "a time": (("head", "cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
+    "an older file": (("craftsim", 6), "written in format 6, by another version of craftsim; this version reads 7"),
+    "a configuration": (("head", "config", "width", 10**9), "width is 1000000000; allowed: 1 to 4096"),
+    "novelty": (("novelty", torch.zeros(5)), "'novelty' is torch.float32"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", RUNS)
 def test_a_damaged_run_is_refused_before_it_goes_on(name, saved, tmp_path):
-    torch.save(_change(saved / RUN_FILE, *RUNS[name][0]), tmp_path / RUN_FILE)
+    write_content(tmp_path / RUN_FILE, _change(saved / RUN_FILE, *RUNS[name][0]))
     with pytest.raises(InputError, match=RUNS[name][1]) as error:
         Trainer.resume(tmp_path, config=CONFIG)
     assert str(error.value).startswith(str(tmp_path / RUN_FILE))
 
 
 def test_a_run_of_another_configuration_is_refused_before_its_task_is_made(saved, tmp_path):
-    torch.save(_change(saved / RUN_FILE, "config", "task", "no_such_module:make"), tmp_path / RUN_FILE)
+    write_content(
+        tmp_path / RUN_FILE, _change(saved / RUN_FILE, "head", "config", "task", "no_such_module:make")
+    )
     with pytest.raises(InputError, match="it was begun with"):
         Trainer.resume(tmp_path, config=CONFIG)
 
@@ -127,44 +150,54 @@ def _pickle(path, data):
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    "data",
     [
-        (b"\x80\x02c__builtin__\nbytearray\nJ\xff\xff\xff\x7f\x85R.", "bytearray"),
-        (b"\x80\x04\x96\xff\xff\xff\xff\x00\x00\x00\x00.", "expected|step"),
-        (b"\x80\x02Nr\xff\xff\xff\x7f.", "object 2147483647"),
-        (b"\x80\x02" + b"N0" * 300_000 + b".", "step POP"),
-        (b"\x80\x02" + b"]" * 400_000 + b"N.", "nested|not a policy|data"),
-        (b"\x80\x02]q\x00h\x00a.", "nested"),
+        b"\x80\x02c__builtin__\nbytearray\nJ\xff\xff\xff\x7f\x85R.",
+        b"\x80\x02cbuiltins\nbytearray\nJ\xff\xff\xff\x7f\x85R.",
+        b"\x80\x04\x96\xff\xff\xff\xff\x00\x00\x00\x00.",
+        b"\x80\x02Nr\xff\xff\xff\x7f.",
+        b"\x80\x02" + b"N0" * 300_000 + b".",
+        b"\x80\x02" + b"]" * 400_000 + b"N.",
+        b"\x80\x02]q\x00h\x00a.",
     ],
-    ids=["bytearray", "bytes", "memo", "pops", "lists", "cycle"],
+    ids=["old bytearray", "bytearray", "bytes", "memo", "pops", "lists", "cycle"],
 )
-def test_a_pickle_that_asks_for_much_gets_nothing(data, words, tmp_path):
-    _pickle(tmp_path / POLICY_FILE, data)
-    with pytest.raises(InputError, match=words):
-        read_policy(tmp_path / POLICY_FILE)
+def test_a_pickle_that_asks_for_much_gets_nothing(data, tmp_path):
+    _pickle(tmp_path / RUN_FILE, data)
+    with pytest.raises(InputError, match=r"not a (file that|run file)"):
+        Trainer.resume(tmp_path)
 
 
-def test_what_is_no_archive_is_refused_before_torch_is_loaded(tmp_path):
+def test_what_is_no_policy_is_refused_before_torch_is_loaded(tmp_path):
     (tmp_path / "text").write_text("no policy")
     os.mkfifo(tmp_path / "pipe")
-    with zipfile.ZipFile(tmp_path / "packed", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("archive/data.pkl", b" " * 10**6)
-    with zipfile.ZipFile(tmp_path / "many", "w") as archive:
-        for number in range(3000):
-            archive.writestr(f"archive/data/{number}", b"")
+    _pickle(tmp_path / "old", b"N.")
+    save_file({"a": torch.zeros(2)}, tmp_path / "other")
     code = (
         "import sys\nfrom pathlib import Path\nfrom craftsim.errors import InputError\n"
         "from craftsim.training.checkpoint import read_policy\n"
-        "for name in ('text', 'pipe', 'packed', 'many', 'gone', '.'):\n"
+        "for name in ('text', 'pipe', 'old', 'other', 'gone', '.'):\n"
         "    try:\n        read_policy(Path(sys.argv[1]) / name)\n"
         "    except InputError as error:\n        print(error)\n"
         "print('torch' in sys.modules)\n"
     )
     child = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True)
     *messages, loaded = child.stdout.splitlines()
-    words = ("not a file that", "not a regular", "compressed", "too many files", "no such", "not a regular")
+    words = ("not a file that", "not a regular", "0.2 or older", "not a policy", "no such", "not a regular")
     assert all(word in message for word, message in zip(words, messages, strict=True))
     assert loaded == "False"
+
+
+def test_a_run_file_that_unpacks_to_more_or_has_many_parts_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / RUN_FILE, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data.pkl", b" " * 10**6)
+    with pytest.raises(InputError, match="not a file that"):
+        Trainer.resume(tmp_path)
+    with zipfile.ZipFile(tmp_path / RUN_FILE, "w") as archive:
+        for number in range(3000):
+            archive.writestr(f"archive/data/{number}", b"")
+    with pytest.raises(InputError, match="allowed: at most 1024"):
+        Trainer.resume(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -190,21 +223,10 @@ def test_a_full_disk_is_one_message_and_leaves_what_was_there(saved, tmp_path):
     trainer, limit = Trainer.resume(tmp_path, config=CONFIG), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limit[1]))
     try:
-        with pytest.raises(InputError, match=r"policy\.pt: cannot be written: File too large; make room"):
+        with pytest.raises(
+            InputError, match=r"policy\.safetensors: cannot be written: File too large; make room"
+        ):
             trainer.save(tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-def test_what_torch_wrote_earlier_is_read(saved, tmp_path):
-    content = torch.load(saved / POLICY_FILE, weights_only=True)
-    file = io.BytesIO()
-    torch.save(content, file)
-    (tmp_path / POLICY_FILE).write_bytes(file.getvalue())
-    net = read_policy(tmp_path / POLICY_FILE)[3]
-    state = net.state_dict()
-    assert torch.equal(
-        state.pop("encoder.table.weight")[content["table"]["rows"]], content["table"]["values"]
-    )
-    assert all(torch.equal(tensor, content["net"][key]) for key, tensor in state.items())

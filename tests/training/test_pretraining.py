@@ -55,7 +55,7 @@ def test_a_run_begins_with_the_policy_and_names_it(name, tmp_path, capsys):
     asked = ["--task", config.task, "--steps", "1", "--until", "0", "--worlds", "1", "--episodes", "10"]
     assert main(["train", *asked, *words, "--out", str(tmp_path)]) == 0
     told = json.loads((tmp_path / "report.json").read_text())["config"]
-    file = SHIPPED / f"{name}.pt"
+    file = SHIPPED / f"{name}.safetensors"
     assert told["pretrained"] == name
     assert told["pretrained_digest"] == hashlib.sha256(file.read_bytes()).hexdigest()
     begun = Trainer(TrainConfig(config.task, network=config.network, pretrained=name)).learner.net
@@ -72,7 +72,7 @@ def test_a_run_that_began_with_a_policy_resumes(goes_on):
     [
         ("random_strip", {"width": 64}, "take the same network and width"),
         ("complex_two_story", {"network": "map"}, "take the same network and width"),
-        ("random_strip", {"pretrained": "no_such.pt"}, "no_such.pt"),
+        ("random_strip", {"pretrained": "no_such.safetensors"}, "no_such.safetensors"),
         ("random_strip", {"algo": "qmix"}, "qmix learns values"),
     ],
 )

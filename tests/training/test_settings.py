@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from training_files import read_content, write_content
 
 from craftsim.cli import main
 from craftsim.errors import InputError
@@ -102,7 +103,7 @@ def test_a_run_with_settings_goes_on_number_for_number(algo, tmp_path):
         for _ in trainer.run(iterations * trainer.steps_an_iteration, until=2.0):
             pass
     part.save(tmp_path)
-    assert read_policy(tmp_path / POLICY_FILE)[0] == config
+    assert read_policy(tmp_path / POLICY_FILE)[0].config == config
     resumed = Trainer.resume(tmp_path, config=config)
     next(resumed.run(whole.steps, until=2.0))
     weights = whole.learner.net.state_dict()
@@ -115,10 +116,10 @@ def test_a_run_with_settings_goes_on_number_for_number(algo, tmp_path):
 def test_a_policy_file_with_settings_out_of_range_is_one_message(tmp_path):
     Trainer(TrainConfig("strip", worlds=1, width=4)).save(tmp_path)
     path = tmp_path / POLICY_FILE
-    content = torch.load(path, weights_only=True)
-    content["config"]["hyperparameters"] = {"epochs": 1e9}
-    torch.save(content, path)
-    with pytest.raises(InputError, match=r"policy.pt: .*epochs is 1000000000.0; allowed: 1 to 100"):
+    content = read_content(path)
+    content["head"]["config"]["hyperparameters"] = {"epochs": 1e9}
+    write_content(path, content)
+    with pytest.raises(InputError, match=r"policy.safetensors: .*epochs is 1000000000.0; allowed: 1 to 100"):
         read_policy(path)
 
 
@@ -138,7 +139,7 @@ def test_the_command_takes_a_file(tmp_path, capsys):
     assert main([*words, str(_file(tmp_path, "epochs: 0"))]) == 2
     assert "epochs is 0; allowed: 1 to 100" in capsys.readouterr().err
     assert main([*words, str(_file(tmp_path, "epochs: 1"))]) == 0
-    assert read_policy(tmp_path / "run" / POLICY_FILE)[0].hyperparameters == {"epochs": 1}
+    assert read_policy(tmp_path / "run" / POLICY_FILE)[0].config.hyperparameters == {"epochs": 1}
 
 
 def test_the_page_has_every_setting():

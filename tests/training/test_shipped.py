@@ -21,7 +21,7 @@ def test_a_shipped_policy_builds_and_does_so_from_where_it_never_started(name):
     played = evaluate(policy.net, task, 200, 0, config.rules, config.helper_depth, config.acting)
     assert played.starts == (1 if name == "complex_two_story" else 200)
     assert played.success > 0.8
-    assert (SHIPPED / f"{name}.pt").stat().st_size < 8e6
+    assert (SHIPPED / f"{name}.safetensors").stat().st_size < 8e6
 
 
 def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkeypatch):
@@ -29,12 +29,12 @@ def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkey
     task = as_task("random_strip@test")
     assert make_policy("random_strip", 0, task).identity.name == "random_strip"
     assert policy_digest("random_strip") != policy_digest("random_simple_two_story")
-    assert policy_file("random_strip") == SHIPPED / "random_strip.pt"
+    assert policy_file("random_strip") == SHIPPED / "random_strip.safetensors"
     (tmp_path / "random_block").mkdir()
-    assert policy_file("random_block") == SHIPPED / "random_block.pt"
+    assert policy_file("random_block") == SHIPPED / "random_block.safetensors"
     pilot = policy_pilot("random_block", subjects_of(["random_block@test"]), "sequential")
     assert pilot.policy == "random_block"
-    (tmp_path / "random_block" / "policy.pt").write_text("no policy")
+    (tmp_path / "random_block" / "policy.safetensors").write_text("no policy")
     with pytest.raises(InputError, match="not a file that"):
         make_policy("random_block", 0, task)
     (tmp_path / "random_strip").write_text("no policy")

@@ -70,7 +70,7 @@ def test_wrong_input_gives_one_message(words, message, tmp_path, capsys):
 def test_a_run_that_was_cut_off_before_its_first_save_begins_again(tmp_path, capsys):
     cut, whole = tmp_path / "cut", tmp_path / "whole"
     cut.mkdir()
-    (cut / "policy.pt").write_bytes(b"of a save that was cut off")
+    (cut / "policy.safetensors").write_bytes(b"of a save that was cut off")
     assert _train(cut, "--steps", "20", "--resume") == 0
     assert f"Nothing is saved in {cut} yet" in capsys.readouterr().out
     assert _train(whole, "--steps", "20") == 0

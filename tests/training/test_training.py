@@ -15,7 +15,7 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import FORMAT, POLICY_FILE, RUN_FILE, read_policy
+from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, RUN_FORMAT, read_policy
 from craftsim.training.config import ALGO_NAMES, TrainConfig
 from craftsim.training.policy import load_policy
 from craftsim.training.starts import with_starts
@@ -68,7 +68,7 @@ def test_a_loaded_policy_obeys_masks_and_is_the_one_saved(algo, tmp_path):
     trainer = _run(TrainConfig("simple_two_story", algo, worlds=20, width=8), 1)
     trainer.save(tmp_path)
     assert _play(load_policy(tmp_path)) == _play(load_policy(tmp_path / POLICY_FILE))
-    assert _same(read_policy(tmp_path / POLICY_FILE)[3].state_dict(), trainer.learner.net.state_dict())
+    assert _same(read_policy(tmp_path / POLICY_FILE)[1].state_dict(), trainer.learner.net.state_dict())
 
 
 def _play(policy):
@@ -146,23 +146,26 @@ class _Evil:
         return os.mkdir, ("owned",)
 
 
-@pytest.mark.parametrize("content", [b"", b"no checkpoint", None], ids=["empty", "text", "code"])
-def test_a_bad_checkpoint_is_refused(content, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    path = tmp_path / POLICY_FILE
-    if content is None:
-        torch.save({"craftsim": FORMAT, "kind": "policy", "net": _Evil()}, path)
-    else:
-        path.write_bytes(content)
+@pytest.mark.parametrize("content", [b"", b"no checkpoint", b"\xff" * 40], ids=["empty", "text", "long"])
+def test_a_bad_policy_is_refused(content, tmp_path):
+    (tmp_path / POLICY_FILE).write_bytes(content)
     with pytest.raises(InputError, match="not a file that 'craftsim train' wrote"):
-        load_policy(path)
+        load_policy(tmp_path)
+
+
+def test_a_run_file_with_code_in_it_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    torch.save({"craftsim": RUN_FORMAT, "head": "{}", "learner": _Evil()}, tmp_path / RUN_FILE)
+    with pytest.raises(InputError, match="not a file that 'craftsim train' wrote"):
+        Trainer.resume(tmp_path)
     assert not (tmp_path / "owned").exists()
 
 
-def test_a_run_is_no_policy(tmp_path):
-    Trainer(TrainConfig("strip", worlds=1, width=4)).save(tmp_path)
-    with pytest.raises(InputError, match=r"a policy is in the run's folder"):
-        load_policy(tmp_path / RUN_FILE)
+def test_a_policy_of_an_earlier_version_is_refused_by_its_name(tmp_path):
+    torch.save({"craftsim": 5, "kind": "policy"}, tmp_path / "policy.pt")
+    for path in (tmp_path, tmp_path / "policy.pt"):
+        with pytest.raises(InputError, match=r"policy\.pt: written by craftsim 0\.2 or older"):
+            load_policy(path)
 
 
 def test_a_ctrl_c_is_heard_between_two_iterations():

@@ -16,7 +16,7 @@ from gymnasium.vector.utils import CloudpickleWrapper
 from numpy.typing import NDArray
 
 from craftsim.envs.central import CentralConstruction
-from craftsim.errors import CraftsimError
+from craftsim.errors import CraftsimError, InputError
 from craftsim.workers.actor import Actor, WorkerDiedError
 from craftsim.workers.pool import Engine
 from craftsim.workers.ray_actor import RayActor, processors
@@ -160,19 +160,26 @@ class Worlds:
         return dict(sorted(answers.items()))
 
     def close(self) -> None:
-        """Close all worlds and end all workers; one that has something left to do is killed."""
+        """Close all worlds and end all workers; one that has something left to do is killed.
+
+        Raises CraftsimError where a world could not be closed, as it could not write what it has recorded.
+        """
         idle = [actor for actor in self._actors if not actor.due]
+        problems: list[CraftsimError | None] = []
+        for actor in idle:
+            actor.send(None)
+        end_s = time.monotonic() + CLOSE_S
         # Of a cluster that is gone, and of workers that have died, nothing is left to be closed.
-        with suppress(CraftsimError):
-            for actor in idle:
-                actor.send(None)
-            end_s = time.monotonic() + CLOSE_S
+        with suppress(InputError):
             while idle and (ready := self._kind.wait(idle, max(0.0, end_s - time.monotonic()))):
                 for actor in ready:
                     idle.remove(actor)
-                    actor.recv()
-        for actor in self._actors:
-            actor.kill()
+                    with suppress(WorkerDiedError):
+                        problems.append(actor.recv())
+        while self._actors:
+            self._actors.pop().kill()
+        for problem in filter(None, problems):
+            raise problem
 
 
 class _Holder:
@@ -181,10 +188,13 @@ class _Holder:
     def __init__(self, make: Make, worlds: Iterable[int]) -> None:
         self._envs = {world: make() for world in worlds}
 
-    def __call__(self, asked: tuple[int, Request] | None) -> tuple[int, Answer] | None:
+    def __call__(self, asked: tuple[int, Request] | None) -> tuple[int, Answer] | CraftsimError | None:
         if asked is None:
-            for env in self._envs.values():
-                env.close()
+            try:
+                for env in self._envs.values():
+                    env.close()
+            except CraftsimError as error:
+                return error
             return None
         world, request = asked
         return world, perform(self._envs[world], request)

@@ -192,6 +192,14 @@ def test_what_breaks_in_a_world_is_told_here_and_closing_in_the_middle_of_a_step
     assert all(map(_ended, pids))
 
 
+def test_what_is_recorded_of_an_unfinished_episode_is_written_when_the_worlds_are_closed(tmp_path):
+    with closing(vector_env("strip", 2, "physics", workers=2, record=tmp_path)) as envs:
+        envs.reset(seed=0)
+        envs.step(np.full((2, 2), Action.STOP))
+        assert not list(tmp_path.rglob("*.npz"))
+    assert len(list(tmp_path.rglob("*.npz"))) == 2
+
+
 ABANDONING = """
 import os
 import craftsim

@@ -48,13 +48,13 @@ def restore_adam(optimizer: torch.optim.Adam, saved: Mapping[str, Any]) -> None:
     parameters = dict(
         enumerate(parameter for group in optimizer.param_groups for parameter in group["params"])
     )
-    step = torch.zeros(())
-    state = {
-        number: {
-            "step": numbers(averages["step"], "step", step, 0, 2**31),
-            "exp_avg": numbers(averages["exp_avg"], "exp_avg", parameters[number]),
-            "exp_avg_sq": numbers(averages["exp_avg_sq"], "exp_avg_sq", parameters[number], 0),
-        }
-        for number, averages in saved["state"].items()
-    }
+    state = {number: _averages(parameters[number], **found) for number, found in saved["state"].items()}
     optimizer.load_state_dict(own | {"state": state})
+
+
+def _averages(like: Tensor, step: Any, exp_avg: Any, exp_avg_sq: Any) -> dict[str, Tensor]:
+    return {
+        "step": numbers(step, "step", torch.zeros(()), 0, 2**31),
+        "exp_avg": numbers(exp_avg, "exp_avg", like),
+        "exp_avg_sq": numbers(exp_avg_sq, "exp_avg_sq", like, 0),
+    }

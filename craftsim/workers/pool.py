@@ -165,14 +165,19 @@ class Pool:
         worker.actor.kill()
         del self._running[worker.actor]
 
+    def close(self) -> None:
+        """End all workers, also those at work."""
+        for worker in [*self._idle, *self._running.values()]:
+            worker.actor.kill()
+        self._idle, self._running = [], {}
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for worker in [*self._idle, *self._running.values()]:
-            worker.actor.kill()
+        self.close()
 
 
 class _Server:

@@ -12,8 +12,7 @@ from craftsim.rendering.cameras import make_view
 from craftsim.rendering.frames import Frames, Look, pace_of
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.playback import Playback
-from craftsim.rendering.processes import render_frames
-from craftsim.rendering.render import encode
+from craftsim.rendering.render import encode, render_frames
 from craftsim.rendering.renderer import make_renderer
 from craftsim.rendering.stage import Stage
 from craftsim.validation.runs.choice import PLANNER, items_of, policy_pilot, subjects_of

@@ -15,8 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from craftsim.storage.folders import owned
-from craftsim.storage.schema import LEFT_OUT_IF_EMPTY
-from craftsim.storage.writing import writable, write_whole
+from craftsim.storage.writing import LEFT_OUT_IF_EMPTY, writable, write_whole
 
 SCHEMA_VERSION: Final = 2
 """Raised whenever a key of the report changes its meaning or goes away."""

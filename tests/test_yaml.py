@@ -1,31 +1,32 @@
 """YAML files held to a type: what is read, what is written, and what mistakes say."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.storage.yaml import Between, dump, parse_document
+from craftsim.storage.limits import Range
+from craftsim.storage.records import record
+from craftsim.storage.yaml import dump, parse_document
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class Wheel:
-    radius_m: Annotated[float, Between(0.01, 0.2)]
+    radius_m: Annotated[float, Range(0.01, 0.2)]
     side: Literal["left", "right"] = "left"
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class Machine:
     wheels: tuple[Wheel, ...]
-    cars: Annotated[int, Between(0, "most_cars")] = 0
+    cars: Annotated[int, Range(0, 4)] = 0
     name: str | None = None
     other: Any = None
 
 
 def machine(text):
-    return parse_document(text, Path("m.yaml")).to(Machine, most_cars=4)
+    return parse_document(text, Path("m.yaml")).to(Machine)
 
 
 def test_a_document_becomes_its_type_and_documents_are_merged():
@@ -48,7 +49,7 @@ def test_a_document_becomes_its_type_and_documents_are_merged():
         ("wheels: [7]", "m.yaml:1: key 'wheels[0]': must be a mapping with keys radius_m, side, not '7'"),
         (
             "wheels: [{radius_m: 0.1, side: lefft}]",
-            "m.yaml:1: unknown value of 'wheels[0].side' 'lefft'; did you mean 'left'?; allowed: left, right",
+            "m.yaml:1: key 'wheels[0].side': unknown value 'lefft'; did you mean 'left'?; allowed: left, right",
         ),
         (
             "wheels: [{radius_m: 0.1, side: []}]",

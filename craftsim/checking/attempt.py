@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import html
-import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
@@ -14,8 +13,8 @@ from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Floats, Reading, changed, describe_car, describe_differences
 from craftsim.discrete.schedule import ScheduledAction
-from craftsim.errors import InputError
 from craftsim.skills.outcome import Outcome
+from craftsim.storage.records import record
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -184,7 +183,7 @@ class Attempt:
         return self.result == Verdict.AS_PREDICTED
 
 
-@dataclass(frozen=True)
+@record()
 class Thresholds:
     """The largest errors with which an action still agrees with its prediction; set before anything is run.
 
@@ -218,11 +217,6 @@ class Thresholds:
     force: float = 1.0
     """The hardest that two machines may press on each other, as a share of what weights and motors of the nominal
     machines can do (:func:`craftsim.checking.contacts.impact_limit_n`)."""
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            if not math.isfinite(getattr(self, f.name)):
-                raise InputError(f"Thresholds.{f.name} must be a finite number, not {getattr(self, f.name)}")
 
 
 class BoundedError(NamedTuple):

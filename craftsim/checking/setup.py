@@ -23,7 +23,7 @@ from craftsim.mjcf.parameters import NOMINAL, Drive, Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
 from craftsim.models.overlaps import ALLOWED_M
-from craftsim.models.randomization import NONE, DomainRandomization, load_noise, load_randomization, randomize
+from craftsim.models.randomization import NONE, DomainRandomization, load_noise, randomize
 from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise, Sensors
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.disturbances import Disturbance, DisturbedFleet
@@ -31,7 +31,9 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.fleet import Fleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import OwnSkill, SkillChoice, own_skills
-from craftsim.storage.schema import LEFT_OUT_IF_EMPTY
+from craftsim.storage.records import record
+from craftsim.storage.writing import LEFT_OUT_IF_EMPTY
+from craftsim.storage.yaml import read_document
 
 nominal_gains = cache(load_gains)
 
@@ -89,14 +91,22 @@ _BASES: Final[dict[Randomize, _Terms]] = {
 }
 
 
+@record(kw_only=True)
+class _File(DomainRandomization):
+    """Any of what is drawn, and of the limits of errors; what is left out is that of the base."""
+
+    base: Randomize = "none"
+    limits: Thresholds
+
+
 def _read(file: str | Path, bases: Mapping[Randomize, _Terms]) -> _Terms:
     """Return what a YAML file draws that starts from one of some bases, with limits that suit it."""
-    drawn: dict[str, DomainRandomization] = {name: base for name, (_, base) in bases.items()}
-    base, randomization, limits = load_randomization(file, drawn, [f.name for f in fields(Thresholds)])
-    try:
-        return replace(bases[cast(Randomize, base)][0], **limits), randomization
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
+    document = read_document(Path(file))
+    base = document.plain.get("base", "none")
+    limits, randomization = next((terms for name, terms in bases.items() if name == base), bases["none"])
+    read = document.over({**asdict(randomization), "limits": asdict(limits)}).to(_File)
+    parts = {one.name: getattr(read, one.name) for one in fields(DomainRandomization)}
+    return read.limits, DomainRandomization(**parts)
 
 
 def _shipped(name: str) -> _Terms:
@@ -158,7 +168,7 @@ def setup_of(
 
     Args:
         randomize: what is drawn, with limits that suit it: a preset's name, or a YAML file
-            (:func:`craftsim.mjcf.machine_files.load_randomization`).
+            (docs/imperfections.md).
         rules: the rule set that predicts.
         gains: of the skills, a preset's name, or a file of them; those of the file of the machines, if it has some,
             unless given.

@@ -29,8 +29,8 @@ from craftsim.discrete.tasks.starts import targets_of
 from craftsim.discrete.tasks.task import Task, make_task
 from craftsim.errors import InputError
 from craftsim.storage import limits
-from craftsim.storage.mistakes import first_mistake
 from craftsim.storage.reading import read_lines
+from craftsim.storage.records import first_mistake
 
 QUIRK_TAGS: Final = frozenset({"devdep", "overwrite", "lost", "shared", "unfold_on_car", "unsupport"})
 """Tags of records in which something happened that only the published rule set follows."""

@@ -10,11 +10,12 @@ import math
 from array import array
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Final
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
 from craftsim.errors import InputError
 from craftsim.logs.bag_messages import JOINTS, NUMBERS, ODOMETRY, POSE, decoder
@@ -23,7 +24,8 @@ from craftsim.logs.log import GROUPS, LONGEST_GAP, TIME, Floats, Log, interpolat
 from craftsim.mjcf.car import WHEELS
 from craftsim.storage.limits import BAG, BAG_MESSAGES
 from craftsim.storage.reading import open_file
-from craftsim.storage.yaml import Document, Loc, described, read_document
+from craftsim.storage.records import record, unknown_words
+from craftsim.storage.yaml import read_document
 
 Series = dict[str, "array[float]"]
 """Times and values by column of a log, in turns."""
@@ -33,41 +35,36 @@ SHOWN_TOPICS = 10
 """In a message."""
 
 
-@dataclass(frozen=True)
+_Name = Annotated[str, Field(min_length=1)]
+_JOINTS: Final = (*WHEELS, "board", "hinge")
+
+
+def _known(names: dict[str, str]) -> dict[str, str]:
+    for name in names:
+        if name not in _JOINTS:
+            raise ValueError(unknown_words(name, _JOINTS))
+    return names
+
+
+@record()
 class Topics:
     """Which topics hold what; without a name the one topic of a type that fits."""
 
-    commands: str = "/wheel_commands"
+    commands: _Name = "/wheel_commands"
     """JointState with velocities by joint, or Float64MultiArray with four wheels, then board and hinge if there."""
-    joints: str = "/joint_states"
+    joints: _Name = "/joint_states"
     """JointState: velocities of wheels, position and effort of the board, position of the hinge."""
-    pose: str = ""
+    pose: _Name | None = None
     """Odometry or PoseStamped."""
-    joint_names: dict[str, str] = field(
-        default_factory=lambda: {name: name for name in (*WHEELS, "board", "hinge")}
+    joint_names: Annotated[dict[str, _Name], AfterValidator(_known)] = field(
+        default_factory=lambda: {name: name for name in _JOINTS}
     )
     """What the bag calls the joints."""
 
 
 def read_topics(path: Path) -> Topics:
     """Return the topics that a YAML file names; raise InputError, with file and line, for one that it should not."""
-    names = [f.name for f in fields(Topics)]
-    document = read_document(path)
-    found: dict[str, Any] = {}
-    for key, value in document.mapping(names).items():
-        if key == "joint_names":
-            joints = document.mapping(Topics().joint_names, key)
-            own = {name: _name(document, joint, (key, name)) for name, joint in joints.items()}
-            found[key] = Topics().joint_names | own
-        else:
-            found[key] = _name(document, value, (key,))
-    return Topics(**found)
-
-
-def _name(document: Document, value: object, loc: Loc) -> str:
-    if not isinstance(value, str) or not value:
-        document.fail(loc, f"'{loc[-1]}' must be a name, not {described(value)}")
-    return value
+    return read_document(path).over({"joint_names": Topics().joint_names}).to(Topics)
 
 
 def read_bag(path: Path, topics: Path | None = None) -> Log:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.readback import LIFT_RANGE_M
-from craftsim.errors import InputError
 
 if TYPE_CHECKING:
     from craftsim.mjcf.parameters import BlockParameters, Machines, SmartcarParameters
@@ -26,11 +25,11 @@ _LIFT_MARGIN_M: Final = 0.002
 
 def _require(holds: bool, name: str, message: str) -> None:
     if not holds:
-        raise InputError(f"SmartcarParameters.{name} {message}")
+        raise ValueError(f"{name} {message}")
 
 
 def check_car(car: SmartcarParameters) -> None:
-    """Raise InputError, naming the parameter, for a car that does not fit together or grounds on a slope."""
+    """Raise ValueError, naming the parameter, for a car that does not fit together or grounds on a slope."""
     radius, bottom, half = car.wheel_radius_m, car.chassis_bottom_m, car.chassis_length_m / 2
     gap = car.wheel_x_m - radius
     _require(gap > 0, "wheel_x_m", f"must be above the wheel's radius, {radius:g}, not {car.wheel_x_m:g}")
@@ -95,7 +94,7 @@ def _check_slope(car: SmartcarParameters) -> None:
 
 
 def check_machines(machines: Machines) -> None:
-    """Raise InputError, naming the parameter, for a car that does not fit under the loads or cannot lift them."""
+    """Raise ValueError, naming the parameter, for a car that does not fit under the loads or cannot lift them."""
     for car in machines.cars:
         _check_room(car, machines.block)
         slope = machines.slope

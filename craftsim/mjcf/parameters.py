@@ -14,13 +14,18 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import asdict, field, fields
 from functools import cached_property
-from typing import Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, get_args
+
+from pydantic import Field, ValidationInfo, field_validator
 
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
-from craftsim.errors import InputError, suggestion
+from craftsim.errors import InputError
 from craftsim.mjcf.fit import check_car, check_machines
+from craftsim.storage.limits import Range
+from craftsim.storage.records import record
 
 Origin = Literal["published", "derived", "assumed"]
 Drive = Literal["rollers", "reduced"]
@@ -32,60 +37,48 @@ REACH: Final = 1e6
 beyond it arithmetic ends before physics does."""
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """What a parameter may be: above ``above`` and at most ``most``; with ``fixed``, a reason, only its default."""
-
-    above: float = 0.0
-    most: float = math.inf
-    fixed: str = ""
+Positive = Annotated[float, Range(0.0, above=True)]
+Friction = Annotated[float, Range(0.0, 3.0, above=True)]
+Pitch = Annotated[float, Range(-math.pi / 2, math.pi / 2, above=True)]
 
 
-_POSITIVE: Final = Bounds()
+def _parameter(value: float, origin: Origin, note: str, fixed: str) -> Any:
+    """Declare a field; its metadata says where its default comes from, and why nothing else is possible."""
+    return field(default=value, metadata={"origin": origin, "note": note, "fixed": fixed})
 
 
-def _parameter(value: float, origin: Origin, note: str, bounds: Bounds) -> Any:
-    """Declare a field; its metadata says where its default comes from and what it may be."""
-    return field(default=value, metadata={"origin": origin, "note": note, "bounds": bounds})
+def published(value: float, note: str = "", fixed: str = "") -> Any:
+    """Declare a field whose default is a published parameter; ``fixed`` is why it cannot be changed."""
+    return _parameter(value, "published", note, fixed)
 
 
-def published(value: float, note: str = "", bounds: Bounds = _POSITIVE) -> Any:
-    """Declare a dataclass field whose default is a published parameter."""
-    return _parameter(value, "published", note, bounds)
+def derived(value: float, note: str, fixed: str = "") -> Any:
+    """Declare a field whose default follows from published parameters as the note says."""
+    return _parameter(value, "derived", note, fixed)
 
 
-def derived(value: float, note: str, bounds: Bounds = _POSITIVE) -> Any:
-    """Declare a dataclass field whose default follows from published parameters as the note says."""
-    return _parameter(value, "derived", note, bounds)
+def assumed(value: float, note: str, fixed: str = "") -> Any:
+    """Declare a field whose default is our assumption, for the reason in the note."""
+    return _parameter(value, "assumed", note, fixed)
 
 
-def assumed(value: float, note: str, bounds: Bounds = _POSITIVE) -> Any:
-    """Declare a dataclass field whose default is our assumption, for the reason in the note."""
-    return _parameter(value, "assumed", note, bounds)
+class NearNominal:
+    """A record of numbers, none of which may be of another order than its nominal value."""
 
+    @classmethod
+    def nominal(cls) -> Mapping[str, float]:
+        """Return the nominal values by name."""
+        declared: Any = fields(cls)  # type: ignore[arg-type]
+        return {one.name: one.default for one in declared}
 
-def check_parameter(name: str, value: object, declared: Any) -> None:
-    """Raise InputError, calling the parameter ``name``, for a value that its field does not allow."""
-    bounds: Bounds = declared.metadata["bounds"]
-    whole = isinstance(declared.default, int)
-    kind = int if whole else (int, float)
-    if isinstance(value, bool) or not isinstance(value, kind) or not math.isfinite(value):
-        raise InputError(f"{name} must be {'an integer' if whole else 'a number'}, not {value!r}")
-    if bounds.fixed:
-        if value != declared.default:
-            raise InputError(f"{name} cannot be changed from {declared.default:.6g}: {bounds.fixed}")
-        return
-    if not bounds.above < value <= bounds.most:
-        most = f" and at most {bounds.most:g}" if bounds.most < math.inf else ""
-        raise InputError(f"{name} must be above {bounds.above:g}{most}, not {value!r}")
-    check_reach(name, value, declared.default)
-
-
-def check_reach(name: str, value: float, nominal: float) -> None:
-    """Raise InputError, calling the parameter ``name``, for a value of another order than the nominal one."""
-    least, most = abs(nominal) / REACH, abs(nominal) * REACH
-    if value and not least <= abs(value) <= most:
-        raise InputError(f"{name} must be from {least:g} to {most:g}, not {value!r}")
+    @field_validator("*")
+    @classmethod
+    def _near(cls, value: float, info: ValidationInfo) -> float:
+        nominal = cls.nominal()[str(info.field_name)]
+        least, most = abs(nominal) / REACH, abs(nominal) * REACH
+        if value and not least <= abs(value) <= most:
+            raise ValueError(f"must be from {least:g} to {most:g}, not {value!r}")
+        return value
 
 
 def digest_of(values: dict[str, Any]) -> str:
@@ -101,23 +94,23 @@ def digest_of(values: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
 
 
-class _Checked:
-    """A record of parameters that checks each of them by itself when it is made."""
-
-    def __post_init__(self) -> None:
-        for f in fields(self):  # type: ignore[arg-type]
-            check_parameter(f"{type(self).__name__}.{f.name}", getattr(self, f.name), f)
-
-
-_SEAT: Final = Bounds(fixed="the pockets of blocks and the pads of slopes fit this board and its boss")
-_GRID: Final = Bounds(fixed="the grid's cells and levels have this size")
-_SHAPE: Final = Bounds(fixed="the boards and bosses of all cars fit this shape")
-_FRICTION: Final = Bounds(most=3.0)
-_PITCH: Final = Bounds(-math.pi / 2, math.pi / 2)
+class _Parameters(NearNominal):
+    @field_validator("*")
+    @classmethod
+    def _as_fixed(cls, value: float, info: ValidationInfo) -> float:
+        declared = next(one for one in fields(cls) if one.name == info.field_name)  # type: ignore[arg-type]
+        if (why := declared.metadata["fixed"]) and value != declared.default:
+            raise ValueError(f"cannot be changed from {declared.default:.6g}: {why}")
+        return value
 
 
-@dataclass(frozen=True)
-class SmartcarParameters(_Checked):
+_SEAT: Final = "the pockets of blocks and the pads of slopes fit this board and its boss"
+_GRID: Final = "the grid's cells and levels have this size"
+_SHAPE: Final = "the boards and bosses of all cars fit this shape"
+
+
+@record()
+class SmartcarParameters(_Parameters):
     """The mecanum smartcar. Heights are above the axle line unless the name says floor.
 
     Example:
@@ -126,108 +119,106 @@ class SmartcarParameters(_Checked):
         10.3
     """
 
-    wheel_radius_m: float = published(
+    wheel_radius_m: Positive = published(
         0.0496, "the mesh; the collision cylinder's 0.043 would ground the car on the crest of the slope"
     )
-    wheel_width_m: float = published(0.043, "the mesh; the collision cylinder has 0.040")
-    wheel_x_m: float = published(0.060, "half the wheelbase")
-    wheel_y_m: float = published(0.083, "half the track")
-    wheel_mass_kg: float = published(2.3, "each, rollers included")
+    wheel_width_m: Positive = published(0.043, "the mesh; the collision cylinder has 0.040")
+    wheel_x_m: Positive = published(0.060, "half the wheelbase")
+    wheel_y_m: Positive = published(0.083, "half the track")
+    wheel_mass_kg: Positive = published(2.3, "each, rollers included")
     rollers_per_wheel: int = assumed(
         10,
         "the fewest with which the envelope's ripple stays far below 0.5 mm",
-        Bounds(fixed="the ellipsoids of the rollers are made for ten a wheel"),
+        fixed="the ellipsoids of the rollers are made for ten a wheel",
     )
-    roller_radius_m: float = assumed(0.009, "what fits ten rollers on the published wheel")
-    roller_half_length_m: float = derived(
+    roller_radius_m: Positive = assumed(0.009, "what fits ten rollers on the published wheel")
+    roller_half_length_m: Positive = derived(
         0.0302, "the ellipsoid that flattens the wheel's envelope: 0.063 mm of ripple, found numerically"
     )
-    roller_mass_kg: float = assumed(0.03, "a rubber barrel of this size; part of the wheel's published mass")
-    roller_bearing_friction_nm: float = assumed(
+    roller_mass_kg: Positive = assumed(
+        0.03, "a rubber barrel of this size; part of the wheel's published mass"
+    )
+    roller_bearing_friction_nm: Positive = assumed(
         0.004, "plain bearing: friction 0.1 under a quarter of the weight (25 N) on a pin of 3 mm"
     )
-    roller_damping_nms_rad: float = assumed(
+    roller_damping_nms_rad: Positive = assumed(
         0.00002, "grease: a thousandth of the bearing's dry friction at 0.2 rad/s"
     )
-    roller_friction: float = assumed(
-        0.8, "rubber on plastic, plywood or concrete: handbooks give 0.6 to 1.0", _FRICTION
+    roller_friction: Friction = assumed(
+        0.8, "rubber on plastic, plywood or concrete: handbooks give 0.6 to 1.0"
     )
-    chassis_length_m: float = published(0.220)
-    chassis_width_m: float = published(0.167)
-    chassis_bottom_m: float = published(-0.040, bounds=Bounds(-math.inf, 0.0))
-    chassis_top_m: float = published(0.050)
-    chassis_chamfer_m: float = assumed(
+    chassis_length_m: Positive = published(0.220)
+    chassis_width_m: Positive = published(0.167)
+    chassis_bottom_m: Annotated[float, Range(high=0.0)] = published(-0.040)
+    chassis_top_m: Positive = published(0.050)
+    chassis_chamfer_m: Positive = assumed(
         0.025, "published without a figure; keeps the nose off the foot of the slope"
     )
-    chassis_mass_kg: float = published(1.0)
-    chassis_com_m: float = published(-0.025, "height of the chassis' centre of mass", Bounds(-math.inf))
-    chassis_friction: float = assumed(0.3, "painted metal against plastic", _FRICTION)
-    board_top_m: float = published(
+    chassis_mass_kg: Positive = published(1.0)
+    chassis_com_m: float = published(-0.025, "height of the chassis' centre of mass")
+    chassis_friction: Friction = assumed(0.3, "painted metal against plastic")
+    board_top_m: Positive = published(
         0.053, "read as the upper face, so that the plate lies on the chassis' top"
     )
-    board_length_m: float = published(0.194, bounds=_SEAT)
-    board_width_m: float = published(0.200, bounds=_SEAT)
-    board_thickness_m: float = published(0.003)
-    board_mass_kg: float = published(0.1)
-    board_travel_m: float = published(0.045)
-    board_speed_m_s: float = published(0.05)
-    board_force_n: float = assumed(80.0, "seven times the heaviest load; no published figure")
-    board_stiffness_n_m: float = assumed(
+    board_length_m: float = published(0.194, fixed=_SEAT)
+    board_width_m: float = published(0.200, fixed=_SEAT)
+    board_thickness_m: Positive = published(0.003)
+    board_mass_kg: Positive = published(0.1)
+    board_travel_m: Positive = published(0.045)
+    board_speed_m_s: Positive = published(0.05)
+    board_force_n: Positive = assumed(80.0, "seven times the heaviest load; no published figure")
+    board_stiffness_n_m: Positive = assumed(
         20_000.0, "position loop of the lead screw's drive: a slope's 11 N sag by 0.5 mm"
     )
-    board_gain_ns_m: float = assumed(
+    board_gain_ns_m: Positive = assumed(
         400.0, "its velocity loop: damps board and load, 400 = 2 sqrt(20000 N/m x 2 kg)"
     )
-    board_armature_kg: float = assumed(2.0, "the motor's rotor behind the lead screw, seen from the board")
-    board_damping_ns_m: float = assumed(20.0, "grease on the screw: 1 N at the published speed")
-    screw_friction_n: float = assumed(1.0, "dry friction of screw and guide: the board's own weight")
-    board_friction: float = assumed(0.8, "rubber facing under plastic, as the rollers", _FRICTION)
-    boss_side_m: float = published(0.11, "at its foot", _SEAT)
+    board_armature_kg: Positive = assumed(2.0, "the motor's rotor behind the lead screw, seen from the board")
+    board_damping_ns_m: Positive = assumed(20.0, "grease on the screw: 1 N at the published speed")
+    screw_friction_n: Positive = assumed(1.0, "dry friction of screw and guide: the board's own weight")
+    board_friction: Friction = assumed(0.8, "rubber facing under plastic, as the rollers")
+    boss_side_m: float = published(0.11, "at its foot", fixed=_SEAT)
     boss_top_side_m: float = assumed(
-        0.100, "bevelled edges are published without a figure: 45 degrees", _SEAT
+        0.100, "bevelled edges are published without a figure: 45 degrees", fixed=_SEAT
     )
-    boss_height_m: float = published(0.005, bounds=_SEAT)
-    boss_friction: float = assumed(0.3, "bare metal, as the chassis: it guides and does not hold", _FRICTION)
-    wheel_torque_nm: float = assumed(
+    boss_height_m: float = published(0.005, fixed=_SEAT)
+    boss_friction: Friction = assumed(0.3, "bare metal, as the chassis: it guides and does not hold")
+    wheel_torque_nm: Positive = assumed(
         2.5, "a wheel motor; three times what a loaded climb at 16 degrees needs"
     )
-    wheel_speed_rad_s: float = assumed(20.0, "about 1 m/s; no published figure")
-    wheel_gain_nms_rad: float = assumed(
+    wheel_speed_rad_s: Positive = assumed(20.0, "about 1 m/s; no published figure")
+    wheel_gain_nms_rad: Positive = assumed(
         4.0,
         "velocity servo: 0.11 rad/s of droop at the gear's friction; stiffer axles fight each other on a crest",
     )
-    wheel_armature_kgm2: float = assumed(
+    wheel_armature_kgm2: Positive = assumed(
         0.01, "a motor's rotor seen from the wheel: 4e-6 kg m^2 behind a self-locking gear of 50, squared"
     )
-    wheel_damping_nms_rad: float = assumed(0.002, "oil in the gear: 0.04 Nm at full speed")
-    gear_friction_nm: float = assumed(
+    wheel_damping_nms_rad: Positive = assumed(0.002, "oil in the gear: 0.04 Nm at full speed")
+    gear_friction_nm: Positive = assumed(
         0.45, "self-locking gear: a car carrying a slope needs 0.39 Nm a wheel to stand on the incline"
     )
-    line_reach_m: float = assumed(
+    line_reach_m: Annotated[float, Range(0.0, 0.06)] = assumed(
         0.020,
         "to each side, of a row of reflex sensors in the middle of each edge of the board; blocks and slopes bear a "
         "printed cross below. The published car has none: 0 is a car without",
-        Bounds(-1e-9, 0.06),
     )
-    camera_proud_m: float = assumed(
+    camera_proud_m: Positive = assumed(
         0.003, "a lens in the nose, by so much before it; its few grams are left out"
     )
     camera_z_m: float = assumed(
         0.030,
         "below the board and above the chamfer: it sees between the legs of a block",
-        Bounds(-math.inf),
     )
-    camera_pitch_rad: float = assumed(
-        -0.1, "upwards; it sees the floor from 0.1 m before it, and what is one level up from 0.2 m", _PITCH
+    camera_pitch_rad: Pitch = assumed(
+        -0.1, "upwards; it sees the floor from 0.1 m before it, and what is one level up from 0.2 m"
     )
-    camera_fovy_rad: float = assumed(
+    camera_fovy_rad: Annotated[float, Range(0.0, 2.8, above=True)] = assumed(
         1.17,
         "vertical field of view: the 67 degrees of a Raspberry Pi Camera Module 3 Wide",
-        Bounds(most=2.8),
     )
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         check_car(self)
 
     @property
@@ -251,8 +242,8 @@ class SmartcarParameters(_Checked):
         return self.wheel_radius_m + self.board_top_m
 
 
-@dataclass(frozen=True)
-class BlockParameters(_Checked):
+@record()
+class BlockParameters(_Parameters):
     """The block: a table with a deck and four legs. Flag and wall have the same shape.
 
     Example:
@@ -261,41 +252,42 @@ class BlockParameters(_Checked):
         1.004
     """
 
-    side_m: float = published(0.32, bounds=_GRID)
+    side_m: float = published(0.32, fixed=_GRID)
     height_m: float = derived(
         LEVEL_HEIGHT_M,
         "one level; the mesh has 0.187 and the collision box 0.1905, which do not stack at the pitch",
-        _GRID,
+        fixed=_GRID,
     )
-    leg_side_m: float = published(0.025, bounds=_SHAPE)
-    leg_offset_m: float = published(0.1475, bounds=_SHAPE)
+    leg_side_m: float = published(0.025, fixed=_SHAPE)
+    leg_offset_m: float = published(0.1475, fixed=_SHAPE)
     underside_m: float = published(
-        0.1155, "top of the legs; the deck's box starts 3 mm higher, a gap no table has", _SHAPE
+        0.1155, "top of the legs; the deck's box starts 3 mm higher, a gap no table has", fixed=_SHAPE
     )
-    deck_mass_kg: float = published(0.5)
-    leg_mass_kg: float = published(0.001)
+    deck_mass_kg: Positive = published(0.5)
+    leg_mass_kg: Positive = published(0.001)
     pocket_side_m: float = assumed(
         0.1102,
         "the boss' foot and 0.1 mm of play on each side: a load wanders by it; the bevel centres what is off by more",
-        _SHAPE,
+        fixed=_SHAPE,
     )
-    pocket_depth_m: float = assumed(0.006, "the boss' height and 1 mm", _SHAPE)
+    pocket_depth_m: float = assumed(0.006, "the boss' height and 1 mm", fixed=_SHAPE)
     frame_relief_m: float = assumed(
         0.0002,
         "a block stands on a board by its front and back bars; the side bars, so much higher, only stop the boss",
-        _SHAPE,
+        fixed=_SHAPE,
     )
     foot_radius_m: float = assumed(
-        0.005, "round feet at the legs' outer corners: one point of contact each, and as wide a stand", _SHAPE
+        0.005,
+        "round feet at the legs' outer corners: one point of contact each, and as wide a stand",
+        fixed=_SHAPE,
     )
-    foot_proud_m: float = assumed(0.0005, "by so much the feet stand below the legs", _SHAPE)
-    foot_friction: float = assumed(
+    foot_proud_m: float = assumed(0.0005, "by so much the feet stand below the legs", fixed=_SHAPE)
+    foot_friction: Friction = assumed(
         0.8,
         "rubber feet; on bare plastic (0.4) a car that drives on top shoves its block by millimetres",
-        _FRICTION,
     )
-    friction: float = assumed(
-        0.4, "moulded plastic on plastic, plywood or concrete: handbooks give 0.3 to 0.5", _FRICTION
+    friction: Friction = assumed(
+        0.4, "moulded plastic on plastic, plywood or concrete: handbooks give 0.3 to 0.5"
     )
 
     @property
@@ -304,8 +296,8 @@ class BlockParameters(_Checked):
         return self.deck_mass_kg + 4 * self.leg_mass_kg
 
 
-@dataclass(frozen=True)
-class SlopeParameters(_Checked):
+@record()
+class SlopeParameters(_Parameters):
     """The foldable slope: a hollow base wedge, and a flap on a motorised hinge.
 
     Example:
@@ -315,54 +307,60 @@ class SlopeParameters(_Checked):
     """
 
     side_m: float = published(
-        0.32, "the visual mesh; the collision meshes' 0.34 overlap at the grid's pitch", _GRID
+        0.32, "the visual mesh; the collision meshes' 0.34 overlap at the grid's pitch", fixed=_GRID
     )
     hinge_x_m: float = derived(
-        CELL_PITCH_M / 2, "on the cell's border, so that the folded flap covers the base", _GRID
+        CELL_PITCH_M / 2, "on the cell's border, so that the folded flap covers the base", fixed=_GRID
     )
     hinge_z_m: float = derived(
         LEVEL_HEIGHT_M / 2,
         "half a level, so that the folded top is level; published 0.095 would stand 5 mm proud",
-        _GRID,
+        fixed=_GRID,
     )
-    incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees", _GRID)
-    wall_thickness_m: float = assumed(0.010, "side walls of the base, beside the widest car", _SHAPE)
-    skin_m: float = assumed(0.004, "leaves a car below 2.8 mm of head-room at its lower corner", _SHAPE)
-    heel_m: float = assumed(0.020, "cut off the flap: it would drag over the floor as it turns", _SHAPE)
+    incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees", fixed=_GRID)
+    wall_thickness_m: float = assumed(0.010, "side walls of the base, beside the widest car", fixed=_SHAPE)
+    skin_m: float = assumed(0.004, "leaves a car below 2.8 mm of head-room at its lower corner", fixed=_SHAPE)
+    heel_m: float = assumed(0.020, "cut off the flap: it would drag over the floor as it turns", fixed=_SHAPE)
     underside_m: float = assumed(
         0.1055,
         "of the pads: 2.9 mm above a lowered board, and low enough that a raised one clears the incline",
-        _SHAPE,
+        fixed=_SHAPE,
     )
-    pad_front_m: float = assumed(0.090, "as far forward as a rail reaches under the incline's face", _SHAPE)
-    pad_thickness_m: float = assumed(0.005, "rails and back bar", _SHAPE)
-    stop_thickness_m: float = assumed(0.0038, "of the front bar, where the incline is lower", _SHAPE)
-    stop_front_rise_m: float = assumed(0.0002, "the front bar stops the boss and does not carry", _SHAPE)
+    pad_front_m: float = assumed(
+        0.090, "as far forward as a rail reaches under the incline's face", fixed=_SHAPE
+    )
+    pad_thickness_m: float = assumed(0.005, "rails and back bar", fixed=_SHAPE)
+    stop_thickness_m: float = assumed(0.0038, "of the front bar, where the incline is lower", fixed=_SHAPE)
+    stop_front_rise_m: float = assumed(
+        0.0002, "the front bar stops the boss and does not carry", fixed=_SHAPE
+    )
     stop_back_rise_m: float = assumed(
-        0.0032, "the boss of a lowered board slides in below the back bar, and seats when raised", _SHAPE
+        0.0032,
+        "the boss of a lowered board slides in below the back bar, and seats when raised",
+        fixed=_SHAPE,
     )
     boss_play_m: float = assumed(
         0.0002,
         "beside the boss on each side; at half of it the bevelled stop wedges, with contact peaks of 650 N",
-        _SHAPE,
+        fixed=_SHAPE,
     )
-    base_mass_kg: float = published(1.0)
-    flap_mass_kg: float = published(0.1)
-    friction: float = assumed(0.8, "rubber feet and a rubber-edged flap, as the rollers", _FRICTION)
-    gear_radius_m: float = published(0.02, bounds=_SHAPE)
-    gear_width_m: float = assumed(0.012, "published without a figure", _SHAPE)
-    hinge_torque_nm: float = published(10.0)
-    hinge_speed_rad_s: float = published(0.3, bounds=Bounds(most=3.0))
-    hinge_range_rad: float = published(math.pi, bounds=_GRID)
-    hinge_margin_rad: float = assumed(0.01, "of the lower stop: the floor stops the flap", _SHAPE)
-    hinge_stiffness_nm_rad: float = assumed(
+    base_mass_kg: Positive = published(1.0)
+    flap_mass_kg: Positive = published(0.1)
+    friction: Friction = assumed(0.8, "rubber feet and a rubber-edged flap, as the rollers")
+    gear_radius_m: float = published(0.02, fixed=_SHAPE)
+    gear_width_m: float = assumed(0.012, "published without a figure", fixed=_SHAPE)
+    hinge_torque_nm: Positive = published(10.0)
+    hinge_speed_rad_s: Annotated[float, Range(0.0, 3.0, above=True)] = published(0.3)
+    hinge_range_rad: float = published(math.pi, fixed=_GRID)
+    hinge_margin_rad: float = assumed(0.01, "of the lower stop: the floor stops the flap", fixed=_SHAPE)
+    hinge_stiffness_nm_rad: Positive = assumed(
         40.0, "position loop of the hinge's drive: the flap's 0.1 Nm sag by 3 mrad"
     )
-    hinge_gain_nms_rad: float = assumed(2.0, "its velocity loop: damps the flap on the position loop")
-    hinge_armature_kgm2: float = assumed(0.01, "a small motor's rotor behind its gear, as the wheels'")
-    hinge_damping_nms_rad: float = assumed(0.02, "grease in the gear: 0.006 Nm at the published speed")
-    hinge_friction_nm: float = assumed(0.02, "a small gear motor")
-    docking_range_m: float = assumed(
+    hinge_gain_nms_rad: Positive = assumed(2.0, "its velocity loop: damps the flap on the position loop")
+    hinge_armature_kgm2: Positive = assumed(0.01, "a small motor's rotor behind its gear, as the wheels'")
+    hinge_damping_nms_rad: Positive = assumed(0.02, "grease in the gear: 0.006 Nm at the published speed")
+    hinge_friction_nm: Positive = assumed(0.02, "a small gear motor")
+    docking_range_m: Positive = assumed(
         0.04, "reach of the plug by which a car below moves the hinge; a car off by more stands elsewhere"
     )
 
@@ -377,38 +375,40 @@ class SlopeParameters(_Checked):
         return 2 * self.hinge_z_m
 
 
-@dataclass(frozen=True)
-class ContactParameters(_Checked):
+@record()
+class ContactParameters(_Parameters):
     """How surfaces give way to each other, the same for all machines and the floor; in MuJoCo's terms.
 
     A contact is a spring and damper with a time constant and a damping ratio (solref) and an impedance between a
     smallest and a largest value that is reached at a depth (solimp); the dry friction of joints likewise.
     """
 
-    time_constant_s: float = assumed(
-        0.008, "two physics steps, the stiffest that is stable", Bounds(most=0.1)
+    time_constant_s: Annotated[float, Range(0.0, 0.1, above=True)] = assumed(
+        0.008, "two physics steps, the stiffest that is stable"
     )
-    damping_ratio: float = assumed(1.0, "critical: nothing bounces")
-    impedance_min: float = assumed(
-        0.95, "hard plastic, as stiff as is stable at the time constant", Bounds(most=0.9999)
+    damping_ratio: Positive = assumed(1.0, "critical: nothing bounces")
+    impedance_min: Annotated[float, Range(0.0, 0.9999, above=True)] = assumed(
+        0.95, "hard plastic, as stiff as is stable at the time constant"
     )
-    impedance_max: float = assumed(0.99, "as above, from a depth of 0.5 mm", Bounds(most=0.9999))
-    impedance_depth_m: float = assumed(0.0005, "depth at which the largest impedance is reached")
-    foot_stiffness_ratio: float = assumed(
+    impedance_max: Annotated[float, Range(0.0, 0.9999, above=True)] = assumed(
+        0.99, "as above, from a depth of 0.5 mm"
+    )
+    impedance_depth_m: Positive = assumed(0.0005, "depth at which the largest impedance is reached")
+    foot_stiffness_ratio: Positive = assumed(
         4.0, "a round foot touches in one point where a leg's flat end would in four: as firm as those"
     )
-    joint_impedance: float = assumed(
-        0.9999, "dry friction of joints: holds rather than creeps", Bounds(most=0.9999)
+    joint_impedance: Annotated[float, Range(0.0, 0.9999, above=True)] = assumed(
+        0.9999, "dry friction of joints: holds rather than creeps"
     )
-    joint_impedance_width: float = assumed(0.001, "without effect while smallest and largest are equal")
-    torsional_friction_m: float = assumed(0.005, "MuJoCo's default: a patch of 5 mm")
-    rolling_friction_m: float = assumed(0.0001, "MuJoCo's default")
-    ground_friction: float = assumed(
-        0.4, "sealed concrete or plywood under hard plastic; rubber brings its own", _FRICTION
+    joint_impedance_width: Positive = assumed(0.001, "without effect while smallest and largest are equal")
+    torsional_friction_m: Positive = assumed(0.005, "MuJoCo's default: a patch of 5 mm")
+    rolling_friction_m: Positive = assumed(0.0001, "MuJoCo's default")
+    ground_friction: Friction = assumed(
+        0.4, "sealed concrete or plywood under hard plastic; rubber brings its own"
     )
 
 
-@dataclass(frozen=True)
+@record()
 class Machines:
     """The parameters of everything in a world: hashable, and written into every report.
 
@@ -422,7 +422,7 @@ class Machines:
         2.0
     """
 
-    cars: tuple[SmartcarParameters, ...] = (SmartcarParameters(),)
+    cars: Annotated[tuple[SmartcarParameters, ...], Field(min_length=1)] = (SmartcarParameters(),)
     """One for each car, by id, or a single one for all."""
     block: BlockParameters = BlockParameters()
     slope: SlopeParameters = SlopeParameters()
@@ -431,12 +431,6 @@ class Machines:
     """Of all cars; docs/drives.md says how far ``reduced``, which is several times as fast, can be trusted."""
 
     def __post_init__(self) -> None:
-        if not self.cars:
-            raise InputError("Machines.cars must hold at least one car's figures")
-        if self.drive not in DRIVES:
-            raise InputError(
-                f"unknown drive '{self.drive}'{suggestion(str(self.drive), DRIVES)}; there are {', '.join(DRIVES)}"
-            )
         check_machines(self)
 
     def car(self, index: int) -> SmartcarParameters:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Annotated, Final, Literal
 
-from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Drive
+from craftsim.storage.limits import Range
+from craftsim.storage.records import record
 
 Solver = Literal["newton", "pgs"]
 
@@ -15,18 +15,8 @@ STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.004}
 0.3 mm of theirs (``craftsim bench steps``). In longer steps rollers lose the ground, servos ring, and a load that an
 impact lifts off its board for one step comes down into it (docs/drives.md)."""
 
-RANGES: Final[dict[str, tuple[float, float]]] = {
-    "timestep_s": (2.5e-4, 0.005),
-    "control_period_s": (1e-3, 1.0),
-    "solver_iterations": (1, 10_000),
-    "friction_impedance_ratio": (1e-3, 1e6),
-    "sleep_tolerance_m_s": (1e-12, 10.0),
-    "settle_s": (0.0, 60.0),
-}
-"""What the numbers of a SimulationConfig may be."""
 
-
-@dataclass(frozen=True)
+@record()
 class SimulationConfig:
     """Settings of the simulation; hashable, and written into every report.
 
@@ -42,50 +32,40 @@ class SimulationConfig:
         10
     """
 
-    timestep_s: float = 0.004
-    """Physics step, of rollers. Final poses differ by less than 2 mm from those at 1 ms
+    timestep_s: Annotated[float, Range(2.5e-4, 0.005)] = 0.004
+    """Physics step; in longer ones rollers lose the ground. Final poses differ by less than 2 mm from those at 1 ms
     (tests/skills/test_demo_plan.py)."""
 
-    control_period_s: float = 0.02
+    control_period_s: Annotated[float, Range(1e-3, 1.0)] = 0.02
     """How often skills are asked for a command: 50 Hz, as a small robot's controller. A multiple of the step."""
 
     solver: Solver = "newton"
     """Contact solver: Newton converges on these stiff contacts in a few iterations; pgs, which does not, is slower and
     there to compare. MuJoCo's third solver, cg, is not stable on them."""
 
-    solver_iterations: int = 1000
+    solver_iterations: Annotated[int, Range(1, 10_000)] = 1000
     """Most iterations of the solver in one step, ten times what the slowest step of a good run needs. Cars that climb
     on stacked blocks came near MuJoCo's default of 100, and a step that ends there blows the stack apart
     (docs/physics.md). :attr:`PhysicsWorld.capped_steps` counts the steps that reach it."""
 
-    friction_impedance_ratio: float = 300.0
+    friction_impedance_ratio: Annotated[float, Range(1e-3, 1e6)] = 300.0
     """How much stiffer friction is than normal contact (MuJoCo's impratio): at 300 a loaded car parked on the slope
     creeps by less than 0.03 mm/s, at 10 by 0.7 (tests/models/test_parking.py)."""
 
     sleep: bool = True
     """Let resting islands, idle cars included, drop out of the computation until something touches or commands them."""
 
-    sleep_tolerance_m_s: float = 1e-4
+    sleep_tolerance_m_s: Annotated[float, Range(1e-12, 10.0)] = 1e-4
     """Speed below which an island counts as resting: a tenth of MuJoCo's default, so that slow creep is not hidden."""
 
-    settle_s: float = 0.3
+    settle_s: Annotated[float, Range(0.0, 60.0)] = 0.3
     """Simulated time after a reset in which the parts come to rest on each other under zero commands."""
 
     def __post_init__(self) -> None:
-        for name, (least, most) in RANGES.items():
-            if not least <= getattr(self, name) <= most:
-                why = "; above 0.005 s rollers lose the ground, try 0.004" * (name == "timestep_s")
-                raise InputError(
-                    f"SimulationConfig.{name} must be from {least:g} to {most:g}, not {getattr(self, name)}{why}"
-                )
-        if self.solver not in get_args(Solver):
-            raise InputError(
-                f"SimulationConfig.solver is '{self.solver}'; allowed: {', '.join(get_args(Solver))}"
-            )
         ratio = self.control_period_s / self.timestep_s
         if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:
-            raise InputError(
-                f"SimulationConfig.control_period_s ({self.control_period_s}) must be an integer multiple of "
+            raise ValueError(
+                f"control_period_s ({self.control_period_s}) must be an integer multiple of "
                 f"timestep_s ({self.timestep_s})"
             )
 

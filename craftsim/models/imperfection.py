@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Final
+from typing import Annotated, Final
 
-from craftsim.errors import InputError
+from craftsim.storage.limits import Range
+from craftsim.storage.records import record
 
-
-class Imperfect:
-    """A dataclass whose numbers must each be in [0, 1); raises InputError, naming the figure, for one that is not."""
-
-    def __post_init__(self) -> None:
-        for field in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, field.name)
-            if isinstance(value, int | float) and not 0 <= value < 1:
-                raise InputError(
-                    f"{type(self).__name__}.{field.name} must be at least 0 and below 1, not {value}"
-                )
+Amount = Annotated[float, Range(0.0, 1.0, below=True)]
+"""From 0, which is ideal, to below 1, in whatever unit."""
+Length = Annotated[float, Range(0.0, 1.0, above=True, below=True)]
+"""In metres."""
 
 
-@dataclass(frozen=True)
-class Floor(Imperfect):
+@record()
+class Floor:
     """How uneven a floor is; hashable. Raises InputError for a figure outside [0, 1).
 
     Example:
@@ -30,27 +23,22 @@ class Floor(Imperfect):
         False
     """
 
-    lippage_m: float = 0.0
+    lippage_m: Amount = 0.0
     """Largest difference in height between two tiles; each tile's height is drawn uniformly."""
-    tile_m: float = 0.3
+    tile_m: Length = 0.3
     """Side of a square tile. Where their joints run, and in which direction, is drawn."""
-    joint_m: float = 0.0
+    joint_m: Amount = 0.0
     """Width of the joints between tiles..."""
-    joint_depth_m: float = 0.0
+    joint_depth_m: Amount = 0.0
     """...and by how much their bottom lies below the lowest tile."""
-    unevenness_m: float = 0.0
+    unevenness_m: Amount = 0.0
     """Height from the lowest to the highest point of the smooth undulation of the whole floor..."""
-    wavelength_m: float = 0.6
+    wavelength_m: Length = 0.6
     """...and its shortest wavelength."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.tile_m or not self.wavelength_m:
-            raise InputError("Floor.tile_m and Floor.wavelength_m must be above 0")
         if self.joint_m >= self.tile_m:
-            raise InputError(
-                f"Floor.joint_m must be below Floor.tile_m, {self.tile_m:g}, not {self.joint_m:g}"
-            )
+            raise ValueError(f"joint_m must be below tile_m, {self.tile_m:g}, not {self.joint_m:g}")
 
     @property
     def flat(self) -> bool:
@@ -63,8 +51,8 @@ class Floor(Imperfect):
         return self.lippage_m + self.unevenness_m
 
 
-@dataclass(frozen=True)
-class Drivetrain(Imperfect):
+@record()
+class Drivetrain:
     """What wheel motors and gears lack; hashable. Raises InputError for a figure outside [0, 1).
 
     Example:
@@ -73,13 +61,13 @@ class Drivetrain(Imperfect):
         False
     """
 
-    torque_slope: float = 0.0
+    torque_slope: Amount = 0.0
     """Share of a driving motor's largest torque that is lost at its top speed, in proportion to the speed."""
-    gear_loss: float = 0.0
+    gear_loss: Amount = 0.0
     """Share of a driving motor's torque that the gear takes, on top of its dry friction; it helps a brake as much."""
-    backlash_rad: float = 0.0
+    backlash_rad: Amount = 0.0
     """Angle by which the gear leaves the wheel free when the torque changes its sign."""
-    sag: float = 0.0
+    sag: Amount = 0.0
     """Share of the largest torque, of that at standstill, that is lost at any speed when all motors of a car drive with
     all they have: the battery's voltage drops."""
 
@@ -89,8 +77,8 @@ class Drivetrain(Imperfect):
         return self == IDEAL
 
 
-@dataclass(frozen=True)
-class Making(Imperfect):
+@record()
+class Making:
     """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
 
     Raises InputError for a figure outside [0, 1).
@@ -101,19 +89,19 @@ class Making(Imperfect):
         False
     """
 
-    wheel_radius_m: float = 0.0
+    wheel_radius_m: Amount = 0.0
     """Of each wheel by itself."""
-    wheel_place_m: float = 0.0
+    wheel_place_m: Amount = 0.0
     """Of each axle's distance from the car's middle, forward and sideways: wheelbase and track."""
-    board_m: float = 0.0
+    board_m: Amount = 0.0
     """Of the height of a lowered board and its boss."""
-    board_place_m: float = 0.0
+    board_place_m: Amount = 0.0
     """Of the place of board and boss on the car, forward and sideways."""
-    foot_m: float = 0.0
+    foot_m: Amount = 0.0
     """Of the height of each foot of a block or a flag."""
-    underside_m: float = 0.0
+    underside_m: Amount = 0.0
     """Of the height of a block's pocket and of a slope's pads above the floor."""
-    pocket_m: float = 0.0
+    pocket_m: Amount = 0.0
     """Of the place of a block's pocket and of a slope's pads, forward and sideways."""
 
     @property

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -16,18 +16,17 @@ from numpy.typing import NDArray
 from craftsim.errors import InputError
 from craftsim.mjcf.car import WholeCar
 from craftsim.models.floor import lay, tiles_body
-from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Drivetrain, Floor, Imperfect, Making
+from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Amount, Drivetrain, Floor, Making
 from craftsim.models.overlaps import GROUND
 from craftsim.models.parts import WHEELS, Car
 from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.world import Baseline, PhysicsWorld
-from craftsim.storage.yaml import Document, number, numbers, read_document, unknown_words
+from craftsim.storage.records import record
+from craftsim.storage.yaml import read_document
 
-T = TypeVar("T")
 
-
-@dataclass(frozen=True)
-class DomainRandomization(Imperfect):
+@record()
+class DomainRandomization:
     """How far a world is from the ideal one, as distributions from which a seed draws; hashable.
 
     Those of the physics are half-widths of uniform distributions, all of them fractions of the nominal figure but the
@@ -39,15 +38,15 @@ class DomainRandomization(Imperfect):
         0.2
     """
 
-    friction: float = 0.30
+    friction: Amount = 0.30
     """Of every contact surface, drawn for each machine and each of its materials."""
-    mass: float = 0.20
+    mass: Amount = 0.20
     """Masses and inertias, drawn for each machine."""
-    motor: float = 0.15
+    motor: Amount = 0.15
     """Torque and force limits and servo gains, drawn for each motor."""
-    joint_friction: float = 0.50
+    joint_friction: Amount = 0.50
     """Dry friction and damping of gears, rollers, boards and hinges, drawn for each joint."""
-    tilt_rad: float = math.radians(0.5)
+    tilt_rad: Amount = math.radians(0.5)
     """Largest tilt of the floor, in a direction that is drawn uniformly."""
     floor: Floor = FLAT
     drivetrain: Drivetrain = IDEAL
@@ -233,7 +232,7 @@ def _geoms(model: mujoco.MjModel, machine: str, parts: tuple[str, ...]) -> list[
 def load_noise(path: Path | str, nominal: SensorNoise = EXACT) -> SensorNoise:
     """Return the sensor noise of a YAML file; what it leaves out is that of ``nominal``.
 
-    Raises InputError, naming the file and figure, for an unknown figure and one out of range.
+    Raises InputError, naming the file, line and figure, for an unknown figure and one out of range.
 
     Example:
         >>> from craftsim.models.randomization import load_noise
@@ -241,51 +240,4 @@ def load_noise(path: Path | str, nominal: SensorNoise = EXACT) -> SensorNoise:
         >>> load_noise(folder / "late.yaml").max_delay_s
         0.08
     """
-    return _changed(read_document(Path(path)), nominal, "noise")
-
-
-def load_randomization(
-    path: Path | str, presets: Mapping[str, DomainRandomization], limits: list[str]
-) -> tuple[str, DomainRandomization, dict[str, float]]:
-    """Return what a YAML file draws: the preset that it starts from, the whole, and the limits of errors that it sets.
-
-    The file has any of the figures of DomainRandomization, its parts ``floor``, ``drivetrain``, ``making`` and
-    ``sensors`` as sections, a section ``limits``, and under ``base`` the preset for what it leaves out, ``none``
-    unless given.
-
-    Args:
-        path: of the file.
-        presets: by name.
-        limits: the names that the section may hold.
-
-    Raises InputError, naming the file, line and figure, for what it should not say.
-    """
-    document = read_document(Path(path))
-    names = [f.name for f in fields(DomainRandomization)]
-    given = document.mapping(["base", *names, "limits"])
-    base = given.get("base", "none")
-    if base not in presets:
-        document.fail(("base",), unknown_words(str(base), presets, "value of 'base'"))
-    whole, figures = presets[base], dict[str, Any]()
-    for name in names:
-        if name in given and isinstance(part := getattr(whole, name), float):
-            figures[name] = number(document, given[name], name, (name,))
-        elif name in given:
-            figures[name] = _changed(document, part, name, name)
-    whole = _replaced(document, whole, figures)
-    bounds = numbers(document, "limits", limits, "limits") if "limits" in given else {}
-    return base, whole, bounds
-
-
-def _changed(document: Document, whole: T, name: str, *loc: str) -> T:
-    """Return a dataclass of numbers with those that a section gives."""
-    known = [f.name for f in fields(whole)]  # type: ignore[arg-type]
-    return _replaced(document, whole, numbers(document, name, known, *loc))
-
-
-def _replaced(document: Document, whole: T, figures: Mapping[str, Any]) -> T:
-    """Return a dataclass with other figures; name the file in what is wrong with them."""
-    try:
-        return replace(whole, **figures)  # type: ignore[type-var]
-    except InputError as error:
-        raise InputError(f"{document.path}: {error}") from error
+    return read_document(Path(path)).over(asdict(nominal)).to(SensorNoise)

@@ -6,15 +6,14 @@ The noise is declared, seeded, and off unless asked for.
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, fields
 from typing import Final
 
 import numpy as np
 
 from craftsim.discrete.kernel.jit import compiled, records
 from craftsim.discrete.kernel.rotation import body_axes, wrap
-from craftsim.errors import InputError
-from craftsim.models.imperfection import Imperfect
+from craftsim.models.imperfection import Amount
 from craftsim.models.measuring import (
     READING,
     CarMeasurement,
@@ -25,10 +24,11 @@ from craftsim.models.measuring import (
     read_cars,
 )
 from craftsim.models.world import PhysicsWorld
+from craftsim.storage.records import record
 
 
-@dataclass(frozen=True)
-class SensorNoise(Imperfect):
+@record()
+class SensorNoise:
     """What one car's sensors and motors lack; hashable. Raises InputError for a negative figure, or one of 1 or more.
 
     All sensors are read at the control rate of 50 Hz, and localisations arrive as often unless a period is given. All
@@ -40,65 +40,64 @@ class SensorNoise(Imperfect):
         False
     """
 
-    position_m: float = 0.0
+    position_m: Amount = 0.0
     """Standard deviation of each position coordinate of one localisation, white."""
-    heading_rad: float = 0.0
+    heading_rad: Amount = 0.0
     """Standard deviation of the heading of one localisation, white."""
-    position_bias_m: float = 0.0
+    position_bias_m: Amount = 0.0
     """By so much each car is localised beside its place, in a horizontal direction of the world that is drawn once."""
-    heading_bias_rad: float = 0.0
+    heading_bias_rad: Amount = 0.0
     """By so much each car's heading is localised off, to a side that is drawn once."""
-    position_drift_m: float = 0.0
+    position_drift_m: Amount = 0.0
     """Standard deviation of what the bias of x and that of y walk in a second: sqrt(t) as much in t seconds."""
-    heading_drift_rad: float = 0.0
+    heading_drift_rad: Amount = 0.0
     """Standard deviation of what the heading's bias walks in a second."""
-    min_delay_s: float = 0.0
+    min_delay_s: Amount = 0.0
     """Least age of a localisation; each car's own delay is drawn once, uniformly up to ``max_delay_s``."""
-    max_delay_s: float = 0.0
-    jitter_s: float = 0.0
+    max_delay_s: Amount = 0.0
+    jitter_s: Amount = 0.0
     """Standard deviation of the age of single localisations; none comes before it was taken."""
-    localisation_period_s: float = 0.0
+    localisation_period_s: Amount = 0.0
     """Time between two localisations, as of a camera; a car reads the last one until then. Each car has its own phase.
     0: the control period."""
-    lost_share: float = 0.0
+    lost_share: Amount = 0.0
     """Share of the localisations that do not arrive: the car reads the one before."""
-    outlier_share: float = 0.0
+    outlier_share: Amount = 0.0
     """Share of the localisations that are wrong..."""
-    outlier_m: float = 0.0
+    outlier_m: Amount = 0.0
     """...and by how much, in a horizontal direction that is drawn each time."""
-    encoder_lag_s: float = 0.0
+    encoder_lag_s: Amount = 0.0
     """Time constant of the wheel speeds' low-pass filter."""
-    encoder_step_rad: float = 0.0
+    encoder_step_rad: Amount = 0.0
     """Angle of one count of a wheel's encoder; speeds are differences of counts over a control period. 0: the speed of
     the moment."""
-    motor_lag_s: float = 0.0
+    motor_lag_s: Amount = 0.0
     """Time constant with which a wheel's commanded speed reaches its servo."""
-    tilt_rad: float = 0.0
+    tilt_rad: Amount = 0.0
     """Standard deviation of pitch and of roll."""
-    tilt_bias_rad: float = 0.0
+    tilt_bias_rad: Amount = 0.0
     """By so much pitch and roll are off, up or down, drawn once each."""
-    board_m: float = 0.0
+    board_m: Amount = 0.0
     """Standard deviation of the board's height."""
-    board_bias_m: float = 0.0
+    board_bias_m: Amount = 0.0
     """By so much the board's height is off, up or down, drawn once."""
-    board_force_n: float = 0.0
+    board_force_n: Amount = 0.0
     """Standard deviation of the force of the board's motor."""
-    board_force_bias_n: float = 0.0
+    board_force_bias_n: Amount = 0.0
     """By so much that force is off, drawn once."""
-    hinge_rad: float = 0.0
+    hinge_rad: Amount = 0.0
     """Standard deviation of the hinge angle of a docked slope."""
-    hinge_bias_rad: float = 0.0
+    hinge_bias_rad: Amount = 0.0
     """By so much that angle is off, drawn once."""
-    line_m: float = 0.0
+    line_m: Amount = 0.0
     """Standard deviation of where a line sensor sees a line."""
-    undocked_share: float = 0.0
+    undocked_share: Amount = 0.0
     """Share of the readings in which the plug of a docked slope has no contact: the car feels no slope, and its command
     does not reach the hinge."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.max_delay_s < self.min_delay_s:
-            raise InputError("SensorNoise.max_delay_s must not be below min_delay_s")
+            raise ValueError("max_delay_s must not be below min_delay_s")
 
     @property
     def exact_pose(self) -> bool:

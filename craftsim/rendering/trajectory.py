@@ -26,7 +26,7 @@ from craftsim.rendering.shapes import Wanted
 from craftsim.report import versions
 from craftsim.storage import limits
 from craftsim.storage.reading import Arrays, read_arrays
-from craftsim.storage.schema import Schema
+from craftsim.storage.records import from_json, to_json
 from craftsim.storage.writing import write_whole
 
 SCHEMA_VERSION: Final = 1
@@ -74,9 +74,6 @@ class Story:
     """Names of the columns of ``ctrl`` and ``force``."""
     design: tuple[GoalCell, ...] = ()
     """The building that is to be put up, where there is one."""
-
-
-_SCHEMA: Final = Schema(Story)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +132,7 @@ class Trajectory:
             raise InputError(f"'{_TEXT}' is no text; allowed: the bytes of a JSON document")
         data = text.tobytes()
         _check_version(data)
-        trajectory = cls(_SCHEMA.parse(data, _TEXT), **arrays)
+        trajectory = cls(from_json(Story, data, _TEXT), **arrays)
         trajectory._check()
         return trajectory
 
@@ -144,7 +141,7 @@ class Trajectory:
 
         Raises InputError where the disk does not take it.
         """
-        arrays: Arrays = {_TEXT: np.frombuffer(_SCHEMA.text(self.story), np.uint8)}
+        arrays: Arrays = {_TEXT: np.frombuffer(to_json(self.story), np.uint8)}
         for field in fields(self):
             if field.name != "story":
                 # Column by column: what rests, and what moves a little, packs well.

@@ -2,224 +2,232 @@
 
 from __future__ import annotations
 
-import math
 import os
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, field, fields, replace
 from functools import cache, lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Final, get_type_hints
+from typing import Any, Final, get_type_hints
 
 import yaml
 
 from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.machine_files import MACHINE_SECTIONS
-from craftsim.mjcf.parameters import check_reach, digest_of
-from craftsim.storage.yaml import numbers, read_keys
+from craftsim.mjcf.parameters import NearNominal, Positive, digest_of
+from craftsim.storage.records import record
+from craftsim.storage.yaml import read_document
 
 
-@dataclass(frozen=True)
-class DriveGains:
+class _Section(NearNominal):
+    @classmethod
+    def nominal(cls) -> Mapping[str, float]:
+        """Return the nominal gains of the section."""
+        return _nominal()[next(name for name, kind in SECTIONS.items() if kind is cls)]
+
+
+@record()
+class DriveGains(_Section):
     """Gains and limits of driving; SI units unless the comment says otherwise."""
 
-    position_gain: float
+    position_gain: Positive
     """1/s: speed commanded per metre of position error."""
-    heading_gain: float
+    heading_gain: Positive
     """1/s: turn rate commanded per radian of heading error."""
-    integral_gain: float
+    integral_gain: Positive
     """1/s^2: integral action on position and heading, once the path has ended."""
-    sideways_slip: float
+    sideways_slip: Positive
     """By how much the wheels must outrun ideal kinematics to go sideways: rollers turn against their bearings."""
-    turn_slip: float
+    turn_slip: Positive
     """The same for turning on the spot."""
-    friction_speed: float
+    friction_speed: Positive
     """rad/s: wheel speed at which the compensation of the gears' dry friction reaches tanh(1) = 76 % of it."""
-    max_speed: float
-    max_acceleration: float
-    max_slope_speed: float
+    max_speed: Positive
+    max_acceleration: Positive
+    max_slope_speed: Positive
     """m/s: highest speed of a move from or onto a slope: the wheels meet its foot at an angle."""
-    max_slope_acceleration: float
+    max_slope_acceleration: Positive
     """m/s^2: on a slope, and therefore on the things that carry it."""
-    max_tight_speed: float
+    max_tight_speed: Positive
     """m/s: highest speed of a move under something, or of a load past something."""
-    max_tight_acceleration: float
-    max_tight_slope_acceleration: float
+    max_tight_acceleration: Positive
+    max_tight_slope_acceleration: Positive
     """m/s^2: of such a move with a load from or onto a slope. A car that needs all of its grip to climb has none left
     to keep to its path: at the friction of 0.68 that is the least of mild randomization, it can push by 4.5 m/s^2 on
     the incline, and its weight takes 2.7."""
-    rocking: float
+    rocking: Positive
     """m^3/s^2: largest product of acceleration and height above the floor squared. A stack of n blocks gives way under
     a car by its push times its height in each of n joints, and tips in the end."""
-    max_turn_speed: float
-    max_turn_acceleration: float
-    load_factor: float
+    max_turn_speed: Positive
+    max_turn_acceleration: Positive
+    load_factor: Positive
     """Loaded cars keep to this fraction of the speed and acceleration limits."""
-    position_tolerance: float
+    position_tolerance: Positive
     """m: a move is done when it is this close at rest."""
-    heading_tolerance: float
-    position_certainty: float
+    heading_tolerance: Positive
+    position_certainty: Positive
     """m: a move is not done before the car knows its position to within this standard deviation."""
-    heading_certainty: float
+    heading_certainty: Positive
     """rad: and its heading."""
-    settle_allowance: float
+    settle_allowance: Positive
     """s: time beyond the profile's end after which a move that is not done has failed."""
-    shake_after: float
+    shake_after: Positive
     """s: a car that has not arrived so long after the profile's end is shaken..."""
-    shake_speed: float
+    shake_speed: Positive
     """m/s: ...to and fro with this amplitude of its speed..."""
-    shake_rate: float
+    shake_rate: Positive
     """Hz: ...and so often (:func:`craftsim.skills.laws.shake`)."""
-    blocked_error: float
+    blocked_error: Positive
     """m: falling this far behind the path, for longer than ``blocked_time``, means that something is in the way."""
-    blocked_time: float
+    blocked_time: Positive
     """s."""
-    slip_ratio: float
+    slip_ratio: Positive
     """A car that fell behind slips, and is not blocked, if its wheels rolled by more than this many times its way..."""
-    slip_distance: float
+    slip_distance: Positive
     """m: ...and this much, and their push would not have moved a free car that far."""
-    speed_at_rest: float
+    speed_at_rest: Positive
     """m/s: a car is at rest when its wheels together roll slower than this..."""
-    wheels_at_rest: float
+    wheels_at_rest: Positive
     """rad/s: ...or three of them turn slower than this: the fourth may slip on the spot."""
-    rest_periods: float
+    rest_periods: Positive
     """Control periods: a move is done when the car has been at rest on its target for so long."""
-    brake_periods: float
+    brake_periods: Positive
     """Control periods: a car that has been on its target for so long brakes. While it corrects the last tenth of a
     millimetre, two wheels on a diagonal may slip on the spot for ever."""
-    motor_share: float
+    motor_share: Positive
     """Paths use at most this fraction of the wheel motors' torque and speed; the rest is for corrections."""
 
 
-@dataclass(frozen=True)
-class UnevenGains:
+@record()
+class UnevenGains(_Section):
     """Driving where cars feel that their floor is uneven (:mod:`craftsim.skills.estimator`): limits besides those of
     :class:`DriveGains`. A car without springs hops there, and its lowered board clears by a millimetre what it passes
     under."""
 
-    tilt: float
+    tilt: Positive
     """rad: a floor is uneven if a car leans by more than this on what should be level..."""
-    tilt_time: float
+    tilt_time: Positive
     """s: ...in the mean over this time: what sensors of pitch and roll read is noisy, and rollers rattle."""
-    max_speed: float
-    max_acceleration: float
-    max_slope_speed: float
+    max_speed: Positive
+    max_acceleration: Positive
+    max_slope_speed: Positive
     """m/s: of a move from or onto a slope."""
-    max_slope_acceleration: float
-    max_tight_speed: float
+    max_slope_acceleration: Positive
+    max_tight_speed: Positive
     """m/s: of a move under something, or of a load past something."""
-    max_tight_acceleration: float
-    max_turn_speed: float
-    max_turn_acceleration: float
-    shake_after: float
+    max_tight_acceleration: Positive
+    max_turn_speed: Positive
+    max_turn_acceleration: Positive
+    shake_after: Positive
     """s: on two wheels of a diagonal a car without springs does not get to its goal, unless it is shaken soon."""
 
 
-@dataclass(frozen=True)
-class BoardGains:
+@record()
+class BoardGains(_Section):
     """Gains of the lifting board."""
 
-    gain: float
+    gain: Positive
     """1/s: board speed commanded per metre of remaining travel, up to the motor's limit."""
-    acceleration: float
+    acceleration: Positive
     """m/s^2: how fast the commanded speed may grow."""
-    reached: float
+    reached: Positive
     """m: the board has arrived when it is this close to its end..."""
-    still: float
+    still: Positive
     """m/s: ...and slower than this."""
-    allowance: float
+    allowance: Positive
     """s: time beyond that of the travel at full speed after which the board has failed."""
 
 
-@dataclass(frozen=True)
-class HingeGains:
+@record()
+class HingeGains(_Section):
     """Gains of a slope's hinge."""
 
-    gain: float
+    gain: Positive
     """1/s: hinge speed commanded per radian of remaining travel, up to the motor's limit."""
-    acceleration: float
+    acceleration: Positive
     """rad/s^2: how fast the commanded speed may grow."""
-    reached: float
+    reached: Positive
     """rad: the flap has arrived when it is this close to its end..."""
-    still: float
+    still: Positive
     """rad/s: ...and slower than this..."""
-    still_time: float
+    still_time: Positive
     """s: ...over this time: the difference of two readings says little, for they are noisy."""
-    undocked: float
+    undocked: Positive
     """s: a slope that is not felt for longer is not there; shorter gaps come from a plug that chatters."""
-    allowance: float
+    allowance: Positive
     """s: time beyond that of the travel at full speed after which the hinge has failed."""
 
 
-@dataclass(frozen=True)
-class StopGains:
+@record()
+class StopGains(_Section):
     """Limits of coming to rest."""
 
-    wheels_at_rest: float
+    wheels_at_rest: Positive
     """rad/s: a car is at rest when no wheel turns faster."""
-    allowance: float
+    allowance: Positive
     """s: time after which wheels that still turn have failed."""
 
 
-@dataclass(frozen=True)
-class HoldGains:
+@record()
+class HoldGains(_Section):
     """Holding a car that is parked on an incline."""
 
-    level: float
+    level: Positive
     """rad: a car that leans less than this stays where it is by itself."""
-    tipped: float
+    tipped: Positive
     """rad: a car that leans more than this is not held: the incline is 0.28."""
-    gain: float
+    gain: Positive
     """1/s: wheel speed commanded per radian that a wheel has turned."""
-    dead_band: float
+    dead_band: Positive
     """rad: a wheel that has turned less than this, 5 micrometres of way, is not moved."""
-    crept: float
+    crept: Positive
     """m: a car that believes to be further than this from where it was left goes back. Three times the certainty with
     which a move ends (``position_certainty``), so that what it sees is its way and no noise; and a third of the 2.5 mm
     between two loads in neighbouring cells."""
-    crept_heading: float
+    crept_heading: Positive
     """rad: the same for its heading; over half the length of a load, 160 mm, that is 0.6 mm."""
-    crept_time: float
+    crept_time: Positive
     """s: for so long without a pause; creep takes seconds for a millimetre, and what a passing car shakes is back."""
 
 
-@dataclass(frozen=True)
-class LocalisationGains:
+@record()
+class LocalisationGains(_Section):
     """What the pose estimate assumes of odometry; what it assumes of localisations is a SensorNoise of its own."""
 
-    slip: float
+    slip: Positive
     """Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up,
     so it is several times what the rollers lose."""
-    position_drift: float
+    position_drift: Positive
     """m: standard deviation of what moves a resting car unseen in one period."""
-    heading_drift: float
+    heading_drift: Positive
     """rad: and of what turns it."""
-    placement: float
+    placement: Positive
     """m: standard deviation of the places of blocks and slopes from the middles of their cells."""
 
 
-@dataclass(frozen=True)
-class HealthGains:
+@record()
+class HealthGains(_Section):
     """When every skill gives up."""
 
-    tipped: float
+    tipped: Positive
     """rad: a car that leans further than this, in pitch or roll, has tipped."""
-    board_raised: float
+    board_raised: Positive
     """m: above this height the board may carry something."""
-    load_share: float
+    load_share: Positive
     """A raised board carries a load if it feels this fraction of the lightest load's weight beyond its own."""
-    load_lost: float
+    load_lost: Positive
     """s: a load that is not felt for longer is lost; shorter dips come from bumps and acceleration."""
 
 
-@dataclass(frozen=True)
-class RecoveryGains:
+@record()
+class RecoveryGains(_Section):
     """What becomes of an action that failed for a reason that may pass."""
 
-    tries: float
+    tries: Positive
     """How often it is tried; before each further try the car goes back to where it began."""
 
 
-@dataclass(frozen=True)
+@record()
 class Gains:
     """The gains of all skills; hashable. Raises InputError for a gain that is no positive number near the nominal one.
 
@@ -246,24 +254,11 @@ class Gains:
         """SHA-256 of all gains, in hexadecimal: equal for equal gains, wherever they came from."""
         return digest_of({section: asdict(getattr(self, section)) for section in SECTIONS})
 
-    def __post_init__(self) -> None:
-        for section in SECTIONS:
-            for name, value in asdict(getattr(self, section)).items():
-                _check(self.source, section, name, value)
-
 
 SECTIONS: Final[dict[str, type]] = {
     name: kind for name, kind in get_type_hints(Gains).items() if name != "source"
 }
 """Of :class:`Gains`, by name."""
-
-
-def _check(where: str, section: str, name: str, value: object) -> None:
-    """Raise InputError, beginning with ``where``, for a gain that is no positive number near the nominal one."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        given = f"{value:g}" if isinstance(value, float) else repr(value)
-        raise InputError(f"{where}: {section}.{name} must be a positive number, not {given}")
-    check_reach(f"{where}: {section}.{name}", value, _nominal()[section][name])
 
 
 PRESETS: Final = ("robust", "fast")
@@ -309,23 +304,29 @@ def load_gains(path: Path | str | None = None) -> Gains:
         raise InputError(
             f"unknown gains '{path}'{suggestion(str(path), PRESETS)}; there are {known}, or give a YAML file"
         )
-    document = read_keys(path, [*SECTIONS, "gains", "source", *MACHINE_SECTIONS])
-    sections, at = [name for name in document.plain if name in SECTIONS], tuple[str, ...]()
-    if "gains" in document.plain:
-        if sections:
-            text = "gains stand both at the top and under 'gains'; give them in one place"
-            document.fail((sections[0],), text)
-        at = ("gains",)
-        sections = [name for name in document.mapping([*SECTIONS, "source"], *at) if name in SECTIONS]
-    merged = {}
-    for name, kind in SECTIONS.items():
-        own: dict[str, float] = {}
-        if name in sections:
-            own = numbers(document, name, [f.name for f in fields(kind)], *at, name)
-        for key, value in own.items():
-            _check(f"{path}:{document.lines[*at, name, key]}", name, key, value)
-        merged[name] = kind(**(nominal[name] | own))
-    return Gains(**merged, source=str(path) if sections else "robust")
+    document = read_document(path)
+    plain, given = document.plain, [name for name in document.plain if name in SECTIONS]
+    if "gains" in plain:
+        if given:
+            document.fail(
+                (given[0],), "gains stand both at the top and under 'gains'; give them in one place"
+            )
+        gains = document.over({"gains": nominal}).to(_File).gains
+        given = [name for name in plain["gains"] if name in SECTIONS]
+    else:
+        own = {key: value for key, value in plain.items() if key not in MACHINE_SECTIONS}
+        gains = replace(document, plain=own).over(nominal).to(Gains)
+    return replace(gains, source=str(path) if given else "robust")
+
+
+@record(kw_only=True)
+class _File:
+    gains: Gains
+    smartcar: Any = None
+    cars: Any = None
+    block: Any = None
+    slope: Any = None
+    contact: Any = None
 
 
 @cache

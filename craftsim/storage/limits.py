@@ -6,8 +6,10 @@ refused in seconds and within a few hundred megabytes, whoever wrote it.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from craftsim.errors import InputError
 
@@ -129,27 +131,80 @@ ALL: Final = (
 )
 
 
+def _short(value: float) -> str:
+    return text if len(text := str(value)) <= 40 else f"{text[:37]}..."
+
+
+def _plain_number(value: float) -> str:
+    """Return a number without ".0": equal ranges look alike, whatever they are made of."""
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
 @dataclass(frozen=True)
 class Range:
-    """What a number may be, both ends included; what is no number at all lies outside."""
+    """What a number may be, ends included unless said otherwise; what is no number at all lies outside.
 
-    low: float
-    high: float
+    As an annotation, ``Annotated[int, Range(0, 3)]``, it is what pydantic holds a number to, and the command line an
+    option.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    above: bool = False
+    """Whether the lower end is left out..."""
+    below: bool = False
+    """...and the upper one."""
+
+    __is_annotated_types_grouped_metadata__ = True
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the bounds as pydantic knows them."""
+        from annotated_types import Ge, Gt, Le, Lt
+
+        if self.low > -math.inf:
+            yield Gt(self.low) if self.above else Ge(self.low)
+        if self.high < math.inf:
+            yield Lt(self.high) if self.below else Le(self.high)
+
+    def __contains__(self, value: float) -> bool:
+        over = self.low < value if self.above else self.low <= value
+        return over and (value < self.high if self.below else value <= self.high)
 
     def check(self, name: str, value: float) -> None:
         """Raise InputError, beginning with ``name``, for a value outside."""
-        if not self.low <= value <= self.high:
-            shown = text if len(text := str(value)) <= 40 else f"{text[:37]}..."
-            raise InputError(f"{name} is {shown}; allowed: {self}")
+        if value not in self:
+            raise InputError(f"{name} is {_short(value)}; allowed: {self}")
+
+    def out(self, value: float) -> str:
+        """Return what is wrong with a value outside."""
+        return f"{_short(value)} is out of range, allowed: {self}"
+
+    @property
+    def words(self) -> str:
+        """The range as it follows a noun."""
+        text = str(self)
+        return text if text.startswith("above") else f"of {text}" if text.startswith("at") else f"from {text}"
 
     def __str__(self) -> str:
         """Return the range in words.
 
         Example:
-            >>> str(Range(0, 1_000_000)), str(Range(0.01, 3600))
-            ('0 to 1000000', '0.01 to 3600')
+            >>> str(Range(0, 1_000_000)), str(Range(0.01, 3600)), str(Range(0, 3, above=True)), str(Range(0))
+            ('0 to 1000000', '0.01 to 3600', 'above 0 and at most 3', 'at least 0')
         """
-        return f"{self.low} to {self.high}"
+        if not (self.above or self.below or math.inf in (-self.low, self.high)):
+            return f"{_plain_number(self.low)} to {_plain_number(self.high)}"
+        ends = (
+            [f"{'above' if self.above else 'at least'} {_plain_number(self.low)}"]
+            if self.low > -math.inf
+            else []
+        )
+        ends += (
+            [f"{'below' if self.below else 'at most'} {_plain_number(self.high)}"]
+            if self.high < math.inf
+            else []
+        )
+        return " and ".join(ends)
 
 
 SEED: Final = Range(0, 2**63 - 1)
@@ -175,14 +230,14 @@ SHOWN: Final = Range(0, 10_000)
 """Mismatches that are drawn."""
 TRAIN_STEPS: Final = Range(1, 10**12)
 TRAIN_EPISODES: Final = Range(1, 1_000_000)
-STAGES: Final = Range(0, 100)
+STAGES: Final = 100
 """Tasks to learn on before the one that is learnt."""
 STUDY_SEEDS: Final = Range(1, 1000)
 STUDY_TASKS: Final = Range(1, 100)
 """That a study trains on or plays."""
 STUDY_RUNS: Final = Range(1, 10_000)
 """Of a study: tasks times algorithms times seeds."""
-TITLE_CHARACTERS: Final = Range(0, 200)
+TITLE_CHARACTERS: Final = 200
 SHARE: Final = Range(0, 1)
 BONUS: Final = Range(0, 1000)
 """Of novelty."""

@@ -12,6 +12,8 @@ from typing import Final
 from craftsim.errors import InputError
 from craftsim.storage.locks import FLAGS, lock
 
+LEFT_OUT_IF_EMPTY: Final = "left_out_if_empty"
+"""Key of a field's metadata: a report says nothing of it where it is empty."""
 WRITERS: Final = 16
 """How many may write one file at the same time; the last to end is the one whose file stays."""
 

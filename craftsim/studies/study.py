@@ -9,7 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from pydantic import Field
 
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.errors import InputError, suggestion
@@ -23,7 +25,7 @@ from craftsim.storage.limits import (
     TRAIN_STEPS,
 )
 from craftsim.storage.paths import exists
-from craftsim.storage.schema import Schema
+from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
 from craftsim.training.config import PRESETS, AlgoName, PresetName, TrainConfig
 from craftsim.training.guidance import check_guidance
@@ -63,29 +65,32 @@ def _folder_name(task: Task) -> str:
     return re.sub(r"[^\w.-]+", "-", task.name).lstrip(".")[:_NAME_CHARACTERS] or "task"
 
 
-@dataclass(frozen=True, kw_only=True)
+_AtLeastOne = Annotated[tuple[str, ...], Field(min_length=1)]
+
+
+@record(kw_only=True)
 class Study:
     """Training runs of every task by every algorithm with every seed. Raises InputError for what does not fit."""
 
-    title: str
-    tasks: tuple[str, ...]
-    algos: tuple[AlgoName, ...] = ("ippo",)
-    seeds: int = 5
+    title: Annotated[str, Field(max_length=TITLE_CHARACTERS)]
+    tasks: _AtLeastOne
+    algos: Annotated[tuple[AlgoName, ...], Field(min_length=1)] = ("ippo",)
+    seeds: Annotated[int, STUDY_SEEDS] = 5
     """How many; training takes those from 0 on."""
-    steps: int = 1_000_000
+    steps: Annotated[int, TRAIN_STEPS] = 1_000_000
     """At most, of each run, exploration aside."""
-    until: float = 0.99
+    until: Annotated[float, SHARE] = 0.99
     """A run ends when this share of the episodes of an evaluation succeeds."""
-    episodes: int = 1000
+    episodes: Annotated[int, TRAIN_EPISODES] = 1000
     """Of each evaluation after training."""
     preset: PresetName | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Of all runs, as in a training configuration."""
     of_tasks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Of the runs of a task, on top; ``steps`` too."""
-    tests: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    tests: Mapping[str, _AtLeastOne] = field(default_factory=dict)
     """By task: which are played after training on it; itself unless given."""
-    reference: Mapping[str, float] = field(default_factory=dict)
+    reference: Mapping[str, Annotated[float, SHARE]] = field(default_factory=dict)
     """By task: a published success rate to stand beside."""
 
     def __post_init__(self) -> None:
@@ -98,9 +103,7 @@ class Study:
             for task in known:
                 if task not in self.tasks:
                     hint = suggestion(task[:80], self.tasks)
-                    raise InputError(f"key '{key}.{task[:40]}': no task of the study{hint}")
-        for task, rate in self.reference.items():
-            SHARE.check(f"key 'reference.{task}'", rate)
+                    raise ValueError(f"key '{key}.{task[:40]}': no task of the study{hint}")
         self._check_settings("settings", self.settings, SETTINGS)
         for task, given in self.of_tasks.items():
             self._check_settings(f"of_tasks.{task}", given, (*SETTINGS, "steps"))
@@ -108,13 +111,6 @@ class Study:
 
     def _check_counts(self) -> None:
         """Refuse what is too much, or given twice, before anything is made of it."""
-        TITLE_CHARACTERS.check("characters of title", len(self.title))
-        STUDY_SEEDS.check("seeds", self.seeds)
-        TRAIN_EPISODES.check("episodes", self.episodes)
-        TRAIN_STEPS.check("steps", self.steps)
-        SHARE.check("until", self.until)
-        if not self.tasks or not self.algos:
-            raise InputError("a study needs at least one task and one algorithm")
         STUDY_RUNS.check(
             f"runs, {len(self.tasks)} tasks x {len(self.algos)} algorithms x {self.seeds} seeds,",
             len(self.tasks) * len(self.algos) * self.seeds,
@@ -129,7 +125,7 @@ class Study:
     def _check_settings(self, where: str, given: Mapping[str, Any], known: tuple[str, ...]) -> None:
         for key in given:
             if key not in known:
-                raise InputError(
+                raise ValueError(
                     f"key '{where}.{key[:40]}': unknown{suggestion(key[:80], known)}; there are {', '.join(known)}"
                 )
 
@@ -139,12 +135,12 @@ class Study:
         for run in (run for run in self.runs if run.config.seed == 0):
             called, folder = run.config.task, _folder_name(run.task)
             if names.setdefault(folder, called) != called:
-                raise InputError(
+                raise ValueError(
                     f"tasks '{names[folder]}' and '{called}' are both called '{folder}'; rename one"
                 )
             check_guidance(run.config, run.task, None)
             if (begun := run.config.pretrained) and not exists(policy_file(begun)):
-                raise InputError(
+                raise ValueError(
                     f"key 'pretrained': no policy '{begun}'; allowed: a file, a folder, a shipped one"
                 )
             own = Shape.of(run.task, run.config.width, run.config.network)
@@ -152,10 +148,10 @@ class Study:
                 check_stage(stage, own)
             for task in (run.task, *run.tests.values()):
                 if not task.has_goal:
-                    raise InputError(f"task '{task.name}' has no goal to learn")
+                    raise ValueError(f"task '{task.name}' has no goal to learn")
                 size, n_cars = task.starts[0].size, task.layout.n_cars
                 if own.size != size or (own.network == "map" and own.n_cars != n_cars):
-                    raise InputError(
+                    raise ValueError(
                         f"key 'tests.{called}': '{task.name}' has {n_cars} cars in an area of {size}, the network of "
                         f"'{called}' is for {own}; it serves areas of one size, and unless it is relative, one number "
                         "of cars"
@@ -196,22 +192,16 @@ class Study:
             **self.of_tasks.get(task, {}),
         }
         if not isinstance(steps := given.pop("steps", self.steps), int):
-            raise InputError(f"key 'of_tasks.{task}.steps': must be an integer, not {str(steps)[:40]!r}")
+            raise ValueError(f"key 'of_tasks.{task}.steps': must be an integer, not {str(steps)[:40]!r}")
         TRAIN_STEPS.check(f"key 'of_tasks.{task}.steps'", steps)
         text = json.dumps({"task": task, "algo": algo, **given}, default=str)
-        return _CONFIG.parse(text.encode(), f"settings of '{task}' by {algo}")
-
-
-_CONFIG: Final = Schema(TrainConfig)
-_STUDY: Final = Schema(Study)
+        return from_json(TrainConfig, text.encode(), f"settings of '{task}' by {algo}")
 
 
 def _check_once(key: str, names: tuple[str, ...]) -> None:
-    if not names:
-        raise InputError(f"key '{key[:40]}': needs at least one")
     ((name, times),) = Counter(names).most_common(1)
     if times > 1:
-        raise InputError(f"key '{key[:40]}': '{name[:40]}' is given {times} times; give each once")
+        raise ValueError(f"key '{key[:40]}': '{name[:40]}' is given {times} times; give each once")
 
 
 def read_study(text: str) -> Study:
@@ -224,5 +214,4 @@ def read_study(text: str) -> Study:
             )
         text = str(SHIPPED / f"{text}.yaml")
     path = Path(text)
-    plain = read_document(path).mapping(field.name for field in fields(Study))
-    return _STUDY.parse(json.dumps(plain).encode(), str(path))
+    return read_document(path).to(Study)

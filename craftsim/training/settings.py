@@ -3,57 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
-from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import Range
-from craftsim.storage.yaml import described, read_document
+from craftsim.storage.records import record
+from craftsim.storage.yaml import read_document
 
 if TYPE_CHECKING:
     from craftsim.training.config import AlgoName
 
 
-def _within(default: float, low: float, high: float) -> Any:
-    return field(default=default, metadata={"range": Range(low, high)})
-
-
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class Settings:
     """What all algorithms have. Raises InputError for a number outside its range; a whole default wants a whole one."""
 
-    gamma: float = _within(0.99, 0, 1)
+    gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount of a tick."""
-    learning_rate: float = _within(1e-3, 1e-6, 1)
-    max_gradient: float = _within(1.0, 1e-3, 1_000_000)
+    learning_rate: Annotated[float, Range(1e-6, 1)] = 1e-3
+    max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 1.0
     """Gradients of a larger norm are scaled down to it."""
 
-    def __post_init__(self) -> None:
-        for of in fields(self):
-            value = getattr(self, of.name)
-            of.metadata["range"].check(of.name, value)
-            if isinstance(of.default, int) and value != int(value):
-                raise InputError(f"{of.name} is {value}; it must be an integer")
 
-
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class PPOSettings(Settings):
     """Of IPPO and MAPPO."""
 
-    gae_lambda: float = _within(0.95, 0, 1)
+    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
     """Of generalised advantages."""
-    clip: float = _within(0.2, 0.001, 10)
+    clip: Annotated[float, Range(0.001, 10)] = 0.2
     """How far the ratio of probabilities may go from 1."""
-    entropy: float = _within(0.01, 0, 10)
+    entropy: Annotated[float, Range(0, 10)] = 0.01
     """Weight of the policy's entropy."""
-    critic: float = _within(0.5, 0, 100)
+    critic: Annotated[float, Range(0, 100)] = 0.5
     """Weight of the critic's error."""
-    epochs: int = _within(4, 1, 100)
+    epochs: Annotated[int, Range(1, 100)] = 4
     """How often each tick is learnt from."""
-    minibatches: int = _within(4, 1, 1024)
+    minibatches: Annotated[int, Range(1, 1024)] = 4
     """Parts of a rollout, each with a step of the optimiser."""
-    decay_ticks: int = _within(0, 0, 1_000_000_000)
+    decay_ticks: Annotated[int, Range(0, 1_000_000_000)] = 0
     """Ticks in which the learning rate falls evenly to nothing; 0 for a rate that stays."""
 
     def rate(self, learnt: int) -> float:
@@ -62,43 +51,42 @@ class PPOSettings(Settings):
         return self.learning_rate * left
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class COMASettings(Settings):
     """Of COMA."""
 
-    td_lambda: float = _within(0.8, 0, 1)
+    td_lambda: Annotated[float, Range(0, 1)] = 0.8
     """Of the critic's returns."""
-    entropy: float = _within(0.01, 0, 10)
+    entropy: Annotated[float, Range(0, 10)] = 0.01
     """Weight of the policy's entropy."""
-    minibatches: int = _within(16, 1, 1024)
+    minibatches: Annotated[int, Range(1, 1024)] = 16
     """Parts of a rollout, each with a step of the optimiser."""
-    target_rate: float = _within(0.05, 1e-4, 0.999)
+    target_rate: Annotated[float, Range(1e-4, 0.999)] = 0.05
     """How far the target critic follows at each step."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class QSettings(Settings):
     """Of IQL, VDN, QMIX and QTRAN."""
 
-    learning_rate: float = _within(5e-4, 1e-6, 1)
-    max_gradient: float = _within(10.0, 1e-3, 1_000_000)
-    batch: int = _within(512, 1, 50_000)
+    learning_rate: Annotated[float, Range(1e-6, 1)] = 5e-4
+    max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 10.0
+    batch: Annotated[int, Range(1, 50_000)] = 512
     """Ticks that a step of the optimiser learns from."""
-    learns_every: int = _within(128, 1, 1_000_000)
+    learns_every: Annotated[int, Range(1, 1_000_000)] = 128
     """Ticks played for each batch learnt from."""
-    target_rate: float = _within(0.01, 1e-4, 0.999)
+    target_rate: Annotated[float, Range(1e-4, 0.999)] = 0.01
     """How far the target networks follow at each step."""
-    epsilon_start: float = _within(1.0, 0, 1)
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
     """Part of random actions at first."""
-    epsilon_end: float = _within(0.03, 0, 1)
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.03
     """The same in the end."""
-    epsilon_ticks: int = _within(300_000, 1, 1_000_000_000)
+    epsilon_ticks: Annotated[int, Range(1, 1_000_000_000)] = 300_000
     """Ticks until then."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.epsilon_end > self.epsilon_start:
-            raise InputError(
+            raise ValueError(
                 f"epsilon_end is {self.epsilon_end}; allowed: at most epsilon_start, {self.epsilon_start}"
             )
 
@@ -113,31 +101,13 @@ KINDS: Final[Mapping[AlgoName, type[Settings]]] = {
 def settings_of(algo: AlgoName, given: Mapping[str, float]) -> Settings:
     """Return the settings of an algorithm, some of them as given; raises InputError for unknown ones too."""
     kind = KINDS[algo]
-    wholes = {of.name: isinstance(of.default, int) for of in fields(kind)}
-    for name, value in given.items():
-        if name not in wholes:
-            raise InputError(
-                f"{algo} has no setting '{str(name)[:40]}'{suggestion(str(name)[:80], list(wholes))}; "
-                f"allowed: {', '.join(wholes)}"
-            )
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{name} is {str(value)[:40]!r}; it must be a number")
-    settings = kind(**given)
     # What is whole stays so, though a file may have it as 4.0.
-    return kind(**{name: int(v) if wholes[name] else v for name, v in vars(settings).items()})
+    whole = {of.name for of in fields(kind) if isinstance(of.default, int)}
+    return kind(**{name: int(v) if name in whole and v == v // 1 else v for name, v in given.items()})
 
 
 def read_settings(path: Path, algo: AlgoName) -> dict[str, float]:
     """Return what a YAML file says of an algorithm's settings; raises InputError with file, line and key."""
     document = read_document(path)
-    given = document.mapping(of.name for of in fields(KINDS[algo]))
-    document.refuse(
-        ((name,), f"key '{name}': must be a number, not {described(value)}")
-        for name, value in given.items()
-        if not isinstance(value, int | float)
-    )
-    try:
-        settings_of(algo, given)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    return given
+    document.to(KINDS[algo])
+    return document.plain

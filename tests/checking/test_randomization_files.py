@@ -58,11 +58,14 @@ def test_noise_takes_the_place_of_the_presets_and_the_assumption_stays():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("base: firm", "world.yaml:1: unknown value of 'base' 'firm'"),
+        ("base: firm", "world.yaml:1: key 'base': unknown value 'firm'"),
         ("floor: {lippage: 0.1}", "world.yaml:1: unknown key 'lippage'.*did you mean 'lippage_m'"),
-        ("floor: {lippage_m: 2}", r"world.yaml: Floor.lippage_m must be at least 0 and below 1"),
-        ("friction: much", "world.yaml:1: friction must be a number"),
-        ("limits: {car_m: .inf}", "world.yaml:1: limits.car_m must be a"),
+        (
+            "floor: {lippage_m: 2}",
+            r"world.yaml:1: key 'floor.lippage_m': 2 is out of range, allowed: at least 0",
+        ),
+        ("friction: much", "world.yaml:1: key 'friction': must be a number"),
+        ("limits: {car_m: .inf}", "world.yaml:1: key 'limits.car_m': must be a"),
         ("wind: 3", "world.yaml:1: unknown key 'wind'"),
     ],
 )

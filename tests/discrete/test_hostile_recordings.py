@@ -45,7 +45,7 @@ HOSTILE = {
     "a cell": (_with(lambda r: r["before"]["objs"][0].__setitem__(1, 99)), r"the cell \(99, 0, 1\) is outside"),
     "a negative cell": (_with(lambda r: r["before"]["objs"][0].__setitem__(3, -2)), "is outside"),
     "a car": (_with(lambda r: r["before"]["cars"][0].__setitem__("x", 50)), r"car 0 is at \(50, 1, 1\), outside"),
-    "a heading": (_with(lambda r: r["before"]["cars"][0].__setitem__("yaw", 99)), "before.cars.0.yaw"),
+    "a heading": (_with(lambda r: r["before"]["cars"][0].__setitem__("yaw", 99)), r"before.cars\[0\].yaw"),
     "a load": (_with(lambda r: r["before"]["cars"][0].__setitem__("load", "wall")), "'load' of car 0 is 2; allowed"),
     "a slope": (_with(lambda r: r["before"]["cars"][0].__setitem__("slope", 2)), "'slope' of car 0"),
     "a mark": (_with(lambda r: r["before"]["dev"]["on"].append([0, 0, 0, 30])), "names a car that is not there"),

@@ -111,7 +111,7 @@ def test_a_task_file_names_starts_goal_reward_and_counts(folder):
     ("text", "message"),
     [
         ("start: strop\n", "strop: no such file; did you mean 'strip'"),
-        ("start: mine.yaml\nreward: papr\n", ":2: unknown value of 'reward' 'papr'; did you mean 'paper'"),
+        ("start: mine.yaml\nreward: papr\n", ":2: key 'reward': unknown value 'papr'; did you mean 'paper'"),
         ("start: mine.yaml\nblock_num: 3\n", ":2: unknown key 'block_num'"),
         ("start: mine.yaml\nmax_steps: -1\n", ":2: key 'max_steps': -1 is out of range"),
         ("start: {}\n", "'start': must be a file"),

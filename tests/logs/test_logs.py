@@ -149,7 +149,7 @@ def test_topics_are_found_or_named(tmp_path):
     topics.write_text("{pose: /b, commands: /base/command}")
     assert len(read_log(bag, topics=topics)) == 60
     topics.write_text("{pose: [1]}")
-    with pytest.raises(InputError, match=r"topics.yaml:1: 'pose' must be a name"):
+    with pytest.raises(InputError, match=r"topics.yaml:1: key 'pose': must be a text, not a list"):
         read_log(bag, topics=topics)
     topics.write_text("{poses: /b}")
     with pytest.raises(InputError, match="unknown key 'poses'"):

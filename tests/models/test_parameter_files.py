@@ -56,16 +56,22 @@ def test_single_cars_differ_from_the_others(tmp_path):
     [
         ("smartcat: {}", ":1: unknown key 'smartcat'; did you mean 'smartcar'?"),
         ("\nsmartcar: {wheel_mas_kg: 1}", ":2: unknown key 'wheel_mas_kg'; did you mean 'wheel_mass_kg'?"),
-        ("smartcar: {wheel_mass_kg: -1}", ":1: key 'smartcar.wheel_mass_kg': must be above 0, not -1.0"),
+        (
+            "smartcar: {wheel_mass_kg: -1}",
+            ":1: key 'smartcar.wheel_mass_kg': -1 is out of range, allowed: above 0",
+        ),
         (
             "smartcar: {wheel_mass_kg: heavy}",
-            ":1: key 'smartcar.wheel_mass_kg': must be a number, not 'heavy'",
+            ":1: key 'smartcar.wheel_mass_kg': must be a number above 0, not 'heavy'",
         ),
         (
             "smartcar: {mass_kg: 11}",
             ":1: key 'smartcar.mass_kg': is not given but follows from other parameters",
         ),
-        ("smartcar: {wheel_torque_nm: 0}", ":1: key 'smartcar.wheel_torque_nm': must be above 0"),
+        (
+            "smartcar: {wheel_torque_nm: 0}",
+            ":1: key 'smartcar.wheel_torque_nm': 0 is out of range, allowed: above 0",
+        ),
         (
             "smartcar: {boss_side_m: 0.1}",
             ":1: key 'smartcar.boss_side_m': cannot be changed from 0.11: the pockets",
@@ -73,10 +79,13 @@ def test_single_cars_differ_from_the_others(tmp_path):
         ("block: {side_m: 0.4}", ":1: key 'block.side_m': cannot be changed from 0.32: the grid's cells"),
         ("slope: {height_m: 0.2}", ":1: key 'slope.height_m': is not given but follows"),
         ("slope: {hinge_x_m: 0.2}", ":1: key 'slope.hinge_x_m': cannot be changed from 0.16125"),
-        ("smartcar: {wheel_radius_m: 0.04}", ": smartcar.wheel_radius_m is 0.04: the chassis would ground"),
-        ("cars: [{}, {board_travel_m: 0.02}]", ": smartcar.board_travel_m is 0.02; from 0.0309 to 0.0509"),
+        (
+            "smartcar: {wheel_radius_m: 0.04}",
+            ":1: key 'smartcar': wheel_radius_m is 0.04: the chassis would ground",
+        ),
+        ("cars: [{}, {board_travel_m: 0.02}]", ": Machines: board_travel_m is 0.02; from 0.0309 to 0.0509"),
         ("cars: {}", ":1: key 'cars': must be a list of entries, not a mapping"),
-        ("cars: []", ":1: key 'cars': must have an entry for each car"),
+        ("cars: []", ":1: key 'cars': has 0 entries, allowed: at least 1"),
         ("cars: [{}, {wheel_mas_kg: 1}]", ":1: unknown key 'wheel_mas_kg'"),
         ("smartcar: {mass_kg: 1}\ncars: [{mass_kg: 1}]", ":1: key 'smartcar.mass_kg': is not given"),
         ("block: {side_m: 0.4}\nslope: {skin: 1}", ":1: key 'block.side_m': cannot be changed"),

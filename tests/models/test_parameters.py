@@ -329,12 +329,24 @@ def test_the_digest_tells_figures_apart():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: SmartcarParameters(wheel_mass_kg=-1.0), "wheel_mass_kg must be above 0, not -1.0"),
-        (lambda: SmartcarParameters(wheel_torque_nm=0.0), "wheel_torque_nm must be above 0"),
-        (lambda: SmartcarParameters(wheel_torque_nm=math.nan), "wheel_torque_nm must be a number, not nan"),
-        (lambda: SmartcarParameters(wheel_torque_nm="strong"), "wheel_torque_nm must be a number"),
+        (
+            lambda: SmartcarParameters(wheel_mass_kg=-1.0),
+            "wheel_mass_kg: -1.0 is out of range, allowed: above 0",
+        ),
+        (
+            lambda: SmartcarParameters(wheel_torque_nm=0.0),
+            "wheel_torque_nm: 0.0 is out of range, allowed: above 0",
+        ),
+        (
+            lambda: SmartcarParameters(wheel_torque_nm=math.nan),
+            "wheel_torque_nm: must be a finite number above 0",
+        ),
+        (lambda: SmartcarParameters(wheel_torque_nm="strong"), "wheel_torque_nm: must be a number"),
         (lambda: SmartcarParameters(wheel_torque_nm=0.4), "must be above gear_friction_nm, 0.45"),
-        (lambda: SmartcarParameters(boss_side_m=0.1), "boss_side_m cannot be changed from 0.11: the pockets"),
+        (
+            lambda: SmartcarParameters(boss_side_m=0.1),
+            "boss_side_m: cannot be changed from 0.11: the pockets",
+        ),
         (lambda: SmartcarParameters(wheel_radius_m=0.043), "ground on the crest of a slope"),
         (lambda: SmartcarParameters(wheel_x_m=0.07), "ground on the crest of a slope"),
         (lambda: SmartcarParameters(chassis_chamfer_m=0.002, chassis_length_m=0.25), "nose would run into"),
@@ -344,11 +356,14 @@ def test_the_digest_tells_figures_apart():
         ),
         (lambda: SmartcarParameters(wheel_radius_m=0.0505), "at least 0.0537 keeps the plate above"),
         (lambda: SmartcarParameters(roller_mass_kg=0.2), "wheel_mass_kg must be above 4"),
-        (lambda: BlockParameters(side_m=0.3), "side_m cannot be changed from 0.32: the grid's cells"),
-        (lambda: SlopeParameters(hinge_z_m=0.1), "hinge_z_m cannot be changed from 0.0925"),
-        (lambda: SlopeParameters(hinge_x_m=0.1), "hinge_x_m cannot be changed"),
-        (lambda: SlopeParameters(hinge_speed_rad_s=50.0), "above 0 and at most 3, not 50"),
-        (lambda: Machines(cars=()), "at least one car"),
+        (lambda: BlockParameters(side_m=0.3), "side_m: cannot be changed from 0.32: the grid's cells"),
+        (lambda: SlopeParameters(hinge_z_m=0.1), "hinge_z_m: cannot be changed from 0.0925"),
+        (lambda: SlopeParameters(hinge_x_m=0.1), "hinge_x_m: cannot be changed"),
+        (
+            lambda: SlopeParameters(hinge_speed_rad_s=50.0),
+            "50.0 is out of range, allowed: above 0 and at most 3",
+        ),
+        (lambda: Machines(cars=()), "cars: has 0 entries, allowed: at least 1"),
         (lambda: Machines(cars=(SmartcarParameters(board_travel_m=0.02),)), "from 0.0309 to 0.0509 lifts"),
         (lambda: Machines(cars=(SmartcarParameters(board_travel_m=0.06),)), "board_travel_m is 0.06"),
         (

@@ -150,14 +150,20 @@ def test_a_camera_comes_from_a_file(turning, tmp_path: Path):
     for text, message in (
         (
             "{lookat: [0, 0], distance: 2, azimuth: 45, elevation: -30}",
-            "mine.yaml:1: camera.lookat must be a list of x",
+            "mine.yaml:1: key 'lookat': must be a list of 3 entries",
         ),
-        ("{lookat: [0, 0, 0], azimuth: 45, elevation: -30}", "a camera needs distance"),
+        (
+            "{lookat: [0, 0, 0], azimuth: 45, elevation: -30}",
+            "key 'distance' is missing; required: lookat, distance",
+        ),
         (
             "{lookat: [0, 0, 0], distance: 0, azimuth: 45, elevation: -30}",
-            "camera.distance is 0.0; allowed: 0.05 to",
+            "key 'distance': 0 is out of range, allowed: 0.05 to",
         ),
-        ("{lookat: [0, 0, x], distance: 1, azimuth: 45, elevation: -30}", "camera.lookat.z must be a number"),
+        (
+            "{lookat: [0, 0, x], distance: 1, azimuth: 45, elevation: -30}",
+            r"key 'lookat\[2\]': must be a number",
+        ),
         ("{look: [0, 0, 0]}", "unknown key 'look'; did you mean 'lookat'"),
     ):
         file.write_text(text)

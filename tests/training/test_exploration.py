@@ -97,9 +97,9 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"rules": "paper"}, "rules is 'paper'; allowed: published, physical"),
-        ({"helper_depth": -1}, "helper_depth is -1"),
-        ({"explore": -1}, "explore is -1"),
+        ({"rules": "paper"}, "rules: unknown value 'paper'; allowed: published, physical"),
+        ({"helper_depth": -1}, "helper_depth: -1 is out"),
+        ({"explore": -1}, "explore: -1 is out"),
         ({"backend": "physics", "helper_depth": 5}, "or train on the grid"),
         ({"backend": "physics", "explore": 5}, "or train on the grid"),
     ],

@@ -100,7 +100,7 @@ def test_a_run_that_imitates_goes_on_as_if_it_had_never_stopped(goes_on):
 def test_what_does_not_go_with_plans_is_refused(options):
     with pytest.raises(InputError, match="leave imitate out"):
         TrainConfig("strip", imitate=5, **options)
-    with pytest.raises(InputError, match="imitate is -1"):
+    with pytest.raises(InputError, match="imitate: -1 is out"):
         TrainConfig("strip", imitate=-1)
 
 

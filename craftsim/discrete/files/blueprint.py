@@ -9,11 +9,11 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator
+from pydantic import PlainValidator, ValidationInfo
 
 from craftsim.discrete.files.placement import Placement, build_grid
 from craftsim.discrete.files.sense import CarRow, check_sense, outside
@@ -21,18 +21,10 @@ from craftsim.discrete.files.shipped import find
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import CARRIED
 from craftsim.errors import BlueprintError
-from craftsim.storage.limits import YAML_VALUES
+from craftsim.storage.limits import YAML_VALUES, Range
+from craftsim.storage.records import Loc, Mistake, described, key_words, record
 from craftsim.storage.writing import write_whole
-from craftsim.storage.yaml import (
-    Between,
-    Document,
-    Loc,
-    Mistake,
-    dump,
-    key_words,
-    parse_document,
-    read_document,
-)
+from craftsim.storage.yaml import Document, dump, parse_document, read_document
 
 NO_CELL: Final[Cell] = (-1, -2, 1)
 """The coordinates with which CraftEnv's files say that there is no flag or no goal."""
@@ -54,43 +46,53 @@ _KIND_NAMES: Final = np.array([kind.name.lower() for kind in Kind])
 LOADS: Final = {key: kind for key, kind in OBJECT_KEYS.items() if kind in CARRIED}
 """What a car's line names as its load."""
 
-T = TypeVar("T")
-_List = Annotated[tuple[T, ...], BeforeValidator(lambda given: () if given is None else given)]
-"""A list, empty where nothing stands behind its key."""
-_UNLESS_NO_CELL: Final = BeforeValidator(lambda entry: None if _is_no_cell(entry) else entry)
-_Side = Annotated[int, Between(1, MAX_SIDE)]
-_Count = Annotated[int, Between(0, "cells")]
-_Yaw = Annotated[int, Between(0, 3)]
+_SIDE: Final = Range(1, MAX_SIDE)
+_CARS: Final = Range(0, MAX_CARS)
 
 
-def _is_no_cell(entry: Any) -> bool:
-    return isinstance(entry, dict) and tuple(entry.get(axis) for axis in "xyz") == NO_CELL
+def _in(what: str) -> PlainValidator:
+    """Hold an integer to a range that follows from the area and the number of cars of its file."""
+
+    def held(value: Any, info: ValidationInfo) -> int:
+        ranges: dict[str, Range] = info.context or {}
+        allowed = ranges[what]
+        if type(value) is not int:
+            raise ValueError(f"must be an integer {allowed.words}, not {described(value)}")
+        if value not in allowed:
+            raise ValueError(allowed.out(value))
+        return value
+
+    return PlainValidator(held)
 
 
-@dataclass(frozen=True, kw_only=True)
+_Count = Annotated[int, _in("count")]
+_Yaw = Annotated[int, Range(0, 3)]
+
+
+@record(kw_only=True)
 class _Place:
-    id: Annotated[int, Between(0, MAX_CELLS)] | None = None
-    x: Annotated[int, Between(0, "last_x")]
-    y: Annotated[int, Between(0, "last_y")]
-    z: Annotated[int, Between(1, "height")]
+    id: Annotated[int, Range(0, MAX_CELLS)] | None = None
+    x: Annotated[int, _in("x")]
+    y: Annotated[int, _in("y")]
+    z: Annotated[int, _in("z")]
 
     @property
     def cell(self) -> Cell:
         return self.x, self.y, self.z
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class _Slope(_Place):
     yaw: _Yaw
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class _Car(_Slope):
-    id: Annotated[int, Between(0, "last_car")] = field()  # An object may leave its id out, a car not.
-    z: Annotated[int, Between(1, "above")]
+    id: Annotated[int, _in("car")] = field()  # An object may leave its id out, a car not.
+    z: Annotated[int, _in("z_of_car")]
     load: Literal["block", "flag", "fold_slope"] | None = None
     load_yaw: _Yaw | None = None
-    slope: Annotated[int, Between(0, 2)] = 0
+    slope: Annotated[int, Range(0, 2)] = 0
 
     @property
     def row(self) -> CarRow:
@@ -100,29 +102,29 @@ class _Car(_Slope):
         return *self.cell, self.yaw, load, load_yaw, self.slope
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class _OddCell(_Slope):
     kind: Literal["air", "ground", "wall", "block", "flag", "fslope", "gear", "body", "foot"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class _Mark(_Place):
-    z: Annotated[int, Between(0, "height")]
-    mark: Annotated[int, Between(-2, "last_mark")]
+    z: Annotated[int, _in("z_of_mark")]
+    mark: Annotated[int, _in("mark")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class _Landing(_Mark):
-    mark: Annotated[int, Between(0, 1)]
+    mark: Annotated[int, Range(0, 1)]
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class Snapshot:
     """What a world saved while it runs has beyond its listed objects: odd cells and marks that differ."""
 
-    cells: _List[_OddCell] = ()
-    top: _List[_Mark] = ()
-    back: _List[_Landing] = ()
+    cells: tuple[_OddCell, ...] = ()
+    top: tuple[_Mark, ...] = ()
+    back: tuple[_Landing, ...] = ()
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -130,21 +132,21 @@ class Snapshot:
         return tuple(Piece(Kind[one.kind.upper()], one.cell, one.yaw) for one in self.cells)
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class _File:
-    area_length: _Side
-    area_width: _Side
-    area_height: _Side
+    area_length: Annotated[int, _SIDE]
+    area_width: Annotated[int, _SIDE]
+    area_height: Annotated[int, _SIDE]
     block_num: _Count
     slope_num: _Count
-    smartcar_num: Annotated[int, Between(0, MAX_CARS)]
-    block: _List[_Place] = ()
-    fold_slope: _List[_Slope] = ()
-    unfold_slope: _List[_Slope] = ()
-    flag: _List[Annotated[_Place | None, _UNLESS_NO_CELL]] = ()
-    wall: _List[_Place] = ()
-    smartcar: _List[_Car] = ()
-    goal: _List[Annotated[_Place | None, _UNLESS_NO_CELL]] = ()
+    smartcar_num: Annotated[int, _CARS]
+    block: tuple[_Place, ...] = ()
+    fold_slope: tuple[_Slope, ...] = ()
+    unfold_slope: tuple[_Slope, ...] = ()
+    flag: tuple[_Place | None, ...] = ()
+    wall: tuple[_Place, ...] = ()
+    smartcar: tuple[_Car, ...] = ()
+    goal: tuple[_Place | None, ...] = ()
     legged_robot_num: _Count | None = None
     legged_robot: Any = None
     wall_num: _Count | None = None
@@ -154,16 +156,23 @@ class _File:
     @classmethod
     def of(cls, document: Document) -> _File:
         """Return what a document says, held to the area and the number of cars that it gives."""
+        plain = {**document.plain}
 
-        def given(key: str, low: int, high: int) -> int:
-            number = document.plain.get(key)
-            return number if type(number) is int and low <= number <= high else high
+        def given(key: str, allowed: Range) -> int:
+            number = plain.get(key)
+            return number if type(number) is int and number in allowed else int(allowed.high)
 
-        length, width, height = (given(key, 1, MAX_SIDE) for key in KEYS[:3])
-        n_cars = given("smartcar_num", 0, MAX_CARS)
-        area = {"last_x": length - 1, "last_y": width - 1, "height": height, "above": height + 1}
-        cars = {"last_car": max(n_cars - 1, 0), "last_mark": n_cars - 1}
-        return document.to(cls, cells=length * width * height, **area, **cars)
+        length, width, height = (given(key, _SIDE) for key in KEYS[:3])
+        n_cars = given("smartcar_num", _CARS)
+        ranges = {"x": Range(0, length - 1), "y": Range(0, width - 1), "z": Range(1, height)}
+        ranges |= {"z_of_car": Range(1, height + 1), "z_of_mark": Range(0, height)}
+        ranges |= {"car": Range(0, max(n_cars - 1, 0)), "mark": Range(-2, n_cars - 1)}
+        for key in (*OBJECT_KEYS, "smartcar", "goal"):
+            if plain.get(key, ()) is None:
+                del plain[key]
+            elif key in ("flag", "goal") and isinstance(entries := plain.get(key), list):
+                plain[key] = [None if _is_no_cell(entry) else entry for entry in entries]
+        return replace(document, plain=plain).to(cls, count=Range(0, length * width * height), **ranges)
 
     def objects(self) -> Iterator[tuple[Loc, Piece]]:
         """Yield the objects, each with its place in the file."""
@@ -180,6 +189,10 @@ class _File:
                 if entry is not None and entry.id is not None and first.setdefault(entry.id, i) != i:
                     line = document.lines.get((key, first[entry.id]))
                     yield (key, i), f"{key_words((key, i, 'id'))}: {entry.id} is taken, see line {line}"
+
+
+def _is_no_cell(entry: Any) -> bool:
+    return isinstance(entry, dict) and tuple(entry.get(axis) for axis in "xyz") == NO_CELL
 
 
 KEYS: Final = [one.name for one in fields(_File)]

@@ -12,9 +12,10 @@ from craftsim.discrete.files.blueprint import MAX_SIDE
 from craftsim.discrete.files.shipped import find
 from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
 from craftsim.errors import BlueprintError
-from craftsim.storage.limits import DESIGN_CELLS
+from craftsim.storage.limits import DESIGN_CELLS, Range
+from craftsim.storage.records import Loc, key_words, record
 from craftsim.storage.writing import write_whole
-from craftsim.storage.yaml import Between, Loc, dump, key_words, read_document
+from craftsim.storage.yaml import dump, read_document
 
 TARGET_KEYS: Final = {
     "block": Kind.BLOCK,
@@ -160,20 +161,20 @@ def design_in(grid: Grid, name: str | Path = "world") -> Design:
     return Design(Path(name), _turned(places))
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class _Entry:
     id: Any = None
-    x: Annotated[int, Between(0, MAX_SIDE)]
-    y: Annotated[int, Between(0, MAX_SIDE)]
-    z: Annotated[int, Between(1, MAX_SIDE)]
+    x: Annotated[int, Range(0, MAX_SIDE)]
+    y: Annotated[int, Range(0, MAX_SIDE)]
+    z: Annotated[int, Range(1, MAX_SIDE)]
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class _File:
-    block: list[_Entry] | None = None
-    folded_slope: list[_Entry] | None = None
-    unfolded_body: list[_Entry] | None = None
-    unfolded_foot: list[_Entry] | None = None
+    block: tuple[_Entry, ...] | None = None
+    folded_slope: tuple[_Entry, ...] | None = None
+    unfolded_body: tuple[_Entry, ...] | None = None
+    unfolded_foot: tuple[_Entry, ...] | None = None
 
 
 def read_design(path: str | Path) -> Design:

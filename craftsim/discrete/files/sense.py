@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import NAMES
-from craftsim.storage.yaml import Document, Loc, Mistake
+from craftsim.storage.records import Loc, Mistake
+from craftsim.storage.yaml import Document
 
 CarRow = tuple[int, ...]
 """A row of :attr:`Grid.cars`."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -30,9 +30,11 @@ from craftsim.discrete.tasks.task import (
 )
 from craftsim.errors import BlueprintError, CraftsimError, InputError, suggestion
 from craftsim.modules import import_own, note_registering, place_of
+from craftsim.storage.limits import Range
 from craftsim.storage.paths import is_file
+from craftsim.storage.records import record
 from craftsim.storage.writing import writable
-from craftsim.storage.yaml import Between, Document, read_document
+from craftsim.storage.yaml import Document, read_document
 
 DESIGNS: Final = "designs"
 """The name of the task in which each episode has a random design."""
@@ -42,10 +44,10 @@ VARIED_NAMES: Final = (*RANDOM_NAMES, DESIGNS)
 PLATFORM: Final = "platform"
 """The goal of building one platform of all blocks."""
 MAX_STEPS: Final = 100_000
-_Number = Annotated[int, Between(0, MAX_STEPS)]
+_Number = Annotated[int, Range(0, MAX_STEPS)]
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(kw_only=True)
 class _File:
     start: Any
     """A start file, or a list of them."""
@@ -56,7 +58,8 @@ class _File:
     blocks: _Number | None = None
 
 
-_KEYS: Final = [one.name for one in fields(_File)]
+_OF_TASKS: Final = {one.name for one in fields(_File)} - {*KEYS}
+"""Keys that tell a task file from a blueprint."""
 
 _REGISTERED: Final[dict[str, Task]] = {}
 _LISTENERS: Final[list[Callable[[Task], None]]] = []
@@ -254,8 +257,7 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
     path = Path(path)
     document = read_document(path, BlueprintError)
     design: Design | None = None
-    if "start" not in document.plain:
-        document.mapping([*KEYS, *(key for key in _KEYS if key not in KEYS)])
+    if not _OF_TASKS & document.plain.keys():
         file = _File(start=None)
         starts = [blueprint_of(document).with_counts(n_cars, n_blocks)]
         beside = path.with_name(f"{path.stem}_goal{path.suffix}")

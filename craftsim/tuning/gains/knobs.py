@@ -120,7 +120,7 @@ def knobs_of(subject: Subject, start: Gains) -> tuple[Knob, ...]:
             value = float(getattr(getattr(start, section), f.name))
             usual = float(getattr(getattr(nominal, section), f.name))
             span = _SPANS.get(name, SPAN)
-            # What a file of gains may hold (craftsim.mjcf.parameters.check_reach).
+            # What a file of gains may hold (craftsim.mjcf.parameters.NearNominal).
             least, most = max(value / span, usual / REACH), min(value * span, usual * REACH)
             most = max(value, min(most, _MOST.get(name, math.inf)))
             found.append(Knob(section, f.name, value, span, least, most))

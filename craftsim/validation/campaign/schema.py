@@ -11,8 +11,8 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationE
 
 from craftsim.errors import InputError
 from craftsim.storage.limits import RUNS
-from craftsim.storage.mistakes import first_mistake
 from craftsim.storage.reading import parse_json
+from craftsim.storage.records import first_mistake
 from craftsim.validation.campaign.items import TrialRecord
 
 STRICT: Final = ConfigDict(strict=True, allow_inf_nan=False)

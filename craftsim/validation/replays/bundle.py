@@ -28,7 +28,7 @@ from craftsim.storage import limits
 from craftsim.storage.folders import directory_within
 from craftsim.storage.paths import exists
 from craftsim.storage.reading import Arrays, read_arrays
-from craftsim.storage.schema import Schema
+from craftsim.storage.records import read_json_record, to_json
 from craftsim.storage.writing import write_whole
 
 SCHEMA_VERSION: Final = 5
@@ -81,9 +81,6 @@ class Recorded:
     physics: Arrays
     before: Arrays
     after: Arrays
-
-
-_SCHEMA: Final = Schema(Bundle)
 
 
 def state_of(physics: PhysicsWorld) -> Arrays:
@@ -159,7 +156,7 @@ def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
     world = WorldSpec(recipe.grid, config, recipe.setup.machines, recipe.goals)
     write_mjcf(directory_within(folder, SCENE) / "site.xml", world.spec())
     # Written last, so that a folder with this file is a whole bundle.
-    write_whole(folder / TEXT, _SCHEMA.text(bundle))
+    write_whole(folder / TEXT, to_json(bundle))
 
 
 def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
@@ -171,7 +168,7 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
     path = folder / TEXT
     if not exists(path):
         raise InputError(f"{path}: no such file; give the folder of a replay bundle")
-    bundle = _SCHEMA.read(path, limits.BUNDLE)
+    bundle = read_json_record(path, Bundle, limits.BUNDLE)
     try:
         _check_text(bundle)
         if not of_own_run:

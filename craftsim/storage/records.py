@@ -1,0 +1,290 @@
+"""Records that a user, a wire or an earlier run may bring: a format is a type, its bounds stand in its annotations.
+
+``@record()`` makes a frozen dataclass that is held to its annotations whenever one is made: in Python, from YAML
+(:mod:`craftsim.storage.yaml`) or from JSON. How its parts go together it checks in ``__post_init__``, with a
+ValueError. Mistakes are reported together, each with its key and with what is allowed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Final, TypeVar, Union, cast, dataclass_transform, get_args, get_origin, get_type_hints
+
+import pydantic.dataclasses
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
+
+from craftsim.errors import InputError, suggestion
+from craftsim.storage.limits import JSON_VALUES, Limits, Range
+from craftsim.storage.reading import read_bytes
+
+T = TypeVar("T")
+Loc = tuple[str | int, ...]
+"""The keys and numbers in lists that lead to a value."""
+Mistake = tuple[Loc, str]
+"""Where something is wrong, and what."""
+
+STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+"""A number is a number and no text, and finite; no key is unknown."""
+MOST_REPORTED: Final = 5
+"""So many mistakes are reported at once."""
+_DESCRIBED: Final = 50_000
+"""With more mistakes than this none is reported: a description of each would take more memory than the file."""
+_QUOTED: Final = 40
+"""Characters of what a message quotes from a file."""
+_COMPARED: Final = 100
+"""Unknown keys that are compared with one that is missing."""
+_UNKNOWN: Final = ("unexpected_keyword_argument", "extra_forbidden")
+"""What pydantic calls a key that a type does not have."""
+_NOUNS: Final = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
+_LISTS: Final = ("tuple_type", "list_type")
+_MAPPINGS: Final = ("dataclass_type", "dataclass_exact_type", "dict_type", "mapping_type", "model_type")
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
+def record(kw_only: bool = False) -> Callable[[type[T]], type[T]]:
+    """Make a frozen dataclass of which none is made that its annotations do not allow.
+
+    Making one raises InputError, naming class and field.
+    """
+
+    def made(kind: type[T]) -> type[T]:
+        checked: Any = pydantic.dataclasses.dataclass(frozen=True, config=STRICT, kw_only=kw_only)(kind)
+        make = checked.__init__
+
+        @functools.wraps(make)
+        def __init__(self: Any, *args: Any, **given: Any) -> None:
+            try:
+                make(self, *args, **given)
+            except ValidationError as error:
+                found = mistakes(checked, error, lambda loc: f"{checked.__name__}{_dotted(loc)}")
+                raise InputError(_lines(found, lambda _, text: text)) from None
+
+        checked.__init__ = __init__
+        return checked
+
+    return made
+
+
+@functools.cache
+def adapter(kind: Hashable) -> TypeAdapter[Any]:
+    """Return what holds values to a type; a dataclass and those inside are strict unless they say otherwise."""
+    if isinstance(kind, type) and not hasattr(kind, "__pydantic_config__"):
+        pydantic.with_config(STRICT)(kind)
+    return TypeAdapter(cast(Any, kind))
+
+
+def to_json(value: Any) -> bytes:
+    """Return the JSON document of a record, as text for people and machines."""
+    return adapter(cast(Hashable, type(value))).dump_json(value, indent=1) + b"\n"
+
+
+def read_json_record(path: Path, kind: type[T], limits: Limits) -> T:
+    """Return the record in a JSON file; raises as :func:`from_json` and :func:`.read_bytes`."""
+    return from_json(kind, read_bytes(path, limits), str(path))
+
+
+def from_json(kind: type[T], data: bytes, where: str) -> T:
+    """Return the record in a JSON document.
+
+    Raises InputError, a line for each of the first mistakes, for what is not JSON or not of the kind; each begins with
+    ``where``.
+    """
+    if data.count(b",") > JSON_VALUES:
+        raise InputError(f"{where}: holds more than the {JSON_VALUES} values that are allowed")
+    try:
+        value: T = adapter(cast(Hashable, kind)).validate_json(data)
+    except ValidationError as error:
+        raise InputError(_lines(mistakes(kind, error), lambda _, text: f"{where}: {text}")) from None
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    return value
+
+
+def first_mistake(error: ValidationError) -> str:
+    """Return the first mistake, with its key."""
+    return next(iter(mistakes(None, error)))[1]
+
+
+def refuse(found: Iterable[Mistake], words: Callable[[Loc, str], str], error: type[InputError]) -> None:
+    """Raise an error of the first few mistakes, a line each in the words of a function, if there are any."""
+    if lines := _lines(found, words):
+        raise error(lines)
+
+
+def _lines(found: Iterable[Mistake], words: Callable[[Loc, str], str]) -> str:
+    first = list(islice(found, MOST_REPORTED + 1))
+    more = [words((), "and more")] if len(first) > MOST_REPORTED else []
+    return "\n".join([*(words(*one) for one in first[:MOST_REPORTED]), *more])
+
+
+def key_words(loc: Loc) -> str:
+    """Return how messages name a value.
+
+    Example:
+        >>> key_words(("block", 0, "x"))
+        "key 'block[0].x'"
+    """
+    return f"key '{_dotted(loc)[1:] or 'document'}'"
+
+
+def _dotted(loc: Loc) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{_cut(part)}" for part in loc)
+
+
+def _cut(text: str) -> str:
+    """Return a text as messages quote it: what is in a file may be long, and steer a terminal."""
+    shown = text if text.isprintable() else repr(text)[1:-1]
+    return shown if len(shown) <= _QUOTED else f"{shown[: _QUOTED - 3]}..."
+
+
+def described(value: object) -> str:
+    """Return a short description of a value for messages."""
+    if isinstance(value, list | dict | tuple):
+        return "a mapping" if isinstance(value, dict) else "a list"
+    return "nothing" if value in (None, "") else f"'{_cut(str(value))}'"
+
+
+def unknown_words(word: str, known: Iterable[str], what: str = "key", allowed: bool = True) -> str:
+    """Return the message of a word that is not known, with the closest known one and, unless asked not to, all."""
+    known = list(known)
+    text = f"unknown {what} '{_cut(word)}'{suggestion(word[:80], known)}"
+    return f"{text}; allowed: {', '.join(known)}" if allowed else text
+
+
+def mistakes(
+    kind: Any,
+    error: ValidationError,
+    name: Callable[[Loc], str] = key_words,
+    line_of: Callable[[Loc], int] = lambda loc: 0,
+) -> Iterator[Mistake]:
+    """Yield what pydantic found wrong with a value of a kind, by line; of the keys that a mapping lacks one at most.
+
+    ``name`` says how values are named.
+    """
+    if (count := error.error_count()) > _DESCRIBED:
+        yield (), f"{count} values are missing, wrong or unknown; is it the file that it should be?"
+        return
+    errors = sorted(error.errors(include_url=False), key=lambda one: line_of(one["loc"]))
+    unknown = [one["loc"] for one in errors if one["type"] in _UNKNOWN][:_COMPARED]
+    lacking: set[Loc] = set()
+    listed: set[Loc] = set()
+    for one in errors:
+        *before, last = one["loc"] or ("",)
+        parent = tuple(before)
+        if one["type"] in _UNKNOWN:
+            inside = _type_at(kind, parent)
+            if isinstance(getattr(inside, str(last), None), property):
+                text = "is not given but follows from other parameters; change those"
+                yield one["loc"], f"{name(one['loc'])}: {text}"
+                continue
+            # What is allowed in a mapping is said once.
+            text = unknown_words(str(last), _keys(inside), allowed=parent not in listed)
+            yield one["loc"], f"{name(parent)}: {text}" if parent and not line_of(one["loc"]) else text
+            listed.add(parent)
+        elif one["type"] == "too_short" and len(one["input"]) >= one["ctx"]["min_length"]:
+            pass  # For want of an entry that is wrong.
+        elif one["type"] != "missing":
+            yield one["loc"], _words(kind, one, name)
+        # A key that is there, misspelt, is not missing.
+        elif parent not in lacking and not any(
+            loc[:-1] == parent and suggestion(str(loc[-1])[:80], [str(last)]) for loc in unknown
+        ):
+            lacking.add(parent)
+            yield parent, _words(kind, one, name)
+
+
+def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
+    """Return what is wrong, and what is allowed."""
+    loc, value, type_ = error["loc"], error["input"], error["type"]
+    if type_ == "missing" and isinstance(loc[-1], int):
+        return f"{name(loc[:-1])}: must be a list of {len(get_args(_type_at(kind, loc[:-1])))} entries"
+    if type_ == "missing":
+        required = ", ".join(_keys(_type_at(kind, loc[:-1]), required=True))
+        if len(loc) == 1:
+            return f"{name(loc)} is missing; required: {required}"
+        return f"{name(loc[:-1])}: needs '{loc[-1]}'; required: {required}"
+    wanted, allowed = _type_and_range(kind, loc)
+    if type_ == "value_error":
+        subject = name(loc) if loc or name is not key_words else ""
+        return f"{subject}{': ' if subject else ''}{error['ctx']['error']}"
+    if type_ == "literal_error" and (known := [str(word) for word in get_args(wanted)]):
+        if isinstance(value, str | int | float):
+            return f"{name(loc)}: {unknown_words(str(value), known, 'value')}"
+        return f"{name(loc)}: must be one of {', '.join(known)}, not {described(value)}"
+    if type_.startswith(("greater_than", "less_than")):
+        return f"{name(loc)}: {(allowed or _range_of(error['ctx'])).out(value)}"
+    if type_ in _LISTS:
+        return f"{name(loc)}: must be a list of entries, not {described(value)}"
+    if type_ in _MAPPINGS:
+        keys = ", ".join(_keys(wanted))
+        return f"{name(loc)}: must be a mapping{keys and ' with keys '}{keys}, not {described(value)}"
+    if type_ in ("too_short", "too_long", "string_too_short", "string_too_long"):
+        what = "characters" if type_.startswith("string") else "entries"
+        most = "max_length" if type_.endswith("long") else "min_length"
+        text = f"at {'most' if most == 'max_length' else 'least'} {error['ctx'][most]}"
+        return f"{name(loc)}: has {len(value)} {what}, allowed: {text}"
+    if wanted in _NOUNS:
+        within = f" {allowed.words}" if allowed else ""
+        finite = "a finite number" if type_ == "finite_number" else _NOUNS[wanted]
+        if type_ == "finite_number" or type_.startswith(wanted.__name__):
+            return f"{name(loc)}: must be {finite}{within}, not {described(value)}"
+    return f"{name(loc)}: {error['msg']}, not {described(value)}"
+
+
+def _range_of(bound: Mapping[str, Any]) -> Range:
+    """Return the range of one bound, as pydantic tells it."""
+    low, high = (
+        next((bound[end] for end in ends if end in bound), None) for ends in (("ge", "gt"), ("le", "lt"))
+    )
+    return Range(
+        -math.inf if low is None else low, math.inf if high is None else high, "gt" in bound, "lt" in bound
+    )
+
+
+def _keys(kind: Any, required: bool = False) -> list[str]:
+    """Return the keys of a mapping of a kind, or those alone that have no default."""
+    if not dataclasses.is_dataclass(kind):
+        return list(getattr(kind, "__required_keys__" if required else "__annotations__", ()))
+    return [
+        one.name
+        for one in dataclasses.fields(kind)
+        if not required or (one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING)
+    ]
+
+
+def _type_at(kind: Any, loc: Loc) -> Any:
+    """Return the type of the value at a place in a kind, or None where that is not one type."""
+    return _type_and_range(kind, loc)[0]
+
+
+def _type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
+    """Return the same, and what it may be where it is a number."""
+    allowed = None
+    for part in (None, *loc):
+        if part is not None:
+            kind, allowed = _inside(kind, part), None
+        while hasattr(kind, "__metadata__") or NoneType in get_args(kind):
+            allowed = next(
+                (one for one in getattr(kind, "__metadata__", ()) if isinstance(one, Range)), allowed
+            )
+            kind = next(one for one in get_args(kind) if one is not NoneType)
+    return kind, allowed
+
+
+def _inside(kind: Any, part: str | int) -> Any:
+    """Return the annotation of a value in one of a kind, or None where that is not one."""
+    origin, args = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType) or (args and origin is None):
+        return None
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return args[1] if len(args) == 2 else None
+    if isinstance(part, int):
+        return (args[part] if origin is tuple and Ellipsis not in args else args[0]) if args else None
+    return get_type_hints(kind, include_extras=True).get(part) if isinstance(kind, type) else None

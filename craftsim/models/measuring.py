@@ -7,16 +7,18 @@ them at a time, :class:`CarMeasurement`.
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.readback import Poses
 from craftsim.models.world import PhysicsWorld
+from craftsim.storage.limits import PHYSICS_PARTS, Range
 
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -45,36 +47,60 @@ PerWheel = tuple[float, float, float, float]
 """A number for each wheel, in the order of WHEELS."""
 
 
-class CarMeasurement(NamedTuple):
-    """One car's view of itself at one instant; world frame, metres and radians."""
+Metres = Annotated[float, Range(-1e4, 1e4)]
+"""Several times the largest world."""
+Radians = Annotated[float, Range(-1e3, 1e3)]
+"""A heading may count turns."""
+WheelSpeed = Annotated[float, Range(-1e3, 1e3)]
+"""rad/s: 50 times what the wheels do."""
+Wheels = tuple[WheelSpeed, WheelSpeed, WheelSpeed, WheelSpeed]
+Hinge = Annotated[float, Range(-1.0, math.pi + 1.0)]
+"""rad; 0 unfolded, pi folded."""
 
-    time_s: float
-    x: float
-    y: float
-    z: float
+
+def _near(line: float) -> float:
+    if line > 1 and math.isfinite(line):
+        raise ValueError("a line lies within 1 m, or infinitely far")
+    return line
+
+
+Line = Annotated[float, Range(-1.0), Field(allow_inf_nan=True), AfterValidator(_near)]
+"""How far a line lies from where it was looked for, in metres; infinitely where none is seen."""
+
+
+class CarMeasurement(NamedTuple):
+    """One car's view of itself at one instant; world frame, metres and radians.
+
+    The bounds are those of what a robot may send.
+    """
+
+    time_s: Annotated[float, Range(0.0, 1e9)]
+    x: Metres
+    y: Metres
+    z: Metres
     """Height of the point on the floor between the wheels."""
-    heading: float
-    pitch: float
+    heading: Radians
+    pitch: Radians
     """Nose up positive."""
-    roll: float
+    roll: Radians
     """Left side up positive."""
-    wheel_speeds: PerWheel
+    wheel_speeds: Wheels
     """In rad/s."""
-    board_m: float
+    board_m: Annotated[float, Range(-1.0, 1.0)]
     """Height of the board above its lower stop."""
-    board_force_n: float
+    board_force_n: Annotated[float, Range(-1e6, 1e6)]
     """Force of the board's motor, up positive: the weight of board and load when it is at rest."""
-    slope: int | None
+    slope: Annotated[int, Range(0, PHYSICS_PARTS, below=True)] | None
     """The slope whose plug the car is docked to, if any."""
-    hinge_rad: float | None
+    hinge_rad: Hinge | None
     """Hinge angle of that slope."""
-    position_std_m: float = 0.0
+    position_std_m: Annotated[float, Range(0.0, 1e4)] = 0.0
     """How unsure the car is of its position: one standard deviation of x and of y."""
-    heading_std_rad: float = 0.0
+    heading_std_rad: Annotated[float, Range(0.0, 1e3)] = 0.0
     """How unsure the car is of its heading."""
     fresh: bool = True
     """Whether a localisation has arrived since the last reading; else x, y, z and heading are as they were."""
-    lines: PerWheel = (math.inf, math.inf, math.inf, math.inf)
+    lines: tuple[Line, Line, Line, Line] = (math.inf, math.inf, math.inf, math.inf)
     """Where the sensors before, behind, left and right in the board see a line above: how far to the left those before
     and behind, how far forward the others; inf where one sees none."""
 

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import asdict, dataclass, fields
-from typing import Annotated, Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final, cast
 
 import msgpack
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    FailFast,
-    Field,
-    GetPydanticSchema,
-    TypeAdapter,
-    ValidationError,
-)
-from pydantic_core.core_schema import no_info_after_validator_function
+from pydantic import AfterValidator, FailFast, Field, ValidationError
+from pydantic_core import to_json
 
 from craftsim.errors import CraftsimError
-from craftsim.models.measuring import CarMeasurement
+from craftsim.models.measuring import CarMeasurement, Hinge, Metres
 from craftsim.skills.skill import Command
-from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS
+from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS, Range
+from craftsim.storage.records import adapter, first_mistake
 
 VERSION: Final = 2
 """Of the protocol; raised whenever something changes its meaning or goes away."""
@@ -37,37 +30,12 @@ _MOST_FIELDS: Final = 32
 _UNIT: Final = 1e-3
 """By how much the length of a quaternion may be off."""
 
-
-def _real(low: float, high: float) -> Any:
-    return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
-
-
-def _near(line: float) -> float:
-    if line > 1 and math.isfinite(line):
-        raise ValueError("a line lies within 1 m, or infinitely far")
-    return line
-
-
-_Line = Annotated[float, Field(strict=True, ge=-1.0), AfterValidator(_near)]
-"""How far a line lies from where it was looked for, in metres; infinitely where none is seen."""
-
-# What can be, whatever the machines: a thousand is 50 times what the wheels do, in rad/s. Types are those that
-# MessagePack has: "1" and true are no numbers.
-Number = Annotated[int, Field(strict=True, ge=0, le=2**53)]
-Flag = Annotated[bool, Field(strict=True)]
-Seconds = Annotated[float, _real(0, 1e9)]
-Text = Annotated[str, Field(strict=True, max_length=_MOST_TEXT)]
-Cars = Annotated[int, Field(strict=True, ge=1, le=PHYSICS_CARS)]
-Metres = Annotated[float, _real(-1e4, 1e4)]
-"""Several times the largest world."""
-Radians = Annotated[float, _real(-1e3, 1e3)]
-"""A heading may count turns."""
-WheelSpeed = Annotated[float, _real(-1e3, 1e3)]
-"""rad/s."""
-Share = Annotated[float, _real(-1.001, 1.001)]
-Hinge = Annotated[float, _real(-1.0, math.pi + 1.0)]
-"""rad; 0 unfolded, pi folded."""
-Wheels = tuple[WheelSpeed, WheelSpeed, WheelSpeed, WheelSpeed]
+# What can be, whatever the machines.
+Number = Annotated[int, Range(0, 2**53)]
+Seconds = Annotated[float, Range(0.0, 1e9)]
+Text = Annotated[str, Field(max_length=_MOST_TEXT)]
+Cars = Annotated[int, Range(1, PHYSICS_CARS)]
+Share = Annotated[float, Range(-1.001, 1.001)]
 
 
 def _unit(pose: tuple[float, ...]) -> tuple[float, ...]:
@@ -78,48 +46,6 @@ def _unit(pose: tuple[float, ...]) -> tuple[float, ...]:
 
 Pose = Annotated[tuple[Metres, Metres, Metres, Share, Share, Share, Share], AfterValidator(_unit)]
 """x, y, z in metres and a unit quaternion, w first; world frame."""
-
-
-class _Command(BaseModel, extra="forbid"):
-    """A Command as it is sent."""
-
-    wheels: Wheels
-    board: Annotated[float, _real(-10.0, 10.0)]
-    hinge: Annotated[float, _real(-100.0, 100.0)]
-
-
-class _Measurement(BaseModel, extra="forbid"):
-    """A CarMeasurement as it is sent."""
-
-    time_s: Seconds
-    x: Metres
-    y: Metres
-    z: Metres
-    heading: Radians
-    pitch: Radians
-    roll: Radians
-    wheel_speeds: Wheels
-    board_m: Annotated[float, _real(-1.0, 1.0)]
-    board_force_n: Annotated[float, _real(-1e6, 1e6)]
-    slope: Annotated[int, Field(strict=True, ge=0, lt=PHYSICS_PARTS)] | None
-    hinge_rad: Hinge | None
-    position_std_m: Annotated[float, _real(0, 1e4)] = 0.0
-    heading_std_rad: Annotated[float, _real(0, 1e3)] = 0.0
-    fresh: Flag = True
-    lines: tuple[_Line, _Line, _Line, _Line] = (math.inf, math.inf, math.inf, math.inf)
-
-
-def _sent_as(model: type[BaseModel]) -> Any:
-    """Return what lets a field be read as a model says, and made what the field is of."""
-    return GetPydanticSchema(
-        lambda kind, handler: no_info_after_validator_function(
-            lambda sent: kind(**dict(sent)), handler(model)
-        )
-    )
-
-
-SentCommand = Annotated[Command, _sent_as(_Command)]
-SentMeasurement = Annotated[CarMeasurement, _sent_as(_Measurement)]
 
 
 class MessageError(CraftsimError):
@@ -149,14 +75,14 @@ class Welcome(Message):
 
     kind = "welcome"
     cars: Cars
-    slopes: Annotated[int, Field(strict=True, ge=0, le=PHYSICS_PARTS)]
-    period_s: Annotated[float, _real(0.001, 1.0)]
+    slopes: Annotated[int, Range(0, PHYSICS_PARTS)]
+    period_s: Annotated[float, Range(0.001, 1.0)]
     """Control period: they measure that often."""
-    watchdog_s: Annotated[float, _real(0.001, 10.0)]
+    watchdog_s: Annotated[float, Range(0.001, 10.0)]
     """Without a command for so long they stop by themselves."""
-    referee: Flag = False
+    referee: bool = False
     """Whether a referee answers at the same address."""
-    waits: Flag = False
+    waits: bool = False
     """Whether their time stands still until each measurement has been answered by Ack."""
     ticket: Text = ""
     """What the driver shows the referee, so that it is served before all others who look on."""
@@ -168,7 +94,7 @@ class Refused(Message):
 
     kind = "refused"
     why: Text
-    busy: Flag = False
+    busy: bool = False
     """Whether they will obey when somebody else has ended."""
 
 
@@ -183,11 +109,11 @@ class Measurements(Message):
     """When it was measured, by the robots' clock; theirs are all other times, too."""
     heard: Number
     """Number of the newest command that had come; 0 for none."""
-    late_s: Annotated[float, _real(-1e9, 1e9)]
+    late_s: Annotated[float, Range(-1e9, 1e9)]
     """By how much that came after the time for which it was meant; negative where it was early."""
     stops: Number
     """How often they have stopped because no command came."""
-    cars: Annotated[tuple[SentMeasurement, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
+    cars: Annotated[tuple[CarMeasurement, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
 
 
 @dataclass(frozen=True)
@@ -199,7 +125,7 @@ class Commands(Message):
     """Counts up from 1 after each hello."""
     at_s: Seconds
     """When they are to begin with it; what comes too late is begun with at once."""
-    cars: Annotated[tuple[SentCommand, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
+    cars: Annotated[tuple[Command, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
 
 
 @dataclass(frozen=True)
@@ -249,14 +175,6 @@ _KINDS: Final[dict[str, type[Message]]] = {
 }
 
 
-def _adapter(kind: type[Message]) -> TypeAdapter[Any]:
-    kind.__pydantic_config__ = ConfigDict(extra="forbid")  # type: ignore[attr-defined]
-    return TypeAdapter(kind)
-
-
-_ADAPTERS: Final = {name: _adapter(kind) for name, kind in _KINDS.items()}
-
-
 def pack(message: Message) -> bytes:
     """Return a message as it is sent."""
     content = {field.name: getattr(message, field.name) for field in fields(message)}  # type: ignore[arg-type]
@@ -288,14 +206,14 @@ def unpack(data: bytes) -> Message:
         raise MessageError(
             f"version {_short(version)} of the protocol; this craftsim speaks version {VERSION}"
         )
-    if not isinstance(kind, str) or kind not in _ADAPTERS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         raise MessageError(f"kind {_short(kind)}; there are {', '.join(_KINDS)}")
     try:
-        message: Message = _ADAPTERS[kind].validate_python(content)
+        # As JSON, where a mapping stands for a record and a list for a tuple, and nothing else for anything else.
+        data = to_json(content, inf_nan_mode="constants")
+        message: Message = adapter(cast(Hashable, _KINDS[kind])).validate_json(data)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise MessageError(f"{kind}{'.' if where else ''}{where}: {first['msg']}") from None
+        raise MessageError(f"{kind}: {first_mistake(error, _KINDS[kind])}") from None
     return message
 
 

@@ -12,7 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.readback import nearest_yaw
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
-from craftsim.models.measuring import PerWheel, Records, write_reading
+from craftsim.models.measuring import Records, Wheels, write_reading
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.gains import Gains, careful
 from craftsim.skills.laws import Profile, feels_load, health_of, step_task
@@ -39,6 +39,7 @@ from craftsim.skills.state import (
     constants_of,
     outcome_of,
 )
+from craftsim.storage.limits import Range
 
 
 @dataclass(frozen=True)
@@ -99,11 +100,11 @@ class Command:
         Command(wheels=(0.0, 0.0, 0.0, 0.0), board=0.02, hinge=0.0)
     """
 
-    wheels: PerWheel = (0.0, 0.0, 0.0, 0.0)
+    wheels: Wheels = (0.0, 0.0, 0.0, 0.0)
     """In rad/s."""
-    board: float = 0.0
+    board: Annotated[float, Range(-10.0, 10.0)] = 0.0
     """m/s, up positive."""
-    hinge: float = 0.0
+    hinge: Annotated[float, Range(-100.0, 100.0)] = 0.0
     """rad/s of the docked slope's hinge, folding positive."""
 
 

@@ -107,9 +107,9 @@ def from_json(kind: type[T], data: bytes, where: str) -> T:
     return value
 
 
-def first_mistake(error: ValidationError) -> str:
-    """Return the first mistake, with its key."""
-    return next(iter(mistakes(None, error)))[1]
+def first_mistake(error: ValidationError, kind: Any = None) -> str:
+    """Return the first mistake in a value of a kind, with its key."""
+    return next(iter(mistakes(kind, error)))[1]
 
 
 def refuse(found: Iterable[Mistake], words: Callable[[Loc, str], str], error: type[InputError]) -> None:
@@ -250,6 +250,8 @@ def _range_of(bound: Mapping[str, Any]) -> Range:
 
 def _keys(kind: Any, required: bool = False) -> list[str]:
     """Return the keys of a mapping of a kind, or those alone that have no default."""
+    if hasattr(kind, "_field_defaults"):
+        return [name for name in kind._fields if not required or name not in kind._field_defaults]
     if not dataclasses.is_dataclass(kind):
         return list(getattr(kind, "__required_keys__" if required else "__annotations__", ()))
     return [

@@ -30,6 +30,7 @@ from craftsim.models.world import PhysicsWorld
 from craftsim.skills.gains import Gains
 from craftsim.skills.library import SkillChoice, own_skills
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
+from craftsim.storage.records import Listed
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Step:
     in a tick, and for more actions than allowed.
     """
 
-    ticks: tuple[tuple[Act, ...], ...]
+    ticks: Listed[Listed[Act]]
     """In each tick every car acts once at most, in the order given."""
     order: Concurrency | None = None
     """Which actions may run at the same time; None performs a single action by itself."""
@@ -63,7 +64,7 @@ class Step:
     """The world, as a blueprint, that a single action should lead to although the rules forbid it."""
     number: int = 0
     """Of the first tick."""
-    after: tuple[tuple[tuple[int, int], tuple[int, int]], ...] = ()
+    after: Listed[tuple[tuple[int, int], tuple[int, int]]] = ()
     """Order constraints of a plan: an action's (tick, car), and that of one that must have ended before it; ticks count
     from the first of the step."""
 
@@ -118,11 +119,11 @@ class Recipe:
 
     world: str
     """The start as a blueprint that leaves nothing to chance."""
-    steps: tuple[Step, ...] = ()
+    steps: Listed[Step] = ()
     setup: Setup = field(default_factory=Setup)
     seed: Seed = SEED_0
     """Of the draw of the physics and of the sensors' noise."""
-    goals: tuple[Cell, ...] = ()
+    goals: Listed[Cell] = ()
     """Cells that get a marker without contact."""
 
     @property

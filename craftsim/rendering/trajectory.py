@@ -26,7 +26,7 @@ from craftsim.rendering.shapes import Wanted
 from craftsim.report import versions
 from craftsim.storage import limits
 from craftsim.storage.reading import Arrays, read_arrays
-from craftsim.storage.records import from_json, to_json
+from craftsim.storage.records import Listed, from_json, to_json
 from craftsim.storage.writing import write_whole
 
 SCHEMA_VERSION: Final = 1
@@ -65,14 +65,14 @@ class Story:
     versions: dict[str, str]
     recipe: Recipe
     """What was done, from its start; a trajectory may begin later."""
-    attempts: tuple[Attempt, ...]
+    attempts: Listed[Attempt]
     """All that was tried from its first sample on."""
     poses: dict[str, int]
     """Of each machine that moves, by its name (``car 0``, ``block 3``): the column of ``qpos`` at which its x, y, z and
     unit quaternion (w first) begin."""
     motors: tuple[str, ...]
     """Names of the columns of ``ctrl`` and ``force``."""
-    design: tuple[GoalCell, ...] = ()
+    design: Listed[GoalCell] = ()
     """The building that is to be put up, where there is one."""
 
 

@@ -14,10 +14,21 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Final, TypeVar, Union, cast, dataclass_transform, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Final,
+    TypeVar,
+    Union,
+    cast,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import pydantic.dataclasses
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, FailFast, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from craftsim.errors import InputError, suggestion
@@ -29,6 +40,9 @@ Loc = tuple[str | int, ...]
 """The keys and numbers in lists that lead to a value."""
 Mistake = tuple[Loc, str]
 """Where something is wrong, and what."""
+
+Listed = Annotated[tuple[T, ...], FailFast()]
+"""A list that may be long: it is read up to its first mistake, for a description of each would fill the memory."""
 
 STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 """A number is a number and no text, and finite; no key is unknown."""

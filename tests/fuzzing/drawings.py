@@ -1,4 +1,4 @@
-"""Damaged files that people write: blueprints, goals, plans, actions, task files, gains, machines and noise."""
+"""Damaged files that people write: blueprints, goals, plans, task files, machines, gains, noise, cameras, studies."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import read_actions, read_plan
@@ -15,9 +16,13 @@ from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.discrete.tasks.registry import read_task
 from craftsim.errors import InputError
+from craftsim.logs.bags import read_topics
 from craftsim.mjcf.machine_files import load_machines
 from craftsim.models.randomization import load_noise
+from craftsim.rendering.camera_files import read_aim
 from craftsim.skills.gains import load_gains
+from craftsim.studies.study import read_study
+from craftsim.training.settings import read_settings
 from fuzzing.mutations import mutated_bytes, mutated_text
 
 SNAPSHOT = """
@@ -44,6 +49,11 @@ _SEEDS: dict[str, list[str]] = {
     ],
     "gains": [(_DATA / "gains" / "robust.yaml").read_text()],
     "noise": ["{min_delay_s: 0.02, max_delay_s: 0.04, position_m: 0.001}\n"],
+    "randomization": [(_DATA / "randomizations" / "lab_floor.yaml").read_text()],
+    "settings": ["gamma: 0.98\nepochs: 3\nclip: 0.1\n"],
+    "study": [(_DATA / "studies" / "quick.yaml").read_text()],
+    "camera": ["{lookat: [0.1, 0.2, 0.3], distance: 2, azimuth: 45, elevation: -30}\n"],
+    "topics": ["commands: /told\npose: /pose\njoint_names: {wheel_fl: left, board: lift}\n"],
 }
 
 
@@ -66,6 +76,11 @@ _READERS: dict[str, Callable[[Path], object]] = {
     "machines": load_machines,
     "gains": load_gains,
     "noise": load_noise,
+    "randomization": setup_of,
+    "settings": lambda path: read_settings(path, "ippo"),
+    "study": lambda path: read_study(str(path)),
+    "camera": read_aim,
+    "topics": read_topics,
 }
 
 

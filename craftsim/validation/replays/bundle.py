@@ -28,7 +28,7 @@ from craftsim.storage import limits
 from craftsim.storage.folders import directory_within
 from craftsim.storage.paths import exists
 from craftsim.storage.reading import Arrays, read_arrays
-from craftsim.storage.records import read_json_record, to_json
+from craftsim.storage.records import Listed, read_json_record, to_json
 from craftsim.storage.writing import write_whole
 
 SCHEMA_VERSION: Final = 5
@@ -58,7 +58,7 @@ class Bundle:
     """Name of the trial that it is from."""
     versions: dict[str, str]
     recipe: Recipe
-    attempts: tuple[Attempt, ...]
+    attempts: Listed[Attempt]
     """Of the last step, for each of its actions."""
     start_s: float
     """Simulated time at which the last step began."""

@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours constraints newest recipes packages wheel libraries clean
+.PHONY: help demo test lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours tables constraints newest recipes packages wheel libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -88,6 +88,9 @@ gallery: $(VENV)/installed libraries  ## Make the films and pages of docs/galler
 
 machines: $(VENV)/installed  ## Write the MJCF of the nominal machines in craftsim/mjcf again
 	$(BIN)/python -m craftsim.models.exporting
+
+tables: $(VENV)/installed  ## Write the tables of the documentation that follow from types and limits
+	$(BIN)/python scripts/tables.py
 
 neighbours: $(VENV)/installed  ## Work out again which neighbours matter, after a change of geometry or rules
 	$(BIN)/python -m craftsim.validation.neighbourhoods.table

@@ -1,4 +1,4 @@
-"""How much a file of each format may hold, and how large a number may be; docs/limits.md shows the tables.
+"""How much a file of each format may hold, and how large a number may be; docs/limits.md shows them.
 
 Nothing is read, unpacked or built before the limit that it falls under has been checked, so that a file is
 refused in seconds and within a few hundred megabytes, whoever wrote it.
@@ -110,25 +110,8 @@ RECORDED_DEPTH: Final = 64
 RECORDED_TICKS: Final = 1_000_000
 """Of an episode."""
 
-ALL: Final = (
-    YAML,
-    TEXT,
-    BUNDLE,
-    ARRAYS,
-    TRAJECTORY,
-    STARTS,
-    RECORDING,
-    HEADER,
-    TRIALS,
-    POLICY,
-    RUN,
-    REPORT,
-    TABLE,
-    LOG,
-    PICTURE,
-    MESH,
-    BAG,
-)
+ALL: Final = tuple(one for one in list(vars().values()) if isinstance(one, Limits))
+"""Of all formats."""
 
 
 def _short(value: float) -> str:

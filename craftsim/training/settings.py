@@ -22,6 +22,7 @@ class Settings:
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount of a tick."""
     learning_rate: Annotated[float, Range(1e-6, 1)] = 1e-3
+    """Of the optimiser, Adam."""
     max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 1.0
     """Gradients of a larger norm are scaled down to it."""
 

@@ -19,6 +19,7 @@ from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 import craftsim
+from craftsim.cli import ranges_of
 
 PUBLIC = frozenset(craftsim.__all__) - {"__version__"}
 
@@ -53,17 +54,18 @@ def _autodoc(name: str) -> list[str]:
 
 
 def _figures(kind: type) -> list[str]:
-    """Return a table of a machine's figures with their provenance; nothing for other classes."""
+    """Return a table of a machine's parameters with their bounds and origins; nothing for other classes."""
     fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
-    rows = ["figure", "nominal", "origin"]
+    rows = ["parameter", "nominal", "allowed", "origin"]
     for field in fields:
-        if source := field.metadata.get("provenance"):
-            origin = f"{source.origin}: {source.note}" if source.note else source.origin
-            rows += [f"``{field.name}``", f"{field.default:.6g}", origin]
-    if len(rows) == 3:
+        if origin := field.metadata.get("origin"):
+            note, fixed = field.metadata["note"], field.metadata["fixed"]
+            allowed = f"fixed: {fixed}" if fixed else str(ranges_of(kind).get(field.name, "any"))
+            rows += [f"``{field.name}``", f"{field.default:.6g}", allowed, f"{origin}{note and ': '}{note}"]
+    if len(rows) == 4:
         return []
-    marks = ("   * - ", "     - ", "     - ")
-    table = [f"{marks[i % 3]}{cell}" for i, cell in enumerate(rows)]
+    marks = ("   * - ", "     - ", "     - ", "     - ")
+    table = [f"{marks[i % 4]}{cell}" for i, cell in enumerate(rows)]
     return [".. list-table::", "   :header-rows: 1", "", *table]
 
 

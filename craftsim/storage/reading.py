@@ -99,11 +99,6 @@ def parse_json(data: bytes, where: str) -> Any:
         raise InputError(f"{where}: not JSON: {error}") from None
 
 
-def read_json(path: Path, limits: Limits) -> Any:
-    """Return the value of a JSON file; raises as :func:`read_bytes` and :func:`parse_json`."""
-    return parse_json(read_bytes(path, limits), str(path))
-
-
 def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tuple[int, bytes]]:
     """Yield the number and the bytes of each line, its end included; ``packed`` is for gzip.
 

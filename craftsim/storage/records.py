@@ -71,11 +71,13 @@ def record(kw_only: bool = False) -> Callable[[type[T]], type[T]]:
     def made(kind: type[T]) -> type[T]:
         checked: Any = pydantic.dataclasses.dataclass(frozen=True, config=STRICT, kw_only=kw_only)(kind)
         make = checked.__init__
+        names = [one.name for one in dataclasses.fields(checked) if one.init and not one.kw_only]
 
         @functools.wraps(make)
         def __init__(self: Any, *args: Any, **given: Any) -> None:
             try:
-                make(self, *args, **given)
+                # By name, for messages have no other.
+                make(self, *args[len(names) :], **dict(zip(names, args, strict=False)), **given)
             except ValidationError as error:
                 found = mistakes(checked, error, lambda loc: f"{checked.__name__}{_dotted(loc)}")
                 raise InputError(_lines(found, lambda _, text: text)) from None

@@ -83,7 +83,6 @@ def test_json_that_is_none_is_our_error(text, tmp_path):
 
 
 def test_json_is_read():
-
     assert parse_json(b'{"a": [1, 2.5, "\xc3\xa9", null]}', "here") == {"a": [1, 2.5, "\u00e9", None]}
 
 

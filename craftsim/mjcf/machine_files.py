@@ -13,12 +13,12 @@ one file can hold both. Example::
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 from pydantic import Field
 
+from craftsim.errors import InputError
 from craftsim.mjcf.parameters import (
     BlockParameters,
     ContactParameters,
@@ -38,14 +38,6 @@ class _File:
     contact: ContactParameters = ContactParameters()
     cars: Annotated[tuple[SmartcarParameters, ...], Field(min_length=1)] | None = None
     gains: Any = None
-
-    @cached_property
-    def machines(self) -> Machines:
-        return Machines(self.cars or (self.smartcar,), self.block, self.slope, self.contact)
-
-    def __post_init__(self) -> None:
-        # What does not fit together is a mistake in the file.
-        self.machines  # noqa: B018
 
 
 MACHINE_SECTIONS: Final = tuple(one.name for one in fields(_File) if one.name != "gains")
@@ -69,4 +61,8 @@ def load_machines(path: Path | str) -> Machines:
     if isinstance(smartcar, dict) and isinstance(cars, list):
         own = [smartcar | one if isinstance(one, dict) else one for one in cars]
         document = replace(document, plain=document.plain | {"cars": own})
-    return document.to(_File).machines
+    file = document.to(_File)
+    try:
+        return Machines(file.cars or (file.smartcar,), file.block, file.slope, file.contact)
+    except InputError as error:
+        document.fail((), str(error))

@@ -298,7 +298,10 @@ CRATE = {
     ],
     "craftsim/discrete/files/blueprint.py": [
         ('    "wall": Kind.WALL,\n', '    "wall": Kind.WALL,\n    "crate": Kind.CRATE,\n'),
-        ("    wall: _List[_Place] = ()\n", "    wall: _List[_Place] = ()\n    crate: _List[_Place] = ()\n"),
+        (
+            "    wall: tuple[_Place, ...] = ()\n",
+            "    wall: tuple[_Place, ...] = ()\n    crate: tuple[_Place, ...] = ()\n",
+        ),
         ('Literal["block", "flag", "fold_slope"]', 'Literal["block", "flag", "fold_slope", "crate"]'),
     ],
     "craftsim/discrete/kernel/rules.py": [

@@ -8,15 +8,25 @@ from dataclasses import asdict, field, fields, replace
 from functools import cache, lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any, Final, get_type_hints
+from typing import Annotated, Any, Final, get_type_hints
 
 import yaml
+from pydantic import BeforeValidator
 
 from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.machine_files import MACHINE_SECTIONS
 from craftsim.mjcf.parameters import NearNominal, Positive, digest_of
+from craftsim.storage.limits import Range
 from craftsim.storage.records import record
 from craftsim.storage.yaml import read_document
+
+
+def _whole(value: Any) -> Any:
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+Count = Annotated[int, Range(0, above=True), BeforeValidator(_whole)]
+"""A whole number, which a file may also write as 2.0."""
 
 
 class _Section(NearNominal):
@@ -89,9 +99,9 @@ class DriveGains(_Section):
     """m/s: a car is at rest when its wheels together roll slower than this..."""
     wheels_at_rest: Positive
     """rad/s: ...or three of them turn slower than this: the fourth may slip on the spot."""
-    rest_periods: Positive
+    rest_periods: Count
     """Control periods: a move is done when the car has been at rest on its target for so long."""
-    brake_periods: Positive
+    brake_periods: Count
     """Control periods: a car that has been on its target for so long brakes. While it corrects the last tenth of a
     millimetre, two wheels on a diagonal may slip on the spot for ever."""
     motor_share: Positive
@@ -223,7 +233,7 @@ class HealthGains(_Section):
 class RecoveryGains(_Section):
     """What becomes of an action that failed for a reason that may pass."""
 
-    tries: Positive
+    tries: Count
     """How often it is tried; before each further try the car goes back to where it began."""
 
 

@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours tables constraints newest recipes packages wheel libraries clean
+.PHONY: help demo test bench lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours tables constraints newest recipes packages wheel libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 from pydantic import ConfigDict, FailFast, Field, TypeAdapter, ValidationError, with_config
 
 from craftsim.errors import InputError
-from craftsim.storage.limits import CURVE_POINTS, POLICY, RUN, Limits
+from craftsim.storage.limits import CURVE_POINTS, PICKLE_BYTES, PICKLE_STEPS, POLICY, POLICY_HEAD_BYTES, RUN
+from craftsim.storage.reading import ARCHIVE_ERRORS, open_archive, open_file
 from craftsim.storage.records import first_mistake
-from craftsim.storage.writing import whole
-from craftsim.training.archive import reading_archive
+from craftsim.storage.writing import whole, write_whole
 from craftsim.training.config import TrainConfig
 from craftsim.training.curve import Point
 from craftsim.training.identity import TaskIdentity

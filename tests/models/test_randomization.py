@@ -194,7 +194,7 @@ def test_after_a_draw_everything_stands_where_it_was(varied):
 @pytest.mark.parametrize("name", [field.name for field in fields(DomainRandomization)])
 @pytest.mark.parametrize("value", [-1e-9, 1.0, math.nan, math.inf])
 def test_a_width_that_cannot_be_is_refused_by_its_name(name, value):
-    with pytest.raises(InputError, match=f"DomainRandomization.{name} must be"):
+    with pytest.raises(InputError, match=f"DomainRandomization.{name}: (must be|.* is out of range)"):
         replace(RANDOMIZED, **{name: value})
 
 

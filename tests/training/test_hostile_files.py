@@ -51,7 +51,7 @@ def _without_rows(tensors):
 SIZE = ("head", "shape", "size")
 POLICIES = {
     "another format": (("format", 5), "written in format 5, this version reads 6"),
-    "nothing else": (("head", {}), "key 'config': Field required"),
+    "nothing else": (("head", {}), "key 'config' is missing"),
     "too large a map": ((*SIZE, [128, 128, 20]), "the size is"),
     "no rows": (("tensors", _without_rows), "'encoder.table.rows' is missing or unknown"),
     "too many rows": (("tensors", ROWS, torch.arange(10**6)), r"is torch.int64 \(1000000,\); allowed"),
@@ -108,8 +108,8 @@ RUNS = {
     "what was seen": ((*BUFFER, "agents.observation", _many_blocks), "what no tick has"),
     "how much": (("learner", "buffer", "_storage", "_len", 10**9), "remembers 1000000000 ticks"),
     "where": (("learner", "buffer", "_writer", "_cursor", -1), "remembers"),
-    "the part of random actions": (("learner", "epsilon", "eps", torch.tensor(7.0)), "the part of random actions"),
-    "a curve of numbers": (("curve", [1, 2]), r"key 'curve\[0\]'"),
+    "the part of random actions": (("learner", "epsilon", "eps", torch.tensor(7.0)), "'eps' has numbers"),
+    "a curve of numbers": (("head", "curve", [1, 2]), r"key 'curve\[0\]'"),
     "a point of it": (
         (
             "head",
@@ -118,12 +118,12 @@ RUNS = {
         ),
         "5 of 1 episodes",
     ),
-    "a long curve": (("curve", [0] * 30_000), "30000 points"),
-    "a count": (("iteration", "seven"), "key 'iteration'"),
-    "a time": (("cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
-    "an older file": (("craftsim", 5), "written in format 5, this version reads 6"),
-    "a configuration": (("config", "width", 10**9), "'config.width': 1000000000 is out of range"),
-    "novelty": (("novelty", torch.zeros(5)), "'novelty' is float32"),
+    "a long curve": (("head", "curve", [0] * 30_000), "key 'curve"),
+    "a count": (("head", "iteration", "seven"), "key 'iteration'"),
+    "a time": (("head", "cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
+    "an older file": (("craftsim", 6), "written in format 6, by another version of craftsim; this version reads 7"),
+    "a configuration": (("head", "config", "width", 10**9), "key 'config.width': 1000000000 is out of range"),
+    "novelty": (("novelty", torch.zeros(5)), "'novelty' is torch.float32"),
 }  # fmt: skip
 
 

@@ -114,11 +114,11 @@ def test_a_run_with_settings_goes_on_number_for_number(algo, tmp_path):
 def test_a_policy_file_with_settings_out_of_range_is_one_message(tmp_path):
     Trainer(TrainConfig("strip", worlds=1, width=4)).save(tmp_path)
     path = tmp_path / POLICY_FILE
-    content = torch.load(path, weights_only=True)
-    content["config"]["hyperparameters"] = {"epochs": 1e9}
-    torch.save(content, path)
+    content = read_content(path)
+    content["head"]["config"]["hyperparameters"] = {"epochs": 1e9}
+    write_content(path, content)
     with pytest.raises(
-        InputError, match=r"policy.pt: .*epochs: 1000000000 is out of range, allowed: 1 to 100"
+        InputError, match=r"policy.safetensors: .*epochs: 1000000000 is out of range, allowed: 1 to 100"
     ):
         read_policy(path)
 
@@ -139,4 +139,4 @@ def test_the_command_takes_a_file(tmp_path, capsys):
     assert main([*words, str(_file(tmp_path, "epochs: 0"))]) == 2
     assert "key 'epochs': 0 is out of range, allowed: 1 to 100" in capsys.readouterr().err
     assert main([*words, str(_file(tmp_path, "epochs: 1"))]) == 0
-    assert read_policy(tmp_path / "run" / POLICY_FILE)[0].hyperparameters == {"epochs": 1}
+    assert read_policy(tmp_path / "run" / POLICY_FILE)[0].config.hyperparameters == {"epochs": 1}

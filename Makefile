@@ -93,7 +93,7 @@ tables: $(VENV)/installed  ## Write the tables of the documentation that follow 
 	$(BIN)/python scripts/tables.py
 
 neighbours: $(VENV)/installed  ## Work out again which neighbours matter, after a change of geometry or rules
-	$(BIN)/python -m craftsim.validation.neighbourhoods.table
+	$(BIN)/python -m craftsim.audit.neighbours
 
 constraints: $(VENV)/installed-dev  ## Write the versions that are installed here into constraints.txt
 	scripts/freeze $(BIN)/python > .constraints && mv .constraints constraints.txt

@@ -16,7 +16,7 @@ from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import Rules, has_room
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.task import TASK_NAMES
@@ -24,7 +24,6 @@ from craftsim.envs import vector_env
 from craftsim.mjcf.parameters import DRIVES
 from craftsim.planning import plan_building
 from craftsim.skills.mecanum import Mecanum
-from craftsim.validation.play.cars import has_room
 
 
 def main() -> None:

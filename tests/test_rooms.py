@@ -25,8 +25,10 @@ ALLOWED = {
     "logs": {"storage", "skills", "mjcf", "models", "discrete"},
     "robots": {"storage", "skills", "mjcf", "models", "discrete"},
     "checking": {"storage", "skills", "mjcf", "models", "discrete"},
+    "audit": {"storage", "checking", "skills", "mjcf", "models", "discrete"},
     "validation": {
         "storage",
+        "audit",
         "checking",
         "rendering",
         "envs",
@@ -41,6 +43,7 @@ ALLOWED = {
     },
     "tuning": {
         "storage",
+        "audit",
         "validation",
         "checking",
         "envs",

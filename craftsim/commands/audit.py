@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 import tyro
 
 from craftsim.commands.again import command_again
-from craftsim.commands.options import CampaignOptions, Dir
+from craftsim.commands.options import CampaignOptions, Dir, Verb
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
 from craftsim.errors import InputError
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import RUNS
-from craftsim.validation.contexts.context import Verb
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from craftsim.validation.audit.rows import Row
+    from craftsim.audit.plan import PlanRow
 
 OPTIONS: Final = CampaignOptions(rules="published", trials=20)
 
@@ -54,14 +53,14 @@ def audit(
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
     given = locals().copy()
+    from craftsim.audit.plan import audit_plan
+    from craftsim.audit.quick import quick_rows
     from craftsim.commands.audit_text import conclude, print_results
     from craftsim.commands.films import record_failures, rendering_works
     from craftsim.commands.notes_text import print_notes
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
     from craftsim.validation.audit.audit import run_audit
-    from craftsim.validation.audit.quick import quick_rows
-    from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
     from craftsim.validation.statistics.records import capped_steps, retried
@@ -108,7 +107,7 @@ def audit(
     return conclude(result)
 
 
-def _chosen(plan: Sequence[Row], contexts: str, only: str) -> list[Row]:
+def _chosen(plan: Sequence[PlanRow], contexts: str, only: str) -> list[PlanRow]:
     """Return the rows that are asked for, by patterns of their names."""
     wanted = [
         row

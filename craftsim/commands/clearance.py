@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import tyro
 
-from craftsim.commands.options import File
+from craftsim.commands.options import File, Verb
 from craftsim.commands.text import say
 from craftsim.discrete.rules import RuleSet
 from craftsim.storage.folders import owning
-from craftsim.validation.contexts.context import Verb
 
 if TYPE_CHECKING:
-    from craftsim.validation.neighbourhoods.findings import JudgedNeighbour
+    from collections.abc import Mapping, Sequence
+
+    from craftsim.audit.neighbours import Neighbour
+    from craftsim.discrete.rules import Rules
 
 _SHOWN: Final = 30
 """How many findings of a kind are printed; the others are in the report."""
@@ -41,21 +43,22 @@ def clearance(
     """
     from rich.table import Table
 
+    from craftsim.audit.neighbours import neighbours
     from craftsim.commands.terminal import Terminal
+    from craftsim.discrete.rules import Rules
     from craftsim.mjcf.machine_files import load_machines
     from craftsim.mjcf.parameters import NOMINAL
     from craftsim.report import write_report
-    from craftsim.validation.neighbourhoods.findings import judged_neighbours
 
     machines = NOMINAL if parameters is None else load_machines(parameters)
-    judged = judged_neighbours(rules, machines, actions)
+    judged = [_judged(one, Rules(rules)) for one in neighbours(machines, actions)]
     table = Table("situation", "neighbours", "within reach", "in the way", "allowed", "unexplained", box=None)
     table.columns[0].no_wrap = True
     for column in table.columns[1:]:
         column.justify = "right"
-    for name, group in groupby(judged, lambda one: one.situation):
+    for name, group in groupby(judged, lambda one: one["situation"]):
         row = list(group)
-        reach = [one.clearance_mm for one in row if one.clearance_mm is not None]
+        reach = [one["clearance_mm"] for one in row if one["clearance_mm"] is not None]
         counts = (
             len(row),
             len(reach),
@@ -68,7 +71,7 @@ def clearance(
     allowed, unexplained = _findings(judged)
     _list("Collisions that the rules allow", allowed)
     _list("Forbidden although out of reach", unexplained)
-    listed = [one for one in judged if one.clearance_mm is not None or one.unexplained]
+    listed = [one for one in judged if one["clearance_mm"] is not None or _unexplained(one)]
     write_report(
         out,
         {"clearance": {"neighbours": len(judged), "rows": listed}},
@@ -81,15 +84,36 @@ def clearance(
     return 1 if allowed else 0
 
 
-def _findings(judged: list[JudgedNeighbour]) -> tuple[list[JudgedNeighbour], list[JudgedNeighbour]]:
+def _judged(one: Neighbour, rules: Rules) -> dict[str, Any]:
+    """Return what the report says of a neighbour: how close it comes, and whether the rules allow the action."""
+    legal, alone = one.legal(rules)
+    return {
+        "situation": one.situation.id,
+        "occupant": one.occupant.name,
+        "at": one.at,
+        "clearance_mm": None if one.clearance is None else round(one.clearance.distance_m * 1e3, 2),
+        "closest": one.closest,
+        "legal": legal,
+        "legal_alone": alone,
+    }
+
+
+def _unexplained(one: Mapping[str, Any]) -> bool:
+    """Return whether the rules forbid the action because of it, though it is out of reach."""
+    return one["legal_alone"] and not one["legal"] and one["clearance_mm"] is None
+
+
+def _findings(judged: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[Mapping[str, Any]]]:
     """Return the collisions that are allowed, the deepest first, and what is forbidden without one."""
-    allowed = sorted((one for one in judged if one.uncovered), key=lambda one: one.clearance_mm or 0.0)
-    return allowed, [one for one in judged if one.unexplained]
+    allowed = [one for one in judged if one["legal"] and (one["clearance_mm"] or 0.0) < 0.0]
+    return sorted(allowed, key=lambda one: one["clearance_mm"]), [one for one in judged if _unexplained(one)]
 
 
-def _list(title: str, found: list[JudgedNeighbour]) -> None:
+def _list(title: str, found: Sequence[Mapping[str, Any]]) -> None:
     say(f"{title}: {len(found)}")
     for one in found[:_SHOWN]:
-        say(f"  {one}")
+        place = ",".join(map(str, one["at"]))
+        depth = "" if one["clearance_mm"] is None else f" {one['clearance_mm']:.1f} mm, {one['closest']}"
+        say(f"  {one['situation']}/near={one['occupant']}@({place}){depth}")
     if len(found) > _SHOWN:
         say(f"  and {len(found) - _SHOWN} more in the report")

@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from craftsim.discrete.actions import verbs
 from craftsim.discrete.rules import RuleSet
 from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import SEED, TRIAL_COUNT, WORKERS
 
 if TYPE_CHECKING:
     from craftsim.checking.setup import Setup
+
+    Verb = str
+else:
+    Verb = Literal[verbs()]
 
 Dir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]

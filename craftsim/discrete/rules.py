@@ -203,3 +203,9 @@ def _check_car(grid: Grid, car: int) -> None:
     """Raise ValueError if a world has no such car: compiled code would read past its arrays."""
     if not 0 <= car < grid.n_cars:
         raise ValueError(f"no car {car}; the world has {grid.n_cars}, counted from 0")
+
+
+def has_room(grid: Grid) -> bool:
+    """Return whether what each car carries is clear of all else by the rules: else no play of them leads there."""
+    arrays = grid.cells, grid.cars, int(RULE_SETS["physical"])
+    return all(batch.has_room(*arrays, car) for car in range(grid.n_cars))

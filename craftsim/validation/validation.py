@@ -24,7 +24,7 @@ from craftsim.skills.library import SkillChoice
 from craftsim.storage.folders import owning
 from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign, run_here
 from craftsim.validation.forms import RUNS
-from craftsim.validation.play.coverage import Coverage
+from craftsim.validation.play.play import Coverage
 from craftsim.validation.runs.choice import (
     PLANNER,
     PLAY,

@@ -17,7 +17,7 @@ from craftsim.validation.campaign.header import CAMPAIGN
 from craftsim.validation.campaign.items import make_record
 from craftsim.validation.campaign.store import TRIALS, Store
 from craftsim.validation.forms import RUNS
-from craftsim.validation.play.coverage import Coverage
+from craftsim.validation.play.play import Coverage
 from craftsim.validation.shrinking.campaign import first_of_each_kind
 from craftsim.validation.statistics.audit_rows import audit_rows
 from craftsim.validation.statistics.figures import campaign_figures

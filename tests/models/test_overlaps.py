@@ -4,6 +4,7 @@ import pytest
 from drawn import draw
 
 import craftsim
+from craftsim.audit.situation import Row, Situation
 from craftsim.checking.setup import Setup, set_up
 from craftsim.commands.validate import validate
 from craftsim.discrete.files.blueprint import blueprint_text
@@ -11,7 +12,6 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.audit.trial import Trial, try_it
 
 IN_THE_GEAR = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(1, 1, 1, 0, Kind.BLOCK, 0, 0)])
@@ -41,9 +41,7 @@ def test_no_judge_takes_such_a_world(tmp_path):
 
 
 def test_an_audit_tries_nothing_there_and_says_why():
-    scene = Scene(
-        "in the gear", ((Kind.FSLOPE, (2, 1, 1), 2),), ((1, 1, 1, 0, Kind.BLOCK, 0, 0),), (Action.DROP,)
-    )
+    scene = Situation(Row("DROP", scene="in the gear"), IN_THE_GEAR, (Action.DROP,))
     done = try_it(Trial(scene, True, 0, 0, Setup()))
     assert not done.attempts
     assert "block 0 and slope 0 stand" in done.extra["does_not_stand"][0]

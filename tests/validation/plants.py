@@ -40,7 +40,7 @@ COMMAND: Final = (
 )
 SITUATIONS: Final = """
 import json
-from craftsim.validation.audit.rows import audit_plan
+from craftsim.audit.plan import audit_plan
 plan = audit_plan("physical")
 print(json.dumps({member.id: row.name for row in plan if row.legal for member in row.members}))
 """

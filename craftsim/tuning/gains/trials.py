@@ -12,9 +12,10 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
+from craftsim.audit.survey import situation_of
 from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Thresholds
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
-from craftsim.discrete.grid import CarField, Grid
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, StartError
 from craftsim.models.world import PhysicsWorld
@@ -35,7 +36,7 @@ class TriedAction:
 
     __pydantic_config__ = STRICT
     situation: str
-    """Name of the context."""
+    """Its properties as text."""
     block: Annotated[int, Field(ge=0)]
     agrees: bool
     """Whether it did what the rules predict, within all limits, and nothing else."""
@@ -100,7 +101,7 @@ def _try(job: Job, block: int, number: int) -> TriedAction | None:
     attempt = judge.perform(0, action)
     own, all_of_it = shares(attempt, setup.thresholds)
     return TriedAction(
-        situations(job.subject)[number].id,
+        str(situations(job.subject)[number]),
         block,
         attempt.agrees,
         attempt.duration_s,
@@ -116,11 +117,9 @@ def _world(
     subject: Subject, number: int, seed: int, block: int, setup: Setup
 ) -> tuple[PhysicsWorld, Grid, Action]:
     """Return the compiled world of a situation, its grid, and the action; gains have no part in it."""
-    from craftsim.validation.contexts.survey import make_world
-
-    context = situations(subject)[number]
-    grid = make_world(context, np.random.default_rng([seed, block, number]), setup.rules, forbidden=True)
-    return compile_world(grid, setup), grid, context.action(int(grid.cars[0, CarField.YAW]))
+    situation = situation_of(situations(subject)[number], setup.rules, forbidden=True)
+    placed = situation.placed(np.random.default_rng([seed, block, number]))
+    return compile_world(placed.grid, setup), placed.grid, placed.acts[0]
 
 
 def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:

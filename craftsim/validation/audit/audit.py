@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from craftsim.audit.plan import PlanRow, rows_by_flag
 from craftsim.checking.setup import Setup
 from craftsim.report import write_report
 from craftsim.storage.folders import owning
-from craftsim.validation.audit.corrections import rows_by_flag
 from craftsim.validation.audit.results import Results, bundle_disagreements, judged_by_rules
-from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
 from craftsim.validation.campaign import Engine, Header, TrialRecord, run_campaign
 from craftsim.validation.forms import TRIALS
@@ -55,7 +54,7 @@ class Audit:
 
 @owning
 def run_audit(
-    plan: Sequence[Row],
+    plan: Sequence[PlanRow],
     setup: Setup,
     trials: int,
     seed: int,

@@ -7,11 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from craftsim.audit.plan import PlanRow, corrections, rows_by_flag
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
-from craftsim.validation.audit.corrections import corrections, rows_by_flag
-from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.suspects import SuspectFinding, find
 from craftsim.validation.audit.trial import Trial, recipe_of
 from craftsim.validation.campaign import (
@@ -57,12 +56,12 @@ class Results:
         """Return the rows with a verdict."""
         return [row for row in self.rows if row.verdict == judgement]
 
-    def corrected(self, plan: Sequence[Row], rules: RuleSet) -> dict[str, tuple[str, ...]]:
+    def corrected(self, plan: Sequence[PlanRow], rules: RuleSet) -> dict[str, tuple[str, ...]]:
         """Return the flags that would each correct an unsound row, by its name."""
         unsound = {name_of(row) for row in self.of_kind(Judgement.UNSOUND)}
         return corrections((row for row in plan if row.name in unsound), rules)
 
-    def figures(self, plan: Sequence[Row], corrected: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    def figures(self, plan: Sequence[PlanRow], corrected: Mapping[str, Sequence[str]]) -> dict[str, Any]:
         """Return what ``report.json`` holds; ``plan`` gives the contexts of each row."""
         planned = {row.name: row for row in plan}
         return {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,16 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.episode import Recipe, Step, do, run_up
+from craftsim.audit.plan import PlanRow, distribute_trials
+from craftsim.audit.situation import Situation
+from craftsim.checking.episode import Recipe, do, run_up
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
-from craftsim.discrete.grid import Grid
-from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.audit.intended import intended
-from craftsim.validation.audit.rows import Row, Situation, action_in, distribute_trials, world_of
-from craftsim.validation.audit.scenes import Scene
 from craftsim.validation.campaign import Done, Item
 
 BATCH: Final = 20
@@ -38,8 +34,13 @@ class Trial:
     seed: int
     setup: Setup
 
+    @property
+    def placed(self) -> Situation:
+        """The situation at the place on the map where all its trials are."""
+        return self.situation.placed(np.random.default_rng([self.seed, self.situation.digest]))
 
-def items_of(rows: Sequence[Row], trials: int, seed: int, setup: Setup) -> list[Item]:
+
+def items_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> list[Item]:
     """Return the items of an audit: at least ``trials`` for each row; one, that tries nothing, without a prediction."""
     items = []
     for row in rows:
@@ -54,9 +55,9 @@ def items_of(rows: Sequence[Row], trials: int, seed: int, setup: Setup) -> list[
 
 def recipe_of(trial: Trial) -> Recipe:
     """Return what a trial does: performing it gives what :func:`try_it` judges."""
-    world, step = _start(trial.situation, trial.legal, trial.seed, trial.setup.rules)
-    seed = Seed((trial.seed, _digest(trial.situation), trial.number))
-    return Recipe(world, (step,), trial.setup, seed)
+    placed = trial.placed
+    seed = Seed((trial.seed, trial.situation.digest, trial.number))
+    return Recipe(blueprint_text(placed.grid), placed.steps(trial.legal), trial.setup, seed)
 
 
 def try_it(trial: Trial | None) -> Done:
@@ -73,42 +74,23 @@ def try_it(trial: Trial | None) -> Done:
 
 def physics_of(trial: Trial) -> PhysicsWorld:
     """Return the PhysicsWorld of a trial's situation, which its other trials use again."""
-    return _physics(trial.situation, trial.legal, trial.seed, trial.setup)
+    return _physics(trial.situation, trial.seed, trial.setup)
 
 
 def why_not_standing(trial: Trial) -> tuple[str, ...]:
     """Return how the world of a trial, at rest and at nominal physics, differs from what was drawn; or nothing."""
-    return _problems(trial.situation, trial.legal, trial.seed, trial.setup)
-
-
-@lru_cache(maxsize=2)
-def _world(situation: Situation, legal: bool, seed: int, rules: RuleSet) -> tuple[Grid, Step]:
-    """Return the world of a situation, and what is done in it."""
-    if isinstance(situation, Scene):
-        return situation.world(), situation.step(legal)
-    grid = world_of(situation, np.random.default_rng([seed, _digest(situation)]), rules)
-    action = action_in(situation, grid)
-    goal = None if legal else intended(grid, 0, action)
-    return grid, Step.single(0, 0, action, goal)
+    return _problems(trial.situation, trial.seed, trial.setup)
 
 
 @lru_cache(maxsize=1)
-def _start(situation: Situation, legal: bool, seed: int, rules: RuleSet) -> tuple[str, Step]:
-    """Return the same with the world as text."""
-    grid, step = _world(situation, legal, seed, rules)
-    return blueprint_text(grid), step
+def _physics(situation: Situation, seed: int, setup: Setup) -> PhysicsWorld:
+    return compile_world(Trial(situation, True, 0, seed, setup).placed.grid, setup)
 
 
 @lru_cache(maxsize=1)
-def _physics(situation: Situation, legal: bool, seed: int, setup: Setup) -> PhysicsWorld:
-    grid, _ = _world(situation, legal, seed, setup.rules)
-    return compile_world(grid, setup)
-
-
-@lru_cache(maxsize=1)
-def _problems(situation: Situation, legal: bool, seed: int, setup: Setup) -> tuple[str, ...]:
-    grid, _ = _world(situation, legal, seed, setup.rules)
-    world = _physics(situation, legal, seed, setup)
+def _problems(situation: Situation, seed: int, setup: Setup) -> tuple[str, ...]:
+    grid = Trial(situation, True, 0, seed, setup).placed.grid
+    world = _physics(situation, seed, setup)
     try:
         reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
     except StartError as error:
@@ -116,7 +98,3 @@ def _problems(situation: Situation, legal: bool, seed: int, setup: Setup) -> tup
     if reading.problems or reading.grid.same_visible(grid):
         return reading.problems
     return ("the world reads otherwise than it was drawn",)
-
-
-def _digest(situation: Situation) -> int:
-    return int.from_bytes(hashlib.sha256(situation.id.encode()).digest()[:8])

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
+
+from craftsim.audit.situation import Situation
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Recipe, Step, do, start
+from craftsim.checking.episode import Recipe, do, start
 from craftsim.checking.setup import Seed, Setup, compile_world, imperfect
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
 from craftsim.models.imperfection import Floor, Making
@@ -45,9 +48,10 @@ class Rig:
         drawn = self.setup.randomization
         for axis, value in levels:
             drawn = axis.on(drawn, value)
-        world, steps = _begin(self.scenario, self.seed, self.setup.rules)
-        seed = Seed((self.seed, _digest(self.scenario), number))
-        return Recipe(world, steps, imperfect(self.setup, drawn), seed)
+        situation = _situation(self.scenario, self.setup.rules)
+        placed = situation.placed(np.random.default_rng(self.seed))
+        seed = Seed((self.seed, situation.digest, number))
+        return Recipe(blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, drawn), seed)
 
     def attempt(self, number: int, levels: Iterable[Level] = ()) -> TrialResult:
         """Perform a trial; what counts is the last step, whatever came of the ones that lead to it."""
@@ -72,9 +76,5 @@ def _physics(rig: Rig, floor: Floor, making: Making) -> PhysicsWorld:
 
 
 @lru_cache(maxsize=2)
-def _begin(scenario: Scenario, seed: int, rules: RuleSet) -> tuple[str, tuple[Step, ...]]:
-    return scenario.begin(seed, rules)
-
-
-def _digest(scenario: Scenario) -> int:
-    return int.from_bytes(hashlib.sha256(scenario.id.encode()).digest()[:8])
+def _situation(scenario: Scenario, rules: RuleSet) -> Situation:
+    return scenario.situation(rules)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from craftsim.audit import builder
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import STANDING
 
@@ -52,12 +53,9 @@ class WorldPart:
 
     def turned(self, quarters: int) -> WorldPart:
         """Return it turned about the column (0, 0), counterclockwise."""
-        x, y, z = self.cell
-        for _ in range(quarters % 4):
-            x, y = -y, x
         yaw = (self.yaw + quarters) % 4 if self.is_car or self.kind in KINDS_WITH_YAW else 0
         load_yaw = (self.load_yaw + quarters) % 4 if self.load == Kind.FSLOPE else 0
-        return replace(self, cell=(x, y, z), yaw=yaw, load_yaw=load_yaw)
+        return replace(self, cell=builder.turned(self.cell, quarters), yaw=yaw, load_yaw=load_yaw)
 
 
 def pieces_of(grid: Grid, first: int = 0) -> tuple[WorldPart, ...]:
@@ -74,27 +72,16 @@ def pieces_of(grid: Grid, first: int = 0) -> tuple[WorldPart, ...]:
         )
         for row in (rows[first], *rows[:first], *rows[first + 1 :])
     ]
-    things = [
-        WorldPart((x, y, z), Kind(grid.kind[x, y, z]), int(grid.yaw[x, y, z]))
-        for x, y, z in np.argwhere(np.isin(grid.kind, STANDING)).tolist()
-    ]
+    things = [WorldPart(piece.cell, piece.kind, piece.yaw) for piece in grid.pieces(*STANDING)]
     return (*cars, *things)
 
 
 def grid_of(pieces: Iterable[WorldPart], size: Cell) -> Grid:
-    """Return the world of pieces, its cars numbered in their order.
-
-    A gear is shown where nothing stands; of two gears, the one with the smaller yaw.
-    """
+    """Return the world of pieces, its cars numbered in their order."""
     pieces = list(pieces)
-    cars = [piece for piece in pieces if piece.is_car]
-    grid = Grid.empty(size, len(cars))
-    for row, car in zip(grid.cars, cars, strict=True):
-        row[:] = (*car.cell, car.yaw, car.load, car.load_yaw, car.slope)
-    for piece in sorted((p for p in pieces if not p.is_car), key=lambda p: (p.kind == Kind.FSLOPE, -p.yaw)):
-        grid.put(Piece(piece.kind, piece.cell, piece.yaw))
-    grid.derive_marks()
-    return grid
+    cars = [(*one.cell, one.yaw, one.load, one.load_yaw, one.slope) for one in pieces if one.is_car]
+    things = [Piece(one.kind, one.cell, one.yaw) for one in pieces if not one.is_car]
+    return builder.grid_of(things, cars, size)
 
 
 def without(pieces: Sequence[WorldPart], gone: Collection[WorldPart]) -> tuple[WorldPart, ...]:

@@ -5,13 +5,12 @@ import json
 import pytest
 
 from craftsim import cli
+from craftsim.audit import plan as planned
+from craftsim.audit.plan import audit_plan, corrections
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import setup_of
 from craftsim.errors import InputError
-from craftsim.validation.audit import rows
-from craftsim.validation.audit.corrections import corrections
 from craftsim.validation.audit.results import Results, bundle_disagreements
-from craftsim.validation.audit.rows import audit_plan
 from craftsim.validation.audit.trial import BATCH, items_of, try_it
 from craftsim.validation.campaign import Header, run_campaign
 from craftsim.validation.replays.bundle import read_bundle
@@ -155,6 +154,6 @@ def test_the_command_refuses_wrong_input(tmp_path, capsys):
 
 
 def test_the_files_of_the_physics_are_read_before_contexts_are_looked_for(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(rows, "audit_plan", lambda *args: pytest.fail("contexts are looked for"))
+    monkeypatch.setattr(planned, "audit_plan", lambda *args: pytest.fail("contexts are looked for"))
     assert cli.main(["audit", "--gains", "gone.yaml", "--out", str(tmp_path)]) == 2
     assert "gone.yaml: no such file" in capsys.readouterr().err

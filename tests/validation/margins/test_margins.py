@@ -7,8 +7,6 @@ import pytest
 
 from craftsim import cli
 from craftsim.checking.setup import setup_of
-from craftsim.validation.contexts.context import Context
-from craftsim.validation.contexts.survey import survey
 from craftsim.validation.margins.axes import axes_of
 from craftsim.validation.margins.finding import MarginSearch, find
 from craftsim.validation.margins.scenarios import CHOSEN, scenarios
@@ -25,13 +23,8 @@ def test_every_scenario_is_legal_and_stood_without_imperfections(scenario):
 
 
 def test_names_of_scenarios_are_their_own():
-    assert len({one.name for one in CHOSEN}) == len({one.id for one in CHOSEN}) == len(CHOSEN)
+    assert len({one.name for one in CHOSEN}) == len({one.row for one in CHOSEN}) == len(CHOSEN)
     assert {one.action for one in scenarios(quick=True)} == {one.action for one in CHOSEN}
-
-
-def test_the_name_of_a_context_gives_the_context():
-    for context in survey("physical", ("FOLD", "ROTATE_LEFT")).contexts:
-        assert Context.of(context.id) == context
 
 
 def test_a_margin_is_stood_and_the_level_next_to_it_is_not():

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from craftsim import cli
+from craftsim.audit.plan import audit_plan
 from craftsim.checking.episode import Recipe, Step, do, run_up
 from craftsim.checking.setup import Seed, Setup, compile_world, setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.validation.audit.rows import audit_plan
 from craftsim.validation.audit.trial import Trial, recipe_of, try_it
 from craftsim.validation.replays import replay as replaying
 from craftsim.validation.replays.bundle import (

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from craftsim import cli
+from craftsim.audit.situation import SCENES
 from craftsim.checking.episode import Recipe, Step
 from craftsim.checking.setup import Setup
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.validation.audit.scenes import SCENES
 from craftsim.validation.replays.bundle import write_bundle
 from craftsim.validation.shrinking.campaign import first_of_each_kind
 from craftsim.validation.shrinking.pieces import WorldPart, cropped, grid_of, lowered, pieces_of, without
@@ -45,13 +45,13 @@ CROWDED = grid_of(_cars_first(*NEEDED, *IDLE), SIZE)
 
 @pytest.mark.parametrize("scene", SCENES[::3], ids=lambda scene: scene.id)
 def test_a_world_is_the_sum_of_its_pieces(scene):
-    grid = scene.world()
+    grid = scene.grid
     assert grid_of(pieces_of(grid), grid.size).same_visible(grid)
 
 
 @pytest.mark.parametrize("scene", SCENES[::3], ids=lambda scene: scene.id)
 def test_what_is_left_stands_when_a_piece_is_taken_away(scene):
-    grid = scene.world()
+    grid = scene.grid
     pieces = pieces_of(grid)
     if "snapshot" in blueprint_text(grid):
         pytest.skip("the scene itself is no start that a drawing shows")

@@ -1,4 +1,4 @@
-"""The audit's rows cover every context once, and forbidden actions have an intended effect or a reason for none."""
+"""The audit's rows cover every situation once, and forbidden actions have an intended effect or a reason for none."""
 
 from collections import Counter
 from importlib.resources import files
@@ -7,60 +7,64 @@ import numpy as np
 import pytest
 import yaml
 
+from craftsim.audit.intended import NoPredictionError, intended
+from craftsim.audit.neighbours import nearby
+from craftsim.audit.plan import audit_plan, distribute_trials
+from craftsim.audit.situation import SCENES
+from craftsim.audit.survey import survey
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import describe_car
 from craftsim.discrete.rules import Rules
-from craftsim.validation.audit.intended import NoPredictionError, intended
-from craftsim.validation.audit.nearby import nearby
-from craftsim.validation.audit.rows import action_in, audit_plan, distribute_trials, world_of
-from craftsim.validation.audit.scenes import SCENES, Scene
 from craftsim.validation.audit.suspects import SUSPECTS, find
 from craftsim.validation.audit.trial import items_of
-from craftsim.validation.contexts.survey import survey
 
 RULES = ("published", "physical")
 BOTH = pytest.mark.parametrize("rules", RULES)
 
 
 @BOTH
-def test_every_context_scene_and_neighbourhood_is_in_exactly_one_row(rules):
-    found = survey(rules)
-    members = [member.id for row in audit_plan(rules) for member in row.members]
-    every = [*found.contexts, *found.illegal, *SCENES, *(near for near, _ in nearby(rules))]
-    assert Counter(members) == Counter(situation.id for situation in every)
-    assert len({row.name for row in audit_plan(rules)}) == len(audit_plan(rules))
+def test_every_situation_is_in_exactly_one_row(rules):
+    members = [member.row for row in audit_plan(rules) for member in row.members]
+    every = [*(one for one, _ in survey(rules)), *SCENES, *(near for near, _, _ in nearby(rules))]
+    assert Counter(members) == Counter(situation.row for situation in every)
+    assert len({row.row for row in audit_plan(rules)}) == len(audit_plan(rules))
+
+
+@BOTH
+def test_no_two_situations_or_rows_read_alike(rules):
+    rows = audit_plan(rules)
+    assert len({row.name for row in rows}) == len(rows)
+    assert len({member.id for row in rows for member in row.members}) == sum(len(row.members) for row in rows)
 
 
 @BOTH
 def test_what_a_row_says_of_legality_holds_for_all_its_members(rules):
     for row in audit_plan(rules)[::7]:
         for member in row.members[:4]:
-            if isinstance(member, Scene):
-                assert member.legal(Rules(rules)) == row.legal
-                continue
-            grid = world_of(member, np.random.default_rng(3), rules)
-            assert Rules(rules).legal(grid, 0, action_in(member, grid)) == row.legal
+            assert member.placed(np.random.default_rng(3)).legal(Rules(rules)) == row.legal
 
 
 def test_what_is_legal_has_its_effect_intended():
     for row in audit_plan("physical"):
-        member = row.members[0]
-        if row.legal and not isinstance(member, Scene):
-            grid = world_of(member, np.random.default_rng(5), "physical")
-            action = action_in(member, grid)
-            assert intended(grid, 0, action).same_visible(Rules("physical").apply(grid, 0, action)), member.id
+        placed = row.members[0].placed(np.random.default_rng(5))
+        if row.legal and not row.row.scene:
+            after = Rules("physical").apply(placed.grid, 0, placed.acts[0])
+            assert intended(placed.grid, 0, placed.acts[0]).same_visible(after), row.members[0].id
 
 
 def test_physical_allows_nothing_that_published_forbids():
-    allowed = {rules: {c.id for c in survey(rules).contexts if not c.tight} for rules in RULES}
+    allowed = {
+        rules: {one.row for one, legal in survey(rules) if legal and one.row.room != "tight"}
+        for rules in RULES
+    }
     assert allowed["physical"] < allowed["published"]
 
 
 def test_what_the_physical_rules_allow_begins_where_their_play_can_lead():
     close = [
-        near.clearance_mm for near, legal in nearby("physical") if legal and near.clearance_mm is not None
+        near.clearance_mm for near, legal, _ in nearby("physical") if legal and near.clearance_mm is not None
     ]
     assert min(close, default=1) > 0
 
@@ -128,8 +132,7 @@ def test_cars_of_scenes_are_written_as_reports_write_them():
         name: (group, own) for group in groups for name, own in group["scenes"].items() if "action" in group
     }
     for scene in SCENES:
-        if scene.name in told and told[scene.name][0]["action"] == scene.actions[0].name:
-            written = [
-                text for part in told[scene.name] if "cars" in part for text in part["cars"].split("; ")
-            ]
-            assert [describe_car(scene.world(), car) for car in range(len(scene.cars))] == written
+        name = scene.row.scene
+        if name in told and told[name][0]["action"] == scene.acts[0].name:
+            written = [text for part in told[name] if "cars" in part for text in part["cars"].split("; ")]
+            assert [describe_car(scene.grid, car) for car in range(scene.grid.n_cars)] == written

@@ -5,30 +5,37 @@ import json
 import numpy as np
 import pytest
 
+from craftsim.audit.builder import Builder
+from craftsim.audit.intended import intended
+from craftsim.audit.neighbours import (
+    HOME,
+    bare_situations,
+    bodies_of,
+    nearby,
+    occupants,
+    place_of,
+    read_table,
+    shift_of,
+)
+from craftsim.audit.swept import sweep
 from craftsim.checking.setup import setup_of
 from craftsim.cli import main
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.placement import placements
-from craftsim.validation.audit.intended import intended
-from craftsim.validation.audit.nearby import nearby
 from craftsim.validation.audit.trial import Trial, try_it
-from craftsim.validation.neighbourhoods.neighbours import bodies_of, shift_of
-from craftsim.validation.neighbourhoods.occupants import occupants
-from craftsim.validation.neighbourhoods.scenery import MIDDLE, draw
-from craftsim.validation.neighbourhoods.situations import situations, sweep
-from craftsim.validation.neighbourhoods.table import read_entries
 
-SITUATIONS = {one.name: one for one in situations()}
+SITUATIONS = {one.id: one for one in bare_situations()}
 OCCUPANTS = {one.name: one for one in occupants()}
-CENTRE = (MIDDLE + 0.5) * CELL_PITCH_M
+CENTRE = (HOME[0] + 0.5) * CELL_PITCH_M
 
 
 def _clearance_mm(situation, occupant, at, machines=NOMINAL):
     volume = sweep(SITUATIONS[situation], machines)
-    found = volume.clearance(bodies_of(OCCUPANTS[occupant], machines)[0], 0.05, shift_of(*at))
+    found = volume.clearance(bodies_of(OCCUPANTS[occupant], machines)[0], 0.05, shift_of(at))
     return None if found is None else found.distance_m * 1e3
 
 
@@ -57,10 +64,9 @@ def test_the_lip_of_a_flap_goes_beyond_the_foots_cell():
 @pytest.mark.parametrize("name", [n for n in SITUATIONS if n.startswith(("MOVE", "ROTATE"))])
 def test_a_bare_situation_is_legal_and_its_way_ends_where_the_predicted_car_stands(name):
     one = SITUATIONS[name]
-    grid = draw(one.scenery)
-    assert all(Rules(rules).legal(grid, 0, one.action) for rules in ("physical", "published"))
+    assert all(one.legal(Rules(rules)) for rules in ("physical", "published"))
     box = sweep(one, NOMINAL).box
-    for world in (grid, intended(grid, 0, one.action)):
+    for world in (one.grid, intended(one.grid, 0, one.acts[0])):
         position = placements(world)[0].position
         assert (box[0] <= position + 1e-4).all()
         assert (position <= box[1]).all()
@@ -109,14 +115,14 @@ def test_blocks_in_neighbouring_cells_keep_the_gap_of_the_grid():
 
 
 def test_the_list_of_the_package_is_what_geometry_says():
-    for one in read_entries()[::60]:
-        found = _clearance_mm(one.situation, one.occupant, one.at)
-        if not one.clearance_mm:
+    for one in read_table()[::60]:
+        found = _clearance_mm(one["situation"], one["occupant"], place_of(one))
+        if not one["clearance_mm"]:
             assert found is None or found > 2.3, one
         elif found > -20.0:
-            assert found == pytest.approx(float(one.clearance_mm), abs=0.11), one
+            assert found == pytest.approx(float(one["clearance_mm"]), abs=0.11), one
         else:
-            assert float(one.clearance_mm) < -19.0, one
+            assert float(one["clearance_mm"]) < -19.0, one
 
 
 def test_the_command_lists_what_is_within_reach_and_fails_for_an_allowed_collision(tmp_path, capsys):
@@ -131,18 +137,25 @@ def test_the_command_lists_what_is_within_reach_and_fails_for_an_allowed_collisi
 
 def test_every_neighbourhood_is_drawn_as_the_rules_read_it():
     found = nearby("physical", ("UNFOLD",))
-    assert len({near.id for near, _ in found}) == len(found) > 50
-    for near, legal in found:
+    assert len({near.row for near, _, _ in found}) == len(found) > 50
+    for near, legal, _ in found:
         assert near.legal(Rules("physical")) == legal
-        assert parse_blueprint(blueprint_text(near.world()), near.id)
+        assert parse_blueprint(blueprint_text(near.grid), near.id)
 
 
 def test_physics_meets_what_geometry_expects_in_the_way():
     (near,) = (
         near
-        for near, _ in nearby("published", ("ROTATE_LEFT",))
+        for near, _, _ in nearby("published", ("ROTATE_LEFT",))
         if near.id == "ROTATE_LEFT/load=block/near=wall@(-1,0,1)"
     )
     done = try_it(Trial(near, True, 0, 0, setup_of("none", "published")))
     assert near.clearance_mm < -10
     assert "wall touched block 0" in done.attempts[0].reason
+
+
+def test_without_a_neighbour_the_ramp_that_its_gear_crosses_is_whole():
+    world = Builder.of(SITUATIONS["MOVE-down/load=block"].grid)
+    _, alone = OCCUPANTS["fslope-back"].added(world, (2, 0, 0))
+    foot = HOME[0] + 1, *HOME[1:]
+    assert alone.kind[foot] == Kind.FOOT

@@ -1,0 +1,1 @@
+"""The rules held against physics: the situations that are tried, and what is measured of them."""

@@ -1,0 +1,120 @@
+"""Small worlds built piece by piece: nothing is put where something else is, and what needs it stands on blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell, Grid, Kind, Piece
+from craftsim.discrete.kinds import STANDING
+
+CarRow = tuple[int, ...]
+"""A row of ``Grid.cars``."""
+
+
+class ImpossibleError(Exception):
+    """What no world can show, with the reason in a few words."""
+
+
+def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Grid:
+    """Return the world of pieces and cars.
+
+    A gear is shown where nothing stands; of two gears in a cell, the one with the smaller yaw.
+    """
+    grid = Grid.empty(size, len(cars))
+    grid.cars[:] = np.array(list(cars), np.int16).reshape(-1, len(CarField))
+    for piece in sorted(pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)):
+        grid.put(piece)
+    grid.derive_marks()
+    return grid
+
+
+def turned(cell: Cell, quarters: int) -> Cell:
+    """Return a cell turned counterclockwise about the column (0, 0)."""
+    x, y, z = cell
+    for _ in range(quarters % 4):
+        x, y = -y, x
+    return x, y, z
+
+
+@dataclass
+class Builder:
+    """What stands in a world in the making; cells may have any numbers, levels begin at 1."""
+
+    cells: dict[Cell, tuple[Kind, int]] = field(default_factory=dict)
+    """What takes a cell, with its yaw; AIR keeps one free, and a gear takes one only where it was claimed."""
+    cars: list[CarRow] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, grid: Grid) -> Builder:
+        """Return one that goes on with a world."""
+        made = cls(cars=[tuple(row) for row in grid.cars.tolist()])
+        for piece in grid.pieces(*STANDING):
+            made.put(piece)
+        return made
+
+    def copy(self) -> Builder:
+        """Return one that goes on from here, apart from this one."""
+        return Builder(dict(self.cells), list(self.cars))
+
+    def put(self, piece: Piece) -> None:
+        """Put a piece where nothing is; its gear, where it has one, gives way to all else.
+
+        Raises ImpossibleError where something is.
+        """
+        if any(cell in self.cells for cell, kind in self._taken(piece) if kind != Kind.GEAR):
+            raise ImpossibleError("two things would share a cell")
+        self.cells |= {cell: (kind, piece.yaw) for cell, kind in self._taken(piece) if kind != Kind.GEAR}
+
+    def claim(self, piece: Piece) -> None:
+        """Put a piece that may be there already; its gear takes a cell, and AIR keeps one free.
+
+        Raises ImpossibleError where anything else is.
+        """
+        for cell, kind in self._taken(piece):
+            if self.cells.setdefault(cell, (kind, piece.yaw)) != (kind, piece.yaw):
+                raise ImpossibleError("two things would share a cell")
+
+    @staticmethod
+    def _taken(piece: Piece) -> list[tuple[Cell, Kind]]:
+        if piece.cell[2] < 1:
+            raise ImpossibleError("something would be in the ground")
+        return list(zip(piece.cells, piece.kinds, strict=True))
+
+    def support(self, cell: Cell) -> None:
+        """Fill the cells below with blocks, down to the ground."""
+        x, y, z = cell
+        if z < 1:
+            raise ImpossibleError("something would be in the ground")
+        for below in [(x, y, level) for level in range(1, z)]:
+            if below not in self.cells and any(row[:3] == below for row in self.cars):
+                raise ImpossibleError("something would stand on nothing")
+            there, _ = self.cells.setdefault(below, (Kind.BLOCK, 0))
+            if there == Kind.AIR:
+                raise ImpossibleError("something would stand on nothing")
+            if there != Kind.BLOCK:
+                raise ImpossibleError(f"something would stand on a {there.name.lower()}")
+
+    def turned(self, quarters: int) -> Builder:
+        """Return all of it turned counterclockwise about the column (0, 0)."""
+        cells = {
+            turned(cell, quarters): (kind, (yaw + quarters) % 4 if kind in KINDS_WITH_YAW else 0)
+            for cell, (kind, yaw) in self.cells.items()
+        }
+        cars: list[CarRow] = []
+        for x, y, z, yaw, load, load_yaw, slope in self.cars:
+            gear = (load_yaw + quarters) % 4 if load == Kind.FSLOPE else 0
+            cars.append((*turned((x, y, z), quarters), (yaw + quarters) % 4, load, gear, slope))
+        return Builder(cells, cars)
+
+    def grid(self, low: tuple[int, int], size: Cell) -> Grid:
+        """Return the world as a map of a size, whose first column is ``low``."""
+        lx, ly = low
+        pieces = [
+            Piece(kind, (x - lx, y - ly, z), yaw)
+            for (x, y, z), (kind, yaw) in self.cells.items()
+            if kind in STANDING
+        ]
+        return grid_of(pieces, [(x - lx, y - ly, *row) for x, y, *row in self.cars], size)

@@ -1,0 +1,408 @@
+"""Which neighbours matter to which action: how close the swept volume comes to each, and what the rules say there.
+
+Each action is taken with nothing around but what it needs; then each thing and car that a world can hold stands near
+it, in every way that it can. The nominal machines' neighbours are worked out once, which takes a minute, too long for
+each audit: ``python -m craftsim.audit.neighbours [FILE]``, as ``make neighbours`` does, writes those that matter again.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import sys
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.audit.builder import Builder, CarRow, ImpossibleError, grid_of
+from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, LEFT, Row, Situation
+from craftsim.audit.swept import Clearance, Solids, convexes_of, sweep
+from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import RULE_SETS, Rules, RuleSet, has_room
+from craftsim.mjcf.parameters import NOMINAL, Machines
+from craftsim.models.placement import placements
+from craftsim.storage.writing import write_whole
+
+WINDOW: Final = (13, 13, 6)
+"""Cells of the world that all is built in: more than any rule looks at round the car in its middle."""
+LEVEL: Final = 2
+"""Level of the acting car, or of the foot of its ramp: above it and below it there is room for neighbours."""
+HOME: Final = (6, 6, LEVEL)
+"""Cell of the acting car, which heads +x, or below it on a ramp."""
+MARGIN: Final = 3
+"""Free columns round a world that is tried, since what is beside the map counts as wall."""
+OVERLAP_M: Final = 0.001
+"""What overlaps deeper at the start cannot stand there."""
+_SAMPLED_M: Final = 0.0001
+"""What the samples of a way leave out of its volume."""
+_BRUSH_MM: Final = 1.0
+"""What overlaps less may slip by."""
+_REACH: Final = 2
+"""Columns away from the acting car; a flap's lip reaches into the second."""
+_LEVELS: Final = (-1, 0, 1, 2)
+_LOADS: Final = {"none": Kind.AIR, "block": Kind.BLOCK, "slope": Kind.FSLOPE}
+NAME: Final = "neighbours.csv"
+
+
+def bare_situations() -> Iterator[Situation]:
+    """Yield each action with all that it needs and nothing else; left out are mirror images, and flags, which have a
+    block's shape."""
+    for load in _LOADS:
+        yield _bare("ROTATE_LEFT", Action.ROTATE_LEFT, load, [])
+        for way, action in (
+            (FORWARD, Action.MOVE_RIGHT),
+            (LEFT, Action.MOVE_FORWARD),
+            (BACK, Action.MOVE_LEFT),
+        ):
+            floor = Piece(Kind.BLOCK, beside((0, 0, -1), way))
+            yield _bare(f"MOVE-{DIRECTION_NAMES[way]}", action, load, [floor])
+        # The three moves up a ramp and the three down.
+        for stage, name in enumerate(("onto-foot", "up", "off-top")):
+            body = (2 - stage, 0, 0)
+            ramp = [Piece(Kind.BODY, body, BACK), Piece(Kind.BLOCK, beside(body, FORWARD)), _floor(-stage)]
+            yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, int(stage == 2), stage)
+        for stage, name in enumerate(("onto-top", "down", "off-foot")):
+            body = (1 - stage, 0, 0)
+            ramp = [Piece(Kind.BODY, body, FORWARD), Piece(Kind.BLOCK, beside(body, BACK)), _floor(3 - stage)]
+            yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, int(stage < 2), (0, 2, 1)[stage])
+    for load in ("block", "slope"):
+        yield _bare(
+            "LIFT", Action.LIFT, load, [Piece(_LOADS[load], (0, 0, 0), BACK if load == "slope" else 0)]
+        )
+        yield _bare("DROP", Action.DROP, load, [])
+    for kind, action in ((Kind.FSLOPE, Action.UNFOLD), (Kind.BODY, Action.FOLD)):
+        yield _bare(action.name, action, "", [Piece(kind, (0, 0, 0), BACK), _floor(-1)])
+
+
+def _floor(x: int) -> Piece:
+    return Piece(Kind.BLOCK, (x, 0, -1))
+
+
+def _bare(
+    name: str, action: Action, load: str, pieces: Sequence[Piece], level: int = 0, half: int = 0
+) -> Situation:
+    """Return an action among these pieces, whose cells and level count from the car's."""
+    carried = _LOADS[load] if load and name != "LIFT" else Kind.AIR
+    car = (0, 0, level, FORWARD, carried, BACK if carried == Kind.FSLOPE else 0, half)
+    world = Builder()
+    _add(world, pieces, [car], HOME)
+    return Situation(Row(name, load=load), world.grid((0, 0), WINDOW), (action,))
+
+
+def _add(world: Builder, pieces: Sequence[Piece], cars: Sequence[CarRow], at: Cell) -> None:
+    """Add pieces and cars moved by a cell, with stacks of blocks below all that needs them; walls may hang in the air.
+
+    Raises ImpossibleError where two things or cars would share a cell, or something would float.
+    """
+    moved, rows = _moved(pieces, at), [(*_sum(row[:3], at), *row[3:]) for row in cars]
+    for piece in moved:
+        world.put(piece)
+    world.cars += rows
+    if len({row[:3] for row in world.cars}) < len(world.cars):
+        raise ImpossibleError("two cars would share a cell")
+    for piece in moved:
+        for cell in piece.cells[: 2 if piece.kind == Kind.BODY else 1] if piece.kind != Kind.WALL else ():
+            world.support(cell)
+    for x, y, z, _, _, _, half in rows:
+        if half == 0:
+            world.support((x, y, z))
+            if world.cells.get((x, y, z), (Kind.AIR, 0))[0] == Kind.FOOT:
+                raise ImpossibleError("a car in a foot's cell is on the slope")
+
+
+def _moved(pieces: Iterable[Piece], by: Cell) -> list[Piece]:
+    return [piece._replace(cell=_sum(piece.cell, by)) for piece in pieces]
+
+
+def _sum(one: Sequence[int], other: Cell) -> Cell:
+    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
+
+
+@dataclass(frozen=True)
+class Occupant:
+    """What may be a neighbour: things or a car, in cell (0, 0, 0)."""
+
+    kind: str
+    """Such as ``block`` or ``car+fslope``."""
+    stance: str = ""
+    """How it stands, such as ``along`` or ``gear-uphill-low``."""
+    side: str = ""
+    """The direction of gear, foot or downhill."""
+    pieces: tuple[Piece, ...] = ()
+    cars: tuple[CarRow, ...] = ()
+    bearer: tuple[Piece, ...] = ()
+    """The ramp that a car is on, which comes with it."""
+
+    @property
+    def name(self) -> str:
+        """Such as ``block``, ``fslope-left`` or ``car+block-low-back``."""
+        return "-".join(filter(None, (self.kind, self.stance, self.side)))
+
+    @property
+    def mirrored(self) -> str:
+        """Name of its mirror image."""
+        return replace(self, side={"left": "right", "right": "left"}.get(self.side, self.side)).name
+
+    def places(self) -> Iterator[Cell]:
+        """Yield where it is near a car in column (0, 0); levels count from the car's lower one."""
+        # What takes more than one cell counts where it reaches into the neighbourhood.
+        cells = [cell for piece in self.pieces for cell in piece.cells[: 2 if piece.kind == Kind.BODY else 1]]
+        cells += [_sum(row[:3], (0, 0, 0)) for row in self.cars]
+        spread = range(-_REACH - 1, _REACH + 2)
+        for dx, dy, dz in product(spread, spread, _LEVELS):
+            if any(max(abs(x + dx), abs(y + dy)) <= _REACH for x, y, _ in cells):
+                yield dx, dy, dz
+
+    def added(self, world: Builder, at: Cell) -> tuple[Grid, Grid]:
+        """Return a world with it at a place near the acting car, and the same without it but with what bears it.
+
+        Raises ImpossibleError where it cannot stand there.
+        """
+        more, cell = world.copy(), _sum(at, HOME)
+        _add(more, (*self.bearer, *self.pieces), self.cars, cell)
+        grid = more.grid((0, 0), WINDOW)
+        for piece in _moved(self.pieces, cell):
+            for taken in piece.cells[: 2 if piece.kind == Kind.BODY else 1]:
+                del more.cells[taken]
+        more.cars = more.cars[: len(world.cars)]
+        return grid, more.grid((0, 0), WINDOW)
+
+
+def occupants() -> Iterator[Occupant]:
+    """Yield every occupant; flags have a block's shape and are left out."""
+    origin = (0, 0, 0)
+    yield Occupant("block", pieces=(Piece(Kind.BLOCK, origin),))
+    yield Occupant("wall", pieces=(Piece(Kind.WALL, origin),))
+    # Along or across: a car is as long to the front as to the back.
+    yield Occupant("car", "along", cars=(_car(0, Kind.AIR),))
+    yield Occupant("car", "across", cars=(_car(1, Kind.AIR),))
+    yield Occupant("car+block", cars=(_car(0, Kind.BLOCK),))
+    for yaw, side in enumerate(DIRECTION_NAMES):
+        back = (yaw + 2) % 4
+        ramps = {
+            "low": (1, (Piece(Kind.BODY, beside(origin, back), yaw),)),
+            "high": (2, (Piece(Kind.BODY, (0, 0, -1), yaw),)),
+        }
+        yield Occupant("fslope", "", side, (Piece(Kind.FSLOPE, origin, yaw),))
+        yield Occupant("ramp", "", side, (Piece(Kind.BODY, origin, yaw),))
+        yield Occupant("car+fslope", "", side, cars=(_car(back, Kind.FSLOPE),))
+        for kind, gear, heading, load in (
+            ("car", "", yaw, Kind.AIR),
+            ("car+block", "", yaw, Kind.BLOCK),
+            ("car+fslope", "gear-downhill-", back, Kind.FSLOPE),
+            ("car+fslope", "gear-uphill-", yaw, Kind.FSLOPE),
+        ):
+            for place, (half, ramp) in ramps.items():
+                car = _car(heading, load, half)
+                yield Occupant(kind, gear + place, side, cars=(car,), bearer=ramp)
+
+
+def _car(yaw: int, load: Kind, half: int = 0) -> CarRow:
+    return 0, 0, 0, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0, half
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """One neighbour of a bare situation that can stand there."""
+
+    situation: Situation
+    occupant: Occupant
+    at: Cell
+    """Its cell: of a slope that of the body, of a car its own; the level counts from the acting car's lower one."""
+    clearance: Clearance | None
+    """Between what moves and the occupant, the least over the way; None beyond the margin."""
+    grid: Grid
+    """The world with both, and what bears them; the car acts as number 0."""
+    alone: Grid
+    """The same without the occupant."""
+
+    @property
+    def closest(self) -> str:
+        """The solids that come closest."""
+        return "" if self.clearance is None else f"{self.clearance.mine} and {self.clearance.theirs}"
+
+    def legal(self, rules: Rules) -> tuple[bool, bool]:
+        """Return whether the rules allow the action beside it, and without it."""
+        (action,) = self.situation.acts
+        return rules.legal(self.grid, 0, action), rules.legal(self.alone, 0, action)
+
+
+def margin_m(machines: Machines) -> float:
+    """Return how near a neighbour has to come to matter: nearer than things do that fill neighbouring cells.
+
+    A load that goes past a block keeps this gap, 2.5 mm less 0.1 mm; situations with tight room show that it is enough.
+    """
+    return CELL_PITCH_M - max(machines.block.side_m, machines.slope.side_m) - _SAMPLED_M
+
+
+def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbour]:
+    """Yield every occupant of the cells near each bare situation that can stand there, mirror images once.
+
+    Args:
+        machines: whose geometry decides; of several cars the first one's.
+        of: verbs of the table of actions; all if empty.
+    """
+    machines = replace(machines, cars=machines.cars[:1])
+    margin = margin_m(machines)
+    bodies = {occupant: bodies_of(occupant, machines) for occupant in occupants()}
+    for situation in bare_situations():
+        if of and ACTIONS[situation.acts[0]].verb not in of:
+            continue
+        bare, world = situation.grid, Builder.of(situation.grid)
+        symmetric = situation.row.action not in ("ROTATE_LEFT", "MOVE-left")
+        volume = sweep(situation, machines)
+        start = Solids([p for part in placements(bare, machines) for p in convexes_of(part, machines)])
+        own = tuple(bare.cars[0, : CarField.YAW])
+        for occupant, (body, bearer, block) in bodies.items():
+            for at in occupant.places():
+                if symmetric and (at[1], occupant.name) < (-at[1], occupant.mirrored):
+                    continue
+                shift = shift_of(at)
+                if _overlaps(start, body, shift) or (bearer is not None and _overlaps(start, bearer, shift)):
+                    continue
+                try:
+                    grid, alone = occupant.added(world, at)
+                except ImpossibleError:
+                    continue
+                if grid.kind[own] not in (bare.kind[own], Kind.GEAR):
+                    continue
+                stacks = np.argwhere((alone.kind == Kind.BLOCK) & (bare.kind != Kind.BLOCK))
+                if any(_overlaps(start, block, shift_of(cell - HOME)) for cell in stacks):
+                    continue
+                yield Neighbour(situation, occupant, at, volume.clearance(body, margin, shift), grid, alone)
+
+
+def shift_of(at: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return how far a neighbour is from where :func:`bodies_of` has it, metres."""
+    return np.array([at[0] * CELL_PITCH_M, at[1] * CELL_PITCH_M, at[2] * LEVEL_HEIGHT_M])
+
+
+def _overlaps(start: Solids, body: Solids, shift: NDArray[np.float64]) -> bool:
+    return start.clearance(body, -OVERLAP_M, shift) is not None
+
+
+def bodies_of(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | None, Solids]:
+    """Return the solids of an occupant, of its bearer, and of a block, in the acting car's cell."""
+    cars = [(*_sum(row[:3], HOME), *row[3:]) for row in occupant.cars]
+    every = placements(grid_of(_moved((*occupant.bearer, *occupant.pieces), HOME), cars, WINDOW), machines)
+    block = placements(grid_of([Piece(Kind.BLOCK, HOME)], [], WINDOW), machines)
+    n = len(every) - len(occupant.bearer)
+    own, below, stack = (
+        [p for part in of for p in convexes_of(part, machines)] for of in (every[:n], every[n:], block)
+    )
+    return Solids(own), Solids(below) if below else None, Solids(stack)
+
+
+def table(of: Collection[str] = ()) -> Iterator[dict[str, Any]]:
+    """Work out the neighbours that matter to these verbs, or to all: within reach, or forbidden by a rule set although
+    they are not; the rows of ``craftsim/data/neighbours.csv``."""
+    rule_sets = [Rules(name) for name in RULE_SETS]
+    for one in neighbours(NOMINAL, of):
+        if one.clearance is None and all(one.legal(rules) != (False, True) for rules in rule_sets):
+            continue
+        # Negative: by so much it is in the way; empty: out of reach.
+        clearance = "" if one.clearance is None else f"{one.clearance.distance_m * 1e3:.1f}"
+        said = {"situation": one.situation.id, "occupant": one.occupant.name}
+        yield (
+            said
+            | dict(zip(("dx", "dy", "dz"), one.at, strict=True))
+            | {
+                "clearance_mm": clearance,
+                "closest": one.closest,
+            }
+        )
+
+
+def read_table() -> list[dict[str, str]]:
+    """Return the rows of the package's file."""
+    text = files("craftsim.data").joinpath(NAME).read_text(encoding="utf-8")
+    return list(csv.DictReader(text.splitlines()))
+
+
+def place_of(row: Mapping[str, str]) -> Cell:
+    """Return the cell of a neighbour that a row of the table is about."""
+    return int(row["dx"]), int(row["dy"]), int(row["dz"])
+
+
+def nearby(rule_set: RuleSet, of: Collection[str] = ()) -> list[tuple[Situation, bool, Row]]:
+    """Return the neighbourhoods of these verbs, or of all, whether a rule set allows the action in each, and the row
+    that it counts in: one neighbour each, wherever geometry or a rule says that it matters.
+
+    Merged are neighbours that physics cannot tell apart: of one kind, whichever way it is turned, in the way of the
+    same action by the same solids to a tenth of a millimetre, and the rules alike. One stands for all of them; mirror
+    images, and flags for blocks, are left out from the start. Neighbours of a kind that are in the way, or forbidden
+    and close, are one row, and so are all out of reach; what is allowed although it is close is a row each. Left out of
+    what the physical rules allow are starts to which no play of theirs leads, for a load has no room there: in three a
+    block that leans on a ramp stands 0.8 mm deep in the gear of a slope that another car carries.
+    """
+    rules = Rules(rule_set)
+    bare = {one.id: (one, Builder.of(one.grid)) for one in bare_situations()}
+    known = {one.name: one for one in occupants()}
+    found: dict[tuple[object, ...], tuple[Situation, bool, Row]] = {}
+    for said in read_table():
+        (situation, world), occupant, at = bare[said["situation"]], known[said["occupant"]], place_of(said)
+        (action,) = situation.acts
+        if of and ACTIONS[action].verb not in of:
+            continue
+        grid, alone = occupant.added(world, at)
+        legal = rules.legal(grid, 0, action)
+        if not legal and not rules.legal(alone, 0, action):
+            continue
+        if legal and rule_set == "physical" and not has_room(grid):
+            continue
+        key = (situation.row, occupant.kind, occupant.stance, legal, *_met(said))
+        if key not in found:
+            clearance = float(said["clearance_mm"]) if said["clearance_mm"] else None
+            row = situation.row._replace(near=occupant.name, column=f"{at[0]},{at[1]}", above=str(at[2]))
+            one = Situation(row, _cropped(grid), (action,), clearance_mm=clearance)
+            found[key] = one, legal, _counted_row(one, occupant.kind, legal)
+    return list(found.values())
+
+
+_SIDES: Final = re.compile(r"_(f|r)?[lr]\b|_(left|right|front|back)\b")
+
+
+def _met(said: Mapping[str, str]) -> tuple[object, ...]:
+    """Return what physics can tell apart: how close which solids come; out of reach, where the neighbour is."""
+    if not said["clearance_mm"]:
+        return said["occupant"], place_of(said)
+    return said["clearance_mm"], _SIDES.sub("", said["closest"])
+
+
+def _counted_row(one: Situation, kind: str, legal: bool) -> Row:
+    """Return the row that a neighbourhood counts in: its own where the action is allowed close by."""
+    rule, near = "allowed" if legal else "forbidden", one.row._replace(near=kind, column="", above="")
+    if one.clearance_mm is None:
+        return near._replace(near="any", kind=f"{rule} out of reach")
+    if one.clearance_mm < -_BRUSH_MM:
+        return near._replace(kind=f"{rule} in the way")
+    return one.row if legal else near._replace(kind="forbidden close by")
+
+
+def _cropped(grid: Grid) -> Grid:
+    """Return a world with :data:`MARGIN` empty columns round it."""
+    taken = np.vstack([np.argwhere(grid.kind > Kind.GROUND), grid.cars[:, : CarField.YAW]])
+    low, high = taken.min(axis=0) - MARGIN, taken.max(axis=0) + 1 + MARGIN
+    length, width, _ = (high - low).tolist()
+    return Builder.of(grid).grid((int(low[0]), int(low[1])), (length, width, int(taken[:, 2].max()) + 1))
+
+
+if __name__ == "__main__":
+    text = io.StringIO()
+    rows = list(table())
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole(
+        Path(sys.argv[1]) if len(sys.argv) > 1 else Path(str(files("craftsim.data"))) / NAME, text.getvalue()
+    )

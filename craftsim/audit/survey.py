@@ -1,0 +1,368 @@
+"""Every situation of one car, found by walking the product of what can differ.
+
+Nothing is listed by hand. Each combination of properties is built as the smallest world that has them; what cannot be
+built cannot exist, and what a rule set forbids there is kept apart. The car stands in cell (0, 0) of its level and
+heads +x, so that every yaw and direction here is relative to its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from itertools import product
+from typing import Any, Final
+
+from craftsim.audit.builder import Builder, ImpossibleError
+from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, Row, Situation
+from craftsim.discrete.actions import ACTIONS, ActionSpec, verbs
+from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Kind, Piece, beside
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.errors import CraftsimError
+
+GROUNDS: Final = {
+    "flat": (0, FORWARD),
+    "low-up": (1, BACK),
+    "high-up": (2, BACK),
+    "low-down": (1, FORWARD),
+    "high-down": (2, FORWARD),
+}
+"""What a car can stand on: the half of a slope (0 none, 1 lower, 2 upper), and where downhill is."""
+LEVELS: Final = ("1", "2", "3")
+LOADS: Final = {"none": Kind.AIR, "block": Kind.BLOCK, "flag": Kind.FLAG, "fslope": Kind.FSLOPE}
+
+
+def _things(*kinds: Kind) -> dict[str, tuple[Kind, int]]:
+    """Return what can be in a cell by its word: the kind, and the yaw relative to the car's heading."""
+    found: dict[str, tuple[Kind, int]] = {}
+    for kind in kinds:
+        name = kind.name.lower()
+        turned = {f"{name}-{way}": (kind, yaw) for yaw, way in enumerate(DIRECTION_NAMES)}
+        found |= turned if kind in KINDS_WITH_YAW else {name: (kind, 0)}
+    return found
+
+
+_OWN: Final = _things(Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.GEAR, Kind.FOOT)
+_AHEAD: Final = _OWN | _things(Kind.WALL)
+_BELOW: Final = {f"above-{word}": thing for word, thing in _things(Kind.BODY).items()}
+"""A slope in the cell below the next, which is free: the way down."""
+_OVER: Final = _things(Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.GEAR)
+_FIRST_PART: Final = {second: first for first, second in SECOND_PART.items()}
+_STANDS_ON: Final = (Kind.WALL, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.FOOT)
+"""What needs a floor or a block below it; a gear hangs on its slope."""
+
+
+def acts() -> dict[str, tuple[ActionSpec, int | None]]:
+    """Return what one car can do by its word: the row of the table of actions, and of a move the direction."""
+    found: dict[str, tuple[ActionSpec, int | None]] = {}
+    for spec in (spec for spec in ACTIONS.values() if spec.performed):
+        for way in spec.ahead or (None,):
+            word = spec.verb if way is None else f"{spec.verb}-{DIRECTION_NAMES[way]}"
+            found.setdefault(word, (spec, way))
+    return found
+
+
+def row_of(said: Mapping[str, Any]) -> Row:
+    """Return the row that a file of situations describes: a scene, or a car on the floor with nothing around, but for
+    what is said."""
+    words: dict[str, Any] = {name: str(word) for name, word in said.items()}
+    words |= {"then": tuple(said.get("then", ()))}
+    if "scene" in words:
+        return Row(**words)
+    usual = {"level": "1", "ground": "flat", "own": "air", "load": "none", "room": "free"}
+    ahead = {} if acts()[words["action"]][1] is None else {"next": "air"}
+    return Row(**(usual | ahead | words))
+
+
+def situation_of(row: Row, rule_set: RuleSet, forbidden: bool = False) -> Situation:
+    """Return the situation of a car with these properties.
+
+    Args:
+        row: its properties.
+        rule_set: by which the action is legal there.
+        forbidden: return that of an action that is not legal, too.
+
+    Raises:
+        CraftsimError: there is no such situation.
+    """
+    rules = Rules(rule_set)
+    try:
+        world = _built(row)
+    except ImpossibleError as reason:
+        raise CraftsimError(f"there is no world for {row}: {reason}") from reason
+    found = _situation(row, world)
+    if row.room == "tight":
+        tight = _tight(row, world, rules)
+        if tight is None:
+            raise CraftsimError(f"there is no world for {row}: no neighbour cell can be filled")
+        found = tight
+    if not forbidden and not found.legal(rules):
+        raise CraftsimError(f"there is no world for {row}: the rules forbid it")
+    return found
+
+
+def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tuple[Situation, bool], ...]:
+    """Return every situation of these verbs, or of all, and whether a rule set allows the action there.
+
+    Those in which it is forbidden are all with room.
+    """
+    return _survey(rule_set, tuple(verb for verb in verbs() if not of or verb in of))
+
+
+@cache
+def _survey(rule_set: RuleSet, of: tuple[str, ...]) -> tuple[tuple[Situation, bool], ...]:
+    rules = Rules(rule_set)
+    allowed: list[tuple[Situation, bool]] = []
+    illegal: list[tuple[Situation, bool]] = []
+    for row in _rows(of):
+        try:
+            world = _built(row)
+        except ImpossibleError:
+            continue
+        found = _situation(row, world)
+        if not found.legal(rules):
+            illegal.append((found, False))
+            continue
+        allowed.append((found, True))
+        tight = _tight(row._replace(room="tight"), world, rules)
+        allowed += [(tight, True)] if tight is not None else []
+    return tuple(allowed + illegal)
+
+
+def _rows(of: tuple[str, ...]) -> Iterator[Row]:
+    """Yield every combination of what matters to these verbs that a car can stand in."""
+    for verb in of:
+        inner = list(_inner(verb))
+        for ground, own, load in product(GROUNDS, _OWN, LOADS):
+            try:
+                _check_car(ground, own, load)
+            except ImpossibleError:
+                continue
+            for row in inner:
+                yield row._replace(ground=ground, own=own, load=load)
+
+
+def _inner(verb: str) -> Iterator[Row]:
+    """Yield the combinations of direction, next, level, over and beyond that a verb depends on, in a fixed order."""
+    for action, (spec, way) in acts().items():
+        if spec.verb != verb:
+            continue
+        for thing, level in product([""] if way is None else [*_AHEAD, *_BELOW], LEVELS):
+            ramp = thing.startswith(("foot", "body")) or thing in _BELOW
+            overs = [word if word != "air" else "" for word in _OVER] if ramp or spec.over else [""]
+            beyonds = [""] if spec.beyond is None else ["", "taken"]
+            for over, beyond in product(overs, beyonds):
+                yield Row(action, level, next=thing, over=over, beyond=beyond, room="free")
+
+
+def _situation(row: Row, world: Builder) -> Situation:
+    """Return a situation in its smallest world, with a column of room round all that matters."""
+    own: Cell = (0, 0, int(row.level))
+    reach = [*world.cells, own, *(beside(beside(own, way), way) for way in range(4))]
+    low = min(x for x, _, _ in reach) - 1, min(y for _, y, _ in reach) - 1
+    high = max(x for x, _, _ in reach) + 2, max(y for _, y, _ in reach) + 2
+    size = high[0] - low[0], high[1] - low[1], max(z for _, _, z in reach) + 1
+    first, *others = [_action(word) for word in (row.action, *row.then)]
+    return Situation(row, world.grid(low, size), (first, *others), anywhere=True)
+
+
+def _action(word: str) -> Action:
+    """Return the action of a car that heads +x."""
+    spec, way = acts()[word]
+    return next(
+        action
+        for action, one in ACTIONS.items()
+        if one.verb == spec.verb and one.direction in (way, None) and one.performed
+    )
+
+
+def _built(row: Row) -> Builder:
+    """Build a situation without its tight neighbours.
+
+    Raises ImpossibleError where two of its properties exclude each other.
+    """
+    world = Builder()
+    own: Cell = (0, 0, int(row.level))
+    spec, way = acts()[row.action]
+    _check_car(row.ground, row.own, row.load)
+    _build_ground(world, row, own, way)
+    if row.load == "fslope":
+        world.claim(Piece(Kind.AIR, beside(own, BACK)))
+    if way is not None:
+        _build_next(world, row, own, way)
+    if row.over:
+        _claim(world, _OVER[row.over], _over(row, own, spec, way))
+    if row.beyond and spec.beyond is not None:
+        world.claim(Piece(Kind.BLOCK, beside(beside(own, spec.beyond), spec.beyond)))
+    for cell, (kind, _) in sorted(world.cells.items()):
+        if kind in _STANDS_ON:
+            world.support(cell)
+    half, _ = GROUNDS[row.ground]
+    world.cars.append((*own, FORWARD, LOADS[row.load], BACK if row.load == "fslope" else 0, half))
+    return world
+
+
+def _claim(world: Builder, thing: tuple[Kind, int], cell: Cell) -> None:
+    """Claim the cell of a thing; a gear or a foot comes with the slope that it is the second part of."""
+    kind, yaw = thing
+    if kind in _FIRST_PART:
+        kind, cell = _FIRST_PART[kind], beside(cell, yaw + 2)
+    world.claim(Piece(kind, cell, yaw))
+
+
+def _check_car(ground: str, own: str, load: str) -> None:
+    """Raise ImpossibleError where a car cannot stand like that: checked first, since it rules out most."""
+    (half, downhill), (kind, yaw) = GROUNDS[ground], _OWN[own]
+    if half == 1 and (kind, yaw) != (Kind.FOOT, downhill):
+        raise ImpossibleError("a car on a lower half is in the cell of its foot")
+    if half == 2 and kind != Kind.AIR:
+        raise ImpossibleError("above a body is nothing but the car")
+    if half == 0 and kind == Kind.FOOT:
+        raise ImpossibleError("a car in a foot's cell is on the slope")
+    if kind in (Kind.FSLOPE, Kind.BODY) and yaw != BACK:
+        raise ImpossibleError("a car enters below a slope from its high side only")
+    if load != "none" and kind == Kind.GEAR:
+        raise ImpossibleError("a load's legs would be where a gear is")
+    if load != "none" and kind in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY):
+        raise ImpossibleError("a load and what the car stands under would share a cell")
+
+
+def _build_ground(world: Builder, row: Row, own: Cell, way: int | None) -> None:
+    """Build what the car stands on and under; half of a slope comes with a block behind it."""
+    half, downhill = GROUNDS[row.ground]
+    if half == 0:
+        _claim(world, _OWN[row.own], own)
+        world.support(own)
+        if row.own == "fslope-back":
+            world.support(beside(own, BACK))
+        return
+    if half == 1:
+        body = beside(own, downhill + 2)
+    else:
+        world.claim(Piece(Kind.AIR, own))
+        body = (own[0], own[1], own[2] - 1)
+    world.claim(Piece(Kind.BODY, body, downhill))
+    # Off the upper half forward the next cell decides what is below it; everywhere else a landing stands there.
+    if not (half == 2 and downhill == BACK and way is not None):
+        world.claim(Piece(Kind.BLOCK, beside(body, downhill + 2)))
+    end = beside(beside(body, downhill), downhill)
+    if way is None or end != beside(own, way):
+        world.claim(Piece(Kind.AIR, end))
+        world.support(end)
+
+
+def _build_next(world: Builder, row: Row, own: Cell, way: int) -> None:
+    """Build what is in the cell that a move goes to."""
+    cell, (half, downhill) = beside(own, way), GROUNDS[row.ground]
+    if row.next in _BELOW:
+        kind, yaw = _BELOW[row.next]
+        world.claim(Piece(Kind.AIR, cell))
+        world.claim(Piece(kind, (cell[0], cell[1], cell[2] - 1), yaw))
+        landing = beside(beside((cell[0], cell[1], cell[2] - 1), yaw), yaw)
+        world.claim(Piece(Kind.AIR, landing))
+        world.support(landing)
+        return
+    kind, yaw = _AHEAD[row.next]
+    if row.load != "none" and kind == Kind.GEAR and half == 2:
+        raise ImpossibleError("a load on an incline would be where a gear is")
+    if row.load != "none" and kind == Kind.BODY and half == 1 and downhill == FORWARD:
+        raise ImpossibleError("a load on an incline would be where a slope is")
+    _claim(world, (kind, yaw), cell)
+    if kind == Kind.FOOT and half == 0:
+        world.claim(Piece(Kind.BLOCK, beside(beside(cell, yaw + 2), yaw + 2)))
+    part_of_the_ramp = half == 2 and way == downhill
+    if kind != Kind.WALL and not part_of_the_ramp:
+        world.support(cell)
+
+
+def _over(row: Row, own: Cell, spec: ActionSpec, way: int | None) -> Cell:
+    """Return the cell that something stands or hangs in, over what the action is about."""
+    x, y, z = own
+    if way is None:
+        return x, y, z + 1
+    ahead = beside(own, way)
+    if spec.over:
+        return ahead[0], ahead[1], z + 1
+    if row.next in _BELOW:
+        return beside(ahead, way)
+    kind, _ = _AHEAD[row.next]
+    if kind == Kind.FOOT:
+        x, y, z = beside(beside(ahead, way), way)
+        return x, y, z + 1
+    if kind == Kind.BODY and GROUNDS[row.ground] == (1, BACK):
+        return ahead[0], ahead[1], z + 1
+    raise ImpossibleError("what is overhead does not concern this move")
+
+
+def _tight(row: Row, world: Builder, rules: Rules) -> Situation | None:
+    """Return a situation with the neighbour cells filled with blocks, one after the other while the action stays legal;
+    None where none can be."""
+    found, filled = None, world
+    for column in _fillable(row, world):
+        more = filled.copy()
+        more.cells |= dict.fromkeys(column, (Kind.BLOCK, 0))
+        tight = _situation(row, more)
+        if tight.legal(rules):
+            found, filled = tight, more
+    return found
+
+
+def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
+    """Return the columns of blocks, one a neighbour cell, that would leave only the clearance beside the way.
+
+    Neighbours are the cells round the own one and, for a move, round the target, on the car's level there.
+    """
+    own: Cell = (0, 0, int(row.level))
+    (spec, way), (half, downhill) = acts()[row.action], GROUNDS[row.ground]
+    ways = [own]
+    if way is not None:
+        x, y, z = beside(own, way)
+        climbs = half == 1 and downhill == (way + 2) % 4
+        falls = half == 2 and downhill == way
+        ways.append((x, y, z + climbs - falls))
+    taken = set(ways)
+    if spec.beyond is not None:
+        taken |= {beside(own, spec.beyond), beside(beside(own, spec.beyond), spec.beyond)}
+    columns: list[tuple[Cell, ...]] = []
+    for x, y, z in ways:
+        for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)):
+            column = tuple((x + dx, y + dy, level) for level in range(1, z + 1))
+            free = all(world.cells.get(cell, (Kind.BLOCK, 0))[0] == Kind.BLOCK for cell in column)
+            if free and column[-1] not in world.cells and not taken & set(column) and column not in columns:
+                columns.append(column)
+    return columns
+
+
+def counted_row(row: Row, legal: bool) -> Row:
+    """Return the row that a situation counts in: the first of its own and its mirror image's, with what is merged.
+
+    Merged are: mirror images, for the machines are alike left and right; levels 2 and 3, which both stand on blocks; a
+    flag with a block, which have one shape and mass; and from which side a gear hangs in the car's own cell, where it
+    does not reach the car. Where an action is forbidden, it counts as one, too, from which side a gear hangs overhead,
+    and for a move that is not forward what is overhead at all, since it does not get there.
+    """
+    return min((_merged(one, legal) for one in (row, _mirrored(row))), key=str)
+
+
+def _merged(row: Row, legal: bool) -> Row:
+    alike = {"2": "2+", "3": "2+", "flag": "block"}
+    row = _reworded(row, alike)
+    gears = {f"gear-{way}": "gear" for way in DIRECTION_NAMES}
+    own = gears.get(row.own, row.own)
+    if legal:
+        return row._replace(own=own)
+    ahead = acts()[row.action][1] in (None, FORWARD)
+    return row._replace(own=own, over=gears.get(row.over, row.over) if ahead else "")
+
+
+def _mirrored(row: Row) -> Row:
+    sides = {"left": "right", "right": "left"}
+    heads = {word.rpartition("-")[0] for word in (*acts(), *_AHEAD, *_BELOW)}
+    words = {f"{head}-{side}": f"{head}-{other}" for head in heads for side, other in sides.items()}
+    words |= {"ROTATE_LEFT": "ROTATE_RIGHT", "ROTATE_RIGHT": "ROTATE_LEFT"}
+    return _reworded(row, words)
+
+
+def _reworded(row: Row, words: Mapping[Any, Any]) -> Row:
+    """Return a row in other words, where there are such."""
+    return Row(**{name: words.get(word, word) for name, word in row._asdict().items()})

@@ -1,0 +1,154 @@
+"""What a car can be in: found by walking the product, legal each one, and worlds that stand in physics."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from craftsim.audit.situation import Row
+from craftsim.audit.survey import GROUNDS, LEVELS, LOADS, acts, row_of, situation_of, survey
+from craftsim.discrete.actions import verbs
+from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
+from craftsim.discrete.readback import read_grid
+from craftsim.discrete.rules import Rules
+from craftsim.errors import CraftsimError
+from craftsim.models.measuring import read_poses
+from craftsim.models.world import PhysicsWorld
+
+RULES = Rules("physical")
+ALLOWED = [one for one, legal in survey() if legal]
+ROWS = {one.row for one in ALLOWED}
+
+
+def _placed(situation, seed=0):
+    return situation.placed(np.random.default_rng(seed))
+
+
+def test_what_the_rules_forbid_is_kept_apart():
+    forbidden = {one.row for one, legal in survey() if not legal}
+    assert not ROWS & forbidden
+    assert ("LIFT", True) in {(row.action, row.ground != "flat") for row in forbidden}
+
+
+def test_the_number_of_situations_is_known():
+    # A change of this number is to be looked at: it says that the rules changed.
+    assert len(ALLOWED) == len(ROWS) == 1406
+
+
+def test_every_action_load_level_and_ground_occurs():
+    assert {row.action for row in ROWS} == set(acts())
+    assert {spec.verb for spec, _ in acts().values()} == set(verbs())
+    assert {row.load for row in ROWS} == set(LOADS)
+    assert {row.level for row in ROWS} == set(LEVELS)
+    assert {row.ground for row in ROWS} == set(GROUNDS)
+    assert {row.own.split("-")[0] for row in ROWS} == {
+        "air",
+        "block",
+        "flag",
+        "fslope",
+        "body",
+        "gear",
+        "foot",
+    }
+
+
+def test_levels_two_and_three_have_the_same_situations():
+    counts = Counter(row.level for row in ROWS)
+    assert counts["2"] == counts["3"] > counts["1"]  # on level 1 there is no ramp down
+
+
+def test_the_sides_of_a_car_are_alike():
+    counts = Counter(row.action for row in ROWS)
+    assert counts["MOVE-left"] == counts["MOVE-right"]
+    assert counts["ROTATE_LEFT"] == counts["ROTATE_RIGHT"]
+
+
+def test_texts_of_rows_are_stable():
+    texts = {str(row) for row in ROWS}
+    assert "LIFT/level=1/ground=flat/own=block/load=none/room=tight" in texts
+    assert "MOVE-forward/level=2/ground=high-down/own=air/load=fslope/next=air/room=free" in texts
+    assert "UNFOLD/level=1/ground=flat/own=fslope-back/load=none/room=free" in texts
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_each_world_is_legal_for_its_action(seed):
+    turns = Counter()
+    for situation in ALLOWED:
+        placed = _placed(situation, seed)
+        turns[int(placed.grid.cars[0, CarField.YAW])] += 1
+        assert placed.legal(RULES), situation.id
+    assert len(turns) == 1, "equal generators draw equal headings"
+
+
+def test_all_map_directions_and_several_places_are_drawn():
+    rng = np.random.default_rng(0)
+    rows = [tuple(ALLOWED[0].placed(rng).grid.cars[0, :4]) for _ in range(40)]
+    assert {row[3] for row in rows} == {0, 1, 2, 3}
+    assert len({row[:2] for row in rows}) > 5
+
+
+def test_a_world_is_what_its_row_says():
+    for situation in ALLOWED:
+        row, placed = situation.row, _placed(situation, 1)
+        x, y, z, yaw, load, _, slope = (int(v) for v in placed.grid.cars[0])
+        assert (z, load, slope) == (int(row.level), LOADS[row.load], GROUNDS[row.ground][0]), row
+        assert placed.grid.kind[x, y, z].item() == Kind[row.own.split("-")[0].upper()], row
+        if row.next:
+            way = acts()[row.action][1]
+            dx, dy = ((1, 0), (0, 1), (-1, 0), (0, -1))[(yaw + way) % 4]
+            assert MOVE_DIRECTION[placed.acts[0]] == (yaw + way) % 4
+            there = placed.grid.kind[x + dx, y + dy, z - row.next.startswith("above-")]
+            assert there == Kind[row.next.removeprefix("above-").split("-")[0].upper()], row
+
+
+def test_tight_worlds_have_more_blocks():
+    free = {one.row: one for one in ALLOWED}
+    for one in ALLOWED:
+        if one.row.room == "tight":
+            other = free[one.row._replace(room="free")]
+            assert (one.grid.kind == Kind.BLOCK).sum() > (other.grid.kind == Kind.BLOCK).sum(), one.id
+
+
+@pytest.mark.parametrize("situation", ALLOWED[::23], ids=lambda situation: situation.id)
+def test_each_world_stands_in_physics_as_drawn(situation):
+    grid = _placed(situation, 2).grid
+    physics = PhysicsWorld(grid)
+    reading = read_grid(read_poses(physics), physics.size, physics.walls)
+    assert reading.problems == ()
+    assert reading.grid.same_visible(grid)
+
+
+def test_a_row_gives_the_situation_that_the_survey_found():
+    for one in ALLOWED[::17]:
+        same = situation_of(one.row, "physical")
+        assert same == one
+        assert same.grid.same_visible(one.grid)
+
+
+def test_a_combination_that_is_none_says_why():
+    with pytest.raises(CraftsimError, match="a load and what the car stands under would share a cell"):
+        situation_of(row_of({"action": "LIFT", "own": "block", "load": "block"}), "physical")
+    with pytest.raises(CraftsimError, match="the rules forbid it"):
+        situation_of(row_of({"action": "LIFT"}), "physical")
+
+
+def test_a_file_says_what_is_not_usual():
+    said = {"action": "MOVE-forward", "level": 2, "then": ["LIFT"]}
+    assert row_of(said) == Row("MOVE-forward", "2", "flat", "air", "none", "air", room="free", then=("LIFT",))
+    assert row_of({"action": "FOLD", "scene": "cars beside"}) == Row("FOLD", scene="cars beside")
+
+
+def test_relative_directions_become_map_actions():
+    forward = situation_of(row_of({"action": "MOVE-forward"}), "physical")
+    turns = {}
+    rng = np.random.default_rng(0)
+    while len(turns) < 4:
+        placed = forward.placed(rng)
+        turns[int(placed.grid.cars[0, CarField.YAW])] = placed.acts[0]
+    assert [turns[yaw] for yaw in range(4)] == [
+        Action.MOVE_RIGHT,
+        Action.MOVE_FORWARD,
+        Action.MOVE_LEFT,
+        Action.MOVE_BACK,
+    ]

@@ -12,11 +12,15 @@ from discrete.worldgen import play, random_world
 
 import craftsim
 from craftsim import Action, Rules, make_task
+from craftsim.audit.plan import audit_plan
+from craftsim.audit.quick import quick_rows
+from craftsim.audit.situation import Situation
 from craftsim.checking.setup import RANDOMIZE, Seed, nominal_gains, set_up, setup_of
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import design_text
 from craftsim.discrete.files.shipped import shipped_plan
+from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.skills.gains import load_gains
@@ -99,6 +103,36 @@ def _explained(rules: Rules, n: int, ticks: int) -> dict[str, Any]:
         "by correction": dict(kinds),
         "by ten worlds": [digest("".join(worlds[i : i + 10])) for i in range(0, n, 10)],
     }
+
+
+@record("everywhere")
+def situations() -> Any:
+    """All that an audit tries: by action its rows, and their situations with worlds and actions; the quick choice."""
+    return {rules: _audited(rules) for rules in RULE_SETS}
+
+
+def _audited(rules: RuleSet) -> dict[str, Any]:
+    plan = audit_plan(rules)
+    by_action: dict[str, list[str]] = {}
+    for row in plan:
+        said = [row.name, row.legal, row.no_prediction, row.clearance_mm, *map(_situation, row.members)]
+        by_action.setdefault(row.row.action, []).append(text(said))
+    every = [member for row in plan for member in row.members]
+    rng = np.random.default_rng(5)
+    return {
+        "rows": len(plan),
+        "situations": len(every),
+        "by action": {action: digest("\n".join(rows)) for action, rows in by_action.items()},
+        "quick": digest("\n".join(f"{row.name} {row.members[0].id}" for row in quick_rows(plan, rules))),
+        "placed": digest("\n".join(text(_situation(one.placed(rng))) for one in every[::10])),
+        "draws": digest("\n".join(str(one.digest) for one in every)),
+    }
+
+
+def _situation(one: Situation) -> list[Any]:
+    acts, grid = [act.name for act in one.acts], one.grid
+    world = digest(grid.cells.astype("<i2").tobytes() + grid.cars.astype("<i2").tobytes())
+    return [one.id, grid.size, world, acts, one.order]
 
 
 @record("everywhere")

@@ -3,34 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from importlib.resources import files
-from typing import Final
+from typing import Any, Final
 
-import yaml
-
+from craftsim.audit.situation import shipped
 from craftsim.validation.statistics.audit_rows import AuditRow, Judgement
 
-
-@dataclass(frozen=True)
-class Suspect:
-    """A suspicion, and the names of the rows that decide on it, as patterns."""
-
-    number: int
-    question: str
-    patterns: tuple[str, ...]
-
-
-def _suspects() -> Iterator[Suspect]:
-    text = files("craftsim.data").joinpath("suspects.yaml").read_text(encoding="utf-8")
-    for number, entry in enumerate(yaml.safe_load(text), start=1):
-        yield Suspect(number, entry["question"], tuple(entry["rows"]))
-
-
-SUSPECTS: Final = tuple(_suspects())
-"""Those of ``craftsim/data/suspects.yaml``."""
+SUSPECTS: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
+"""Those of ``craftsim/data/suspects.yaml``: a question, and the rows that decide on it as patterns of their names."""
 
 
 @dataclass(frozen=True)
@@ -49,24 +31,26 @@ class SuspectFinding:
 
 def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[SuspectFinding]:
     """Return what was found on each suspect; ``at_once`` are rows that count as evidence only."""
-    return [_finding(suspect, rows, at_once) for suspect in SUSPECTS]
+    return [_finding(number, suspect, rows, at_once) for number, suspect in enumerate(SUSPECTS, start=1)]
 
 
-def _concerned(suspect: Suspect, rows: Iterable[AuditRow]) -> list[AuditRow]:
+def _concerned(suspect: Mapping[str, Any], rows: Iterable[AuditRow]) -> list[AuditRow]:
     """Return the rows that were tried and that a suspect is about."""
-    patterns = suspect.patterns
+    patterns = suspect["rows"]
     return [r for r in rows if r.trials and any(fnmatchcase(f"{r.action}/{r.context}", p) for p in patterns)]
 
 
-def _finding(suspect: Suspect, rows: Iterable[AuditRow], at_once: Iterable[AuditRow]) -> SuspectFinding:
+def _finding(
+    number: int, suspect: Mapping[str, Any], rows: Iterable[AuditRow], at_once: Iterable[AuditRow]
+) -> SuspectFinding:
     mine, together = _concerned(suspect, rows), _concerned(suspect, at_once)
     counts = Counter(row.verdict for row in mine)
     verdict = ", ".join(f"{counts[j]} {j}" for j in Judgement if counts[j])
     gravest = next((j for j in Judgement if counts[j]), None)
     clearest = min((r for r in mine if r.verdict == gravest), key=_clarity, default=None)
     return SuspectFinding(
-        suspect.number,
-        suspect.question,
+        number,
+        suspect["question"],
         len(mine),
         sum(row.trials for row in mine),
         verdict or "not tried",

@@ -111,13 +111,18 @@ def _add(world: Builder, pieces: Sequence[Piece], cars: Sequence[CarRow], at: Ce
     if len({row[:3] for row in world.cars}) < len(world.cars):
         raise ImpossibleError("two cars would share a cell")
     for piece in moved:
-        for cell in piece.cells[: 2 if piece.kind == Kind.BODY else 1] if piece.kind != Kind.WALL else ():
+        for cell in _solid_cells(piece) if piece.kind != Kind.WALL else ():
             world.support(cell)
     for x, y, z, _, _, _, half in rows:
         if half == 0:
             world.support((x, y, z))
             if world.cells.get((x, y, z), (Kind.AIR, 0))[0] == Kind.FOOT:
                 raise ImpossibleError("a car in a foot's cell is on the slope")
+
+
+def _solid_cells(piece: Piece) -> tuple[Cell, ...]:
+    """Return the cells of a piece; that of a gear, which gives way, is left out."""
+    return piece.cells if piece.kind == Kind.BODY else (piece.cell,)
 
 
 def _moved(pieces: Iterable[Piece], by: Cell) -> list[Piece]:
@@ -156,7 +161,7 @@ class Occupant:
     def places(self) -> Iterator[Cell]:
         """Yield where it is near a car in column (0, 0); levels count from the car's lower one."""
         # What takes more than one cell counts where it reaches into the neighbourhood.
-        cells = [cell for piece in self.pieces for cell in piece.cells[: 2 if piece.kind == Kind.BODY else 1]]
+        cells = [cell for piece in self.pieces for cell in _solid_cells(piece)]
         cells += [_sum(row[:3], (0, 0, 0)) for row in self.cars]
         spread = range(-_REACH - 1, _REACH + 2)
         for dx, dy, dz in product(spread, spread, _LEVELS):
@@ -172,7 +177,7 @@ class Occupant:
         _add(more, (*self.bearer, *self.pieces), self.cars, cell)
         grid = more.grid((0, 0), WINDOW)
         for piece in _moved(self.pieces, cell):
-            for taken in piece.cells[: 2 if piece.kind == Kind.BODY else 1]:
+            for taken in _solid_cells(piece):
                 del more.cells[taken]
         more.cars = more.cars[: len(world.cars)]
         return grid, more.grid((0, 0), WINDOW)

@@ -61,7 +61,9 @@ def _plan(rule_set: RuleSet, of: tuple[str, ...]) -> tuple[PlanRow, ...]:
         if reason and not row.scene:
             row = Row(row.action, kind=f"nothing intended: {reason}")
         members.setdefault((row, legal, reason), []).append(one)
-    rows = [PlanRow(row, legal, tuple(of), reason) for (row, legal, reason), of in members.items()]
+    rows = [
+        PlanRow(row, legal, tuple(together), reason) for (row, legal, reason), together in members.items()
+    ]
     return tuple(sorted(rows, key=lambda row: (row.name, row.legal, row.no_prediction)))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -103,8 +104,9 @@ class Situation:
 
     @cached_property
     def digest(self) -> int:
-        """A number of its own, from which trials draw."""
-        return int.from_bytes(hashlib.sha256(self.id.encode()).digest()[:8])
+        """A number made of its properties, from which trials draw."""
+        said = {name: word for name, word in self.row._asdict().items() if word}
+        return int.from_bytes(hashlib.sha256(json.dumps(said).encode()).digest()[:8])
 
     def placed(self, rng: np.random.Generator) -> Situation:
         """Return it in a direction and at a place on the map that a generator draws, where these do not matter."""

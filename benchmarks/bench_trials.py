@@ -8,7 +8,7 @@ import pytest
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import setup_of
 from craftsim.mjcf.parameters import DRIVES
-from craftsim.validation.audit.rows import audit_plan
+from craftsim.audit.plan import audit_plan
 from craftsim.validation.audit.trial import Trial, items_of, try_it
 
 TRIALS = 60
